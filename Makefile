@@ -14,10 +14,10 @@ help:  ## print this list
 install: $(VENV)/evalkit  ## install evalkit into .venv, with Open3D and KISS-ICP (EXTRAS= omits them)
 
 report: $(VENV)/evalkit  ## run the full comparison: reports/build/default/index.html
-	$(BIN)/evalkit compare reports/default.toml --resume
+	$(BIN)/evalkit compare reports/default.toml --resume --out reports/build/default
 
 report-quick: $(VENV)/evalkit  ## run a small comparison in under 90 s: reports/build/quick/index.html
-	$(BIN)/evalkit compare reports/quick.toml --resume
+	$(BIN)/evalkit compare reports/quick.toml --resume --out reports/build/quick
 
 test: $(VENV)/test  ## run the tests
 	$(BIN)/pytest -n auto --maxprocesses 4 --dist loadfile
@@ -54,7 +54,7 @@ metric-validation: $(VENV)/evalkit  ## measure how map metrics follow the true e
 	$(BIN)/python -m evalkit.commands.metric_validation selftest --world lab
 
 tune: $(VENV)/evalkit  ## tune back ends with equal budgets: reports/build/tune/index.html
-	$(BIN)/evalkit tune reports/tune.toml
+	$(BIN)/evalkit tune reports/tune.toml --out reports/build/tune
 
 docs: $(VENV)/docs  ## build the documentation: reports/build/site/index.html
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --config-file docs/mkdocs.yml

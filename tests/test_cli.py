@@ -518,7 +518,7 @@ def test_a_carmen_log_is_compared_by_one_command(evalkit, carmen, tmp_path):
     assert (wheels["span_rmse_m"], wheels["span_stretch_percent"]) == pytest.approx((0.1, 10.0), abs=1e-5)
     assert paper["span_rmse_m"] < 0.05
     assert paper["ate_rmse_m"] < 0.5 * wheels["ate_rmse_m"]
-    assert "--backends 'wheel-odometry, paper'" in (folder / "results.json").read_text()
+    assert "--backends wheel-odometry,paper" in (folder / "results.json").read_text()
 
 
 def ros_bag(path):
@@ -564,9 +564,11 @@ def test_a_ros_bag_is_compared_by_one_command(evalkit, carmen, tmp_path):
         "--backends", "paper,wheel-odometry", "--method", "paper", "--set", "every=2", "--out", tmp_path / "out",
     )  # fmt: skip
     assert code == 0
-    first, page = out.splitlines()
-    assert first == "1 runs complete, 0 failed, 0 not available here"
+    answer, *_, counts, page, following = out.splitlines()
+    assert answer == "Only paper is ranked: there is no other method to compare it with."
+    assert counts == "1 runs complete, 0 failed, 0 not available here"
     assert Path(page) == tmp_path / "out" / "index.html"
+    assert following == f"next: evalkit export {tmp_path / 'out'} -f latex (tables for a paper)"
     trial = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]
     assert (trial["scans_answered"], trial["dataset_parameters"]["every"]) == (12, 2)
     assert trial["scores"]["ate_rmse_m"]["value"] < 0.05

@@ -228,4 +228,5 @@ SPEC = OdometrySpec(
     requires=("kiss-icp",),
     parameters=declared_parameters(KissSettings),
     missing=kiss_icp_missing,
+    default=True,
 )

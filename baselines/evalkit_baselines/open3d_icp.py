@@ -251,6 +251,7 @@ POINT_TO_PLANE = replace(
     citation=f"Chen and Medioni, IVC 1992; {_OPEN3D}",
     role="",
     parameters=declared_parameters(Open3DPlaneSettings),
+    default=True,
 )
 
 GENERALIZED = replace(
@@ -259,4 +260,5 @@ GENERALIZED = replace(
     summary="Open3D generalised ICP with covariances computed in the plane",
     citation=f"Segal, Haehnel and Thrun, RSS 2009; {_OPEN3D}",
     parameters=declared_parameters(GeneralizedSettings),
+    default=False,
 )

@@ -162,6 +162,7 @@ POINT_TO_PLANE = RegistrationSpec(
     requires=("small_gicp",),
     parameters=declared_parameters(SmallGicpPlaneSettings),
     missing=small_gicp_missing,
+    default=True,
 )
 
 POINT_TO_POINT = replace(
@@ -170,4 +171,5 @@ POINT_TO_POINT = replace(
     summary="small_gicp point-to-point ICP",
     citation=f"Besl and McKay, PAMI 1992; {_LIBRARY}",
     parameters=declared_parameters(SmallGicpPointSettings),
+    default=False,
 )

@@ -46,4 +46,5 @@ SPEC = OdometrySpec(
     licence="MIT",
     guess="none: it is the guess",
     role="baseline",
+    default=True,
 )

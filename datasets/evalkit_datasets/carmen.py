@@ -285,5 +285,6 @@ SPEC = DatasetSpec(
         *reader_common.SELECTION,
     ),
     missing=partial(reader_common.describe_missing_files, "carmen"),
+    choose=reader_common.choose_parameters,
     thinned_by="every",
 )  # fmt: skip

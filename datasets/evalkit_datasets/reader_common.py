@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from evalkit.core.errors import BadData, DataMissing
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins.specs import Choice
 from evalkit_datasets import truth_files
 
 HOLD_NS = 50_000_000
@@ -27,6 +29,14 @@ SELECTION: tuple[Parameter, ...] = (
     Parameter("every", 1, "scans", "take every n-th scan", low=1),
     Parameter("limit", 0, "scans", "number of scans to take; 0: all", low=0),
 )
+
+
+def choose_parameters(given: Mapping[str, Value]) -> Iterable[Choice]:
+    """Return what an inspection of the recording ``given["path"]`` finds in it and beside it."""
+    # by name: a change of the inspection is no change of the reader, on which the identity of a run depends
+    inspection = import_module("evalkit_datasets.inspection.suggested_config")
+    found: tuple[Choice, ...] = inspection.choose_parameters(given)
+    return found
 
 
 def select_scans(start: int, every: int, limit: int) -> slice:

@@ -262,5 +262,6 @@ SPEC = DatasetSpec(
         *reader_common.SELECTION,
     ),
     missing=partial(reader_common.describe_missing_files, "rosbag"),
+    choose=reader_common.choose_parameters,
     thinned_by="every",
 )

@@ -14,7 +14,7 @@ from PIL import Image, ImageOps
 
 COMMANDS = (
     ("datasets", "example", "drive"),
-    ("compare", "drive", "--ground-truth", "drive.tum", "--backends", "paper,wheel-odometry", "--out", "results"),
+    ("compare", "drive", "--backends", "paper,wheel-odometry", "--out", "results"),
 )
 """The commands of the tutorial; a test compares them with the page."""
 

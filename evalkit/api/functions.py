@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from evalkit.api.pipeline import run_and_report
 from evalkit.api.results import ComparisonResults
-from evalkit.config.adhoc_experiment import experiment_from_recording, read_first_frame
-from evalkit.config.experiment import Experiment, load_experiment
+from evalkit.config.adhoc_experiment import experiment_from_recording, open_recording, read_first_frame
+from evalkit.config.experiment import RESULTS, Experiment, load_experiment
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
@@ -25,7 +25,7 @@ from evalkit.execution.environment import describe
 from evalkit.execution.executors import LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.odometry import frontend
-from evalkit.plugins import registry
+from evalkit.plugins import defaults, registry
 from evalkit.plugins.address import address_of
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec
@@ -34,9 +34,6 @@ from evalkit.results.store import Store
 MethodChoice = str | BackendSpec | type | Mapping[str, object]
 """A method: a registered name or "module:SPEC", a spec, a class with a ``register`` or ``update`` method, or a table of
 an experiment file: ``{"use": ..., "label": ..., PARAMETER: value}``."""
-
-RESULTS = Path("evalkit-results")
-"""Folder of the results, in the working folder, if no other is given."""
 
 
 def compare(
@@ -53,10 +50,11 @@ def compare(
     """Compare methods on a recording and return the results, with the report in a folder.
 
     ``recording``: a bag (ROS 1 or 2) or a log, or an experiment file (then the other sources are keys of that file).
-    ``methods``: all installed ones if empty. ``reference``: ground truth (TUM: s, m, quaternion; frame of the base).
+    ``methods``: one of each family if empty. ``reference``: ground truth (TUM: s, m, quaternion; frame of the base).
     ``relations``: measured relations (Kuemmerle et al. 2009). ``out``: the results folder; ``./evalkit-results/NAME``
     if not given. ``jobs``: runs at a time. ``resume``: use stored results of equal code, data and parameters.
-    ``settings``: parameters of the reader, such as ``topic="/scan"``.
+    ``settings``: parameters of the reader, such as ``topic="/scan"``; others are what the reader finds in the
+    recording and beside it (topic, ground truth, no-return code).
 
     Runs that fail are rows of the results. Raises BadData, BadParameter or UnknownName for wrong input.
     """
@@ -68,8 +66,10 @@ def compare(
             raise BadParameter(str(path), name, "an argument", "a key of the experiment file")
         return run(load_experiment(path), out, jobs=jobs, resume=resume)
     tables = [_method_table(method) for method in methods]
-    texts = {name: str(value) for name, value in settings.items()}
-    experiment = experiment_from_recording(path, given, texts, tables, f"compare {path}")
+    found = open_recording(path, {name: str(value) for name, value in settings.items()} | given)
+    experiment = experiment_from_recording(
+        found, found.choose(), tables or defaults.find_default_backends(), f"compare {path}"
+    )
     read_first_frame(experiment)
     return run(experiment, out, jobs=jobs, resume=resume)
 

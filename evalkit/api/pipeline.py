@@ -11,11 +11,11 @@ from evalkit.execution.environment import describe_provenance
 from evalkit.execution.executors import Executor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.io.output_files import as_store_error
-from evalkit.report import Comparison
+from evalkit.report.analysis.analysis import Analysis, analyse
 from evalkit.results.run_record import load_records
 
 
-def run_and_report(scheduler: Scheduler, experiment: Experiment, executor: Executor) -> tuple[Comparison, Path]:
+def run_and_report(scheduler: Scheduler, experiment: Experiment, executor: Executor) -> tuple[Analysis, Path]:
     """Run an experiment and write the report into the scheduler's folder; return what it shows, and its page.
 
     Runs that fail are rows of the report. Raises StoreError if the results folder cannot be written.
@@ -25,5 +25,6 @@ def run_and_report(scheduler: Scheduler, experiment: Experiment, executor: Execu
     records = load_records(scheduler.store, experiment, results)
     environment = describe_provenance(scheduler.environment, results.values(), started)
     comparison = report.build_comparison(experiment, records, started, datetime.now(UTC), environment)
+    analysis = analyse(comparison)
     with as_store_error(scheduler.store.folder):
-        return comparison, report.write_report(comparison, scheduler.store.folder)
+        return analysis, report.write_analysis(analysis, scheduler.store.folder)

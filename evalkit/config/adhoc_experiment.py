@@ -4,67 +4,107 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from evalkit.config.experiment import Experiment, experiment_from_tables
 from evalkit.core.errors import BadData, EvalkitError, NotInstalled
 from evalkit.core.scan import Frame
-from evalkit.plugins import registry
+from evalkit.plugins import defaults, registry
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.plugins.specs import DatasetSpec
+from evalkit.plugins.parameters import Value, resolve_parameters
+from evalkit.plugins.specs import Choice, DatasetSpec
+
+MAPPER = "mapper."
+"""Prefix of a choice for the mapper."""
 
 
-def experiment_from_recording(
-    path: Path,
-    options: Mapping[str, str],
-    settings: Mapping[str, str],
-    methods: Sequence[str | Mapping[str, object]],
-    source: str,
-) -> Experiment:
-    """All back ends, or the given methods, on one recording; the reader is chosen by the suffix of the file.
+@dataclass(frozen=True)
+class Recording:
+    """A recording with its reader: ``given`` are the reader's parameters, the path included."""
 
-    ``options``: parameters of the reader with an option of their own (topic, relations, ground_truth, spans), if given.
-    ``settings``: its other parameters, as text. ``methods``: names, or tables of an experiment file. ``source``: the
-    command line, for the commands in the report.
+    path: Path
+    reader: str
+    given: Mapping[str, Value]
+
+    @property
+    def spec(self) -> DatasetSpec:
+        """The spec of the reader."""
+        return registry.dataset(self.reader)
+
+    def choose(self) -> tuple[Choice, ...]:
+        """Return what the reader finds in the recording and beside it.
+
+        Raises UnknownName or BadParameter for a given parameter, BadData if the recording cannot be read.
+        """
+        resolve_parameters(self.reader, self.spec.parameters, self.given)
+        if self.spec.choose is None:
+            return ()
+        with _as_bad_data(self.path.name):
+            return tuple(self.spec.choose(self.given))
+
+
+def open_recording(path: Path, settings: Mapping[str, str]) -> Recording:
+    """Find the reader of a recording by the suffix of the file; ``settings``: parameters of the reader, as text.
+
     Raises BadData if no reader fits.
     """
     recording, reader, spec = _find_recording(path)
-    values = from_text(reader, spec.parameters, {**settings, **options})
-    many = {0: "every back end", 1: "one method"}.get(len(methods), f"{len(methods)} methods")
+    return Recording(recording, reader, {"path": str(recording), **from_text(reader, spec.parameters, settings)})
+
+
+def experiment_from_recording(
+    recording: Recording, choices: Iterable[Choice], methods: Sequence[str | Mapping[str, object]], source: str
+) -> Experiment:
+    """The given methods on one recording, with the choices for reader and mapper that are not given.
+
+    ``methods``: names, or tables of an experiment file. ``source``: the command line, for the commands in the report.
+    """
+    chosen = {one.name: one.value for one in choices if one.value is not None}
+    reading = {name: value for name, value in chosen.items() if not name.startswith(MAPPER)} | dict(recording.given)
+    mapping = {name.removeprefix(MAPPER): value for name, value in chosen.items() if name.startswith(MAPPER)}
+    known = {each.name for each in registry.mapper(defaults.find_default_mapper()).parameters}
+    many = "one method" if len(methods) == 1 else f"{len(methods)} methods"
     content = {
-        "title": f"{recording.name}: {many} on one recording",
-        "sequence": [{"use": reader, "label": recording.name, "path": str(recording), **values}],
-        "method": [
-            {"use": one} if isinstance(one, str) else dict(one) for one in methods or registry.names("backends")
-        ],
+        "title": f"{recording.path.name}: {many} on one recording",
+        "sequence": [{"use": recording.reader, "label": recording.path.name, **reading}],
+        "method": [{"use": one} if isinstance(one, str) else dict(one) for one in methods],
+        "mapper": {name: value for name, value in mapping.items() if name in known},
     }
-    return experiment_from_tables(
-        content, f"compare {path}", _make_experiment_name(recording, {**settings, **options}), source
-    )
+    return experiment_from_tables(content, f"compare {recording.path}", _make_experiment_name(recording), source)
 
 
 def read_first_frame(experiment: Experiment) -> Frame:
     """Read the first frame of the first sequence. Raises BadData if it cannot be read, before anything runs."""
     spec = experiment.sequences[0]
-    try:
+    with _as_bad_data(spec.label):
         sequence = registry.dataset(spec.dataset).make(**spec.parameters)
         frame = next(iter(sequence.frames()), None)
-    except EvalkitError:
-        raise
-    except Exception as error:  # damage in a file can raise anything in a reader
-        what = f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:160]})"
-        raise BadData(spec.label, "", what, "is the file whole?") from error
     if frame is None:
         raise BadData(spec.label, "", "it contains no scan", "give a recording with laser scans")
     return frame
 
 
-def _make_experiment_name(path: Path, settings: Mapping[str, str]) -> str:
+@contextmanager
+def _as_bad_data(name: str) -> Iterator[None]:
+    """Raise any other exception as BadData: damage in a file can raise anything in a reader."""
+    try:
+        yield
+    except EvalkitError:
+        raise
+    except Exception as error:
+        what = f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:160]})"
+        raise BadData(name, "", what, "is the file whole?") from error
+
+
+def _make_experiment_name(recording: Recording) -> str:
     """File, topic, and a hash of path and settings, so that every combination has its own results folder."""
-    identity = json.dumps([str(path.resolve()), dict(settings)], sort_keys=True)
+    settings = {name: value for name, value in recording.given.items() if name != "path"}
+    identity = json.dumps([str(recording.path.resolve()), settings], sort_keys=True)
     digest = hashlib.sha256(identity.encode()).hexdigest()[:6]
-    words = [path.name, settings.get("topic", ""), digest]
+    words = [recording.path.name, str(settings.get("topic", "")), digest]
     cleaned = ("".join(char if char.isalnum() else "-" for char in word).strip("-") for word in words)
     return "-".join(word for word in cleaned if word)
 

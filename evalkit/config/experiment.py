@@ -23,6 +23,9 @@ from evalkit.plugins.parameters import Value, resolve_parameters
 
 Item = TypeVar("Item")
 
+RESULTS = Path("evalkit-results")
+"""Folder of the results folders of commands that are given none."""
+
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\.", re.IGNORECASE)
 
 
@@ -136,7 +139,7 @@ class Experiment:
         """The command line that reproduces one run alone in a folder of its own; other results stay untouched."""
         seed = "" if spec.seed is None else f" --seed {spec.seed}"
         sequence, method = shlex.quote(spec.sequence.label), shlex.quote(spec.method.label)
-        folder = shlex.quote(f"reports/build/{self.name}-one")
+        folder = shlex.quote(f"{RESULTS}/{self.name}-one")
         return f"evalkit {self.source} --sequence {sequence} --method {method}{seed} --no-page --out {folder}"
 
     def untimed(self) -> Experiment:

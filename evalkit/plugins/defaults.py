@@ -24,6 +24,12 @@ def find_backends_with_role(role: Role) -> list[str]:
     return [name for name in registry.names("backends") if registry.find_backend(name).role == role]
 
 
+def find_default_backends() -> list[str]:
+    """Return the back ends that a comparison without named methods runs; all if none declares itself a default."""
+    names = registry.names("backends")
+    return [name for name in names if registry.find_backend(name).default] or names
+
+
 def find_mapper_of(backend: str) -> str:
     """Return the first mapper that is defined in the same module as a back end, or ""."""
     home = registry.plug_in_of("backends", backend).module

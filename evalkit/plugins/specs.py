@@ -6,7 +6,7 @@ A kind of back end is a subclass of ``BackendSpec``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -49,7 +49,8 @@ class BackendSpec:
     ``digest``: changes with the parts that are not Python source (a shared library, a program, a file of results).
     ``guess``: what its registration starts from, for the report. ``tuned_on``: the data sets that defaults of this back
     end alone were chosen on: its results there are optimistic. Settings that were chosen for all back ends on the same
-    runs with the same budget do not count.
+    runs with the same budget do not count. ``default``: among the methods of a comparison that names none; one of each
+    family of methods is enough.
     """
 
     make: Callable[..., Any]
@@ -64,6 +65,7 @@ class BackendSpec:
     broken: str = ""
     digest: str = ""
     tuned_on: tuple[str, ...] = ()
+    default: bool = False
 
     kind: ClassVar[Kind]
     recorded: ClassVar[bool] = False
@@ -172,6 +174,18 @@ class Published:
     spread_metric: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A parameter chosen for a recording, and the reason as a sentence without a full stop.
+
+    ``name``: a parameter of the reader, or "mapper.NAME" of the mapper. ``value``: None if the reader finds it itself.
+    """
+
+    name: str
+    value: Value | None
+    reason: str
+
+
 @dataclass(frozen=True)
 class DatasetSpec:
     """A data set or a reader: ``make(**parameters)`` makes a Sequence.
@@ -183,6 +197,7 @@ class DatasetSpec:
     ``thinned_by``: name of the parameter n that takes every n-th scan of the sensor, "" where every scan is taken;
     without it the period of the sensor is estimated too long. ``excerpts``: parameters of a part of the data that is
     long enough to validate an implementation; commands without a given sequence use the data sets that have one.
+    ``choose(parameters)``: what a reader finds in a file and beside it; ``parameters``: those given, the path included.
     """
 
     make: Callable[..., Sequence]
@@ -200,6 +215,7 @@ class DatasetSpec:
     missing: Callable[..., str] = nothing_missing
     thinned_by: str = ""
     excerpts: Mapping[Excerpt, Mapping[str, Value]] = field(default_factory=dict)
+    choose: Callable[[Mapping[str, Value]], Iterable[Choice]] | None = None
 
 
 def make_first_stage_parameter(parameter: Parameter, default: Value) -> Parameter:

@@ -65,7 +65,7 @@ class _Display:
     def line(self, text: str) -> None:
         """Print a line."""
         if not self._quiet:
-            self._console.print(text, markup=False)
+            self._console.print(text, markup=False, highlight=False)
 
     def numbered_line(self, text: str) -> None:
         """Print a line with the number of finished items."""

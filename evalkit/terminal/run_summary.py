@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,8 @@ def print_summary(runs: Sequence[Run], title: str, store: Store, page: Path | No
         _print_counts(runs, skipped)
         if page is not None:
             out.print(str(page.resolve()), highlight=False, markup=False)
+            folder = shlex.quote(str(store.folder))
+            out.print(f"next: evalkit export {folder} -f latex (tables for a paper)", highlight=False, markup=False)
     if any(result.status in BROKEN for _, result in runs):
         raise typer.Exit(1)
     if skipped:

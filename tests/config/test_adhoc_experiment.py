@@ -1,13 +1,15 @@
 """Experiments built from command-line arguments."""
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
-from evalkit.config.adhoc_experiment import experiment_from_recording, read_first_frame
+from evalkit.config.adhoc_experiment import experiment_from_recording, open_recording, read_first_frame
 from evalkit.core.errors import BadData, BadExperiment, BadParameter, NotInstalled
-from evalkit.plugins import registry
+from evalkit.plugins import defaults, registry
+from evalkit.plugins.specs import Choice
 
 
 @pytest.fixture
@@ -17,8 +19,8 @@ def log(tmp_path):
     return path
 
 
-def plan(path, options=(), settings=(), backends=("wheel-odometry",)):
-    return experiment_from_recording(path, dict(options), dict(settings), list(backends), "compare it")
+def plan(path, settings=(), backends=("wheel-odometry",), choices=()):
+    return experiment_from_recording(open_recording(path, dict(settings)), choices, list(backends), "compare it")
 
 
 def test_a_log_is_read_by_the_reader_of_its_suffix(log):
@@ -36,9 +38,35 @@ def test_a_folder_is_read_by_the_reader_of_its_content(tmp_path):
     assert plan(folder).sequences[0].dataset == "rosbag"
 
 
-def test_all_back_ends_run_by_default(log):
-    assert [entrant.label for entrant in plan(log, backends=()).methods] == registry.names("backends")
+def test_the_named_back_ends_run_and_by_default_one_of_each_family(log):
     assert [entrant.label for entrant in plan(log, backends=("paper", "kiss-icp")).methods] == ["paper", "kiss-icp"]
+    chosen = defaults.find_default_backends()
+    assert len(chosen) == 6
+    assert len({registry.plug_in_of("backends", name).module for name in chosen}) == 6
+    assert [registry.backend(name).role for name in chosen].count("baseline") == 1
+
+
+def test_choices_apply_to_reader_and_mapper_unless_given(log):
+    choices = (
+        Choice("range_max_m", 30.0, "a code"), Choice("odometry", "none", "no wheels"),
+        Choice("mapper.resolution_m", 0.1, "wide beams"), Choice("mapper.of_another_mapper", 1, ""),
+        Choice("base_from_sensor", None, "as recorded"),
+    )  # fmt: skip
+    made = plan(log, {"odometry": "scan-poses"}, choices=choices)
+    found = made.sequences[0].parameters
+    assert (found["range_max_m"], found["odometry"], found["base_from_sensor"]) == (30.0, "scan-poses", "auto")
+    assert made.mapper.parameters["resolution_m"] == 0.1
+    assert plan(log).mapper.parameters["resolution_m"] == 0.05
+
+
+def test_a_recording_that_breaks_the_search_for_choices_is_reported(log, monkeypatch):
+    recording = open_recording(log, {})
+    broken = replace(recording.spec, choose=lambda _: {}["x"])
+    monkeypatch.setattr(registry, "dataset", lambda name: broken)
+    with pytest.raises(BadData, match=r"my run.LOG: cannot be read \(KeyError: 'x'\)"):
+        recording.choose()
+    monkeypatch.setattr(registry, "dataset", lambda name: replace(broken, choose=None))
+    assert recording.choose() == ()
 
 
 def test_a_broken_plugin_does_not_affect_others(log, strangers, monkeypatch):
@@ -50,15 +78,16 @@ def test_a_broken_plugin_does_not_affect_others(log, strangers, monkeypatch):
         return original(name)
 
     monkeypatch.setattr(registry, "dataset", dataset)
-    missing = {entrant.label: entrant.missing for entrant in plan(log, backends=()).methods}
+    names = ("unloadable", "wheel-odometry")
+    missing = {entrant.label: entrant.missing for entrant in plan(log, backends=names).methods}
     assert "does not load" in missing["unloadable"]
     assert missing["wheel-odometry"] == ""
 
 
 def test_the_title_counts_the_back_ends(log):
-    titles = [plan(log, backends=names).title for names in ((), ("paper",), ("paper", "wheel-odometry"))]
+    titles = [plan(log, backends=names).title for names in (("paper",), ("paper", "wheel-odometry"))]
     assert [title.removeprefix("my run.LOG: ") for title in titles] == [
-        f"{many} on one recording" for many in ("every back end", "one back end", "2 back ends")
+        f"{many} on one recording" for many in ("one method", "2 methods")
     ]
 
 
@@ -116,8 +145,8 @@ def test_an_unexpected_reader_error_and_a_recording_without_scans_are_reported(l
     assert opened_by(lambda **_: Empty()).startswith("my run.LOG: it contains no scan; ")
 
 
-def test_settings_take_the_type_of_their_parameter_and_options_come_first(log):
-    found = plan(log, {"odometry": "none"}, {"range_max_m": "30", "odometry": "auto"}).sequences[0].parameters
+def test_settings_take_the_type_of_their_parameter(log):
+    found = plan(log, {"odometry": "none", "range_max_m": "30"}).sequences[0].parameters
     assert (found["range_max_m"], found["odometry"]) == (30.0, "none")
 
 

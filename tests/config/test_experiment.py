@@ -235,7 +235,7 @@ def test_the_command_of_a_run_selects_that_run_alone(wide):
         assert [(alone.key, alone.method, alone.sequence.label, alone.seed) for alone in part.runs()] == [
             (item.key, item.method, item.sequence.label, item.seed)
         ]
-        assert given["--out"] == ["reports/build/exp-one"]  # never the folder of the whole experiment
+        assert given["--out"] == ["evalkit-results/exp-one"]  # never the folder of the whole experiment
 
 
 def test_a_file_name_with_blanks_is_quoted_in_the_command(tmp_path):

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.errors import BadData
+from evalkit.plugins import registry
 from evalkit_datasets.inspection import odometry_stats
 from evalkit_datasets.inspection.command import inspect
 from evalkit_datasets.inspection.inspector import inspect_recording
@@ -227,6 +228,24 @@ def test_relations_beside_a_log_are_used_if_they_share_its_time(tmp_path):
     (tmp_path / "other.relations").write_text("5.0 6.0 1 0 0 0 0 0\n", encoding="utf-8")
     (tmp_path / "truth.relations").write_text("1000.5 1002.0 1 0 0 0 0 0\n", encoding="utf-8")
     assert suggest_config(inspect_recording(path)).parameters["relations"] == str(tmp_path / "truth.relations")
+
+
+def test_a_comparison_takes_what_the_inspection_finds_except_what_is_given(tmp_path):
+    path = log(tmp_path, *drive(code=30.0))
+    (tmp_path / "truth.relations").write_text("1000.5 1002.0 1 0 0 0 0 0\n", encoding="utf-8")
+    chosen = {one.name: one.value for one in registry.dataset("carmen").choose({"path": str(path)})}
+    assert chosen == {"range_max_m": 30.0, "relations": str(tmp_path / "truth.relations")}
+    given = {"path": str(path), "range_max_m": 25.0, "relations": ""}
+    assert list(registry.dataset("carmen").choose(given)) == []
+
+
+def test_map_cells_grow_with_the_distance_of_the_beams(tmp_path):
+    """One degree at 4 m is 0.07 m, at 8 m 0.14 m: more than two cells of 0.05 m."""
+    for scale, cell in ((1.0, None), (3.0, 0.1)):
+        ranges = [[scale * 3.0] * 180 for _ in range(30)]
+        path = log(tmp_path, *(flaser(f"{1000 + at}", row, (0.1 * at, 0.0, 0.0)) for at, row in enumerate(ranges)))
+        chosen = {one.name: one.value for one in registry.dataset("carmen").choose({"path": str(path)})}
+        assert chosen.get("mapper.resolution_m") == cell
 
 
 def test_a_log_without_a_scan_is_a_problem_and_gets_no_suggested_config(tmp_path):

@@ -164,7 +164,7 @@ def test_the_reference_pages_are_complete():
     compare = made["reference/commands.md"].split("{ #compare }")[1].split("\n## ")[0]
     assert "<code>--ground-truth</code></td><td>a path</td><td></td><td>Ground-truth trajectory (TUM).</td>" in compare
     assert "<code>SOURCE</code></td><td>a path</td><td>required</td>" in compare
-    assert "<code>--out, -o</code></td><td>a path</td><td>reports/build/NAME</td>" in compare
+    assert "<code>--out, -o</code></td><td>a path</td><td>evalkit-results/NAME</td>" in compare
     assert "<code>--json</code></td><td></td><td></td>" in compare
 
 

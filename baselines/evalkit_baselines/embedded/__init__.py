@@ -23,12 +23,14 @@ SPEC = RegistrationSpec(
     licence="MIT",
     parameters=registration.PARAMETERS,
     missing=compiled_missing,
+    default=True,
 )
 
 FLOAT = replace(
     SPEC,
     make=partial(CompiledIcp, "float"),
     summary="the paper's ICP in C99, single precision: what a board without double arithmetic computes",
+    default=False,
 )
 
 PIPELINE = OdometrySpec(

@@ -26,7 +26,9 @@ from evalkit_baselines.paper.icp import Icp
 CITATION = "Occupancy grid mapping based on ICP for indoor autonomous vehicles"
 
 
-def _variant(summary: str, frontend: Mapping[str, Value] | None = None, **defaults: Value) -> BackendSpec:
+def _variant(
+    summary: str, frontend: Mapping[str, Value] | None = None, default: bool = False, **defaults: Value
+) -> BackendSpec:
     return RegistrationSpec(
         make=Icp,
         summary=summary,
@@ -36,6 +38,7 @@ def _variant(summary: str, frontend: Mapping[str, Value] | None = None, **defaul
         parameters=with_defaults(icp.PARAMETERS, **defaults),
         frontend=frontend or {},
         tuned_on=("fr079", "intel") if frontend else (),
+        default=default,
     )
 
 
@@ -59,6 +62,7 @@ MAP = _variant(
 MAP_LINE = _variant(
     "paper-map with the distance to the wall instead of to the point",
     LASTING_MAP,
+    default=True,
     epsilon=1e-6,
     one_to_one=False,
     metric="line",

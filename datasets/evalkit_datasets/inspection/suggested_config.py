@@ -5,20 +5,23 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from evalkit.core.errors import BadData, DataMissing, EvalkitError
 from evalkit.core.pose import Pose
 from evalkit.plugins.parameters import Value
+from evalkit.plugins.specs import Choice
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.carmen import Carmen
 from evalkit_datasets.inspection.findings import LidarStats, is_default_code
-from evalkit_datasets.inspection.inspector import Inspection, measured_directions
+from evalkit_datasets.inspection.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.rosbag import RosBag
 
 TILT_WORDS = ("vertical",)
+MAPPER = "mapper."
+USUAL_CELL_M, LARGE_CELL_M = 0.05, 0.1
 
 
 @dataclass(frozen=True)
@@ -46,25 +49,43 @@ def suggest_config(recording: Inspection) -> SuggestedConfig | None:
     """Return a configuration for a recording, or None if it contains no laser scan."""
     if not recording.lidars:
         return None
-    is_log = recording.kind == "CARMEN log"
-    parameters: dict[str, Value] = {"path": str(recording.path)}
-    reasons: list[str] = []
-    for choice in (_choose_for_log if is_log else _choose_for_bag, _find_truth_files):
-        chosen, why = choice(recording)
-        parameters |= chosen
-        reasons += why
-    reader = "carmen" if is_log else "rosbag"
-    tried = _try_reader(reader, parameters)
-    if tried.mounting != Pose():
-        x, y, yaw_deg = tried.mounting.x, tried.mounting.y, math.degrees(tried.mounting.theta)
-        reasons.append(f"the lidar is mounted at x {x:.3f} m, y {y:.3f} m, rotated by {yaw_deg:.1f} deg: as recorded")
+    choices, tried = _choose(recording, {})
+    reader = _find_reader(recording)
+    chosen = {one.name: one.value for one in choices if one.value is not None}
+    parameters = {"path": str(recording.path)} | {k: v for k, v in chosen.items() if not k.startswith(MAPPER)}
+    reasons = [one.reason for one in choices]
     dataset, defects = _find_catalogued(recording.path)
     if dataset:
         reasons.append(f'it is a catalogued recording: use = "{dataset}" runs it with its parameters and ground truth')
     return SuggestedConfig(
-        reader, parameters, _format_table(reader, recording.path, parameters), _format_command(parameters),
+        reader, parameters, _format_table(reader, recording.path, chosen), _format_command(parameters),
         tuple(reasons), tried.scans, tried.truth, tried.notes, tried.problem, dataset, defects,
     )  # fmt: skip
+
+
+def choose_parameters(given: Mapping[str, Value]) -> tuple[Choice, ...]:
+    """Return what was found in and beside the recording ``given["path"]``, without the parameters that are given."""
+    recording = inspect_recording(Path(str(given["path"])))
+    return _choose(recording, given)[0] if recording.lidars else ()
+
+
+def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Choice, ...], _Trial]:
+    """Return the choices beside the given parameters, and the result of opening the recording with both."""
+    lidar = next((one for one in recording.lidars if one.topic == given.get("topic")), best_lidar(recording)[0])
+    choose = _choose_for_log if recording.kind == "CARMEN log" else _choose_for_bag
+    choices = [*choose(recording), *_find_truth_files(recording, given), *_choose_cells(lidar)]
+    choices = [one for one in choices if one.name not in given]
+    values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
+    tried = _try_reader(_find_reader(recording), {"path": str(recording.path), **values, **given})
+    if tried.mounting != Pose() and "base_from_sensor" not in given:
+        x, y, yaw_deg = tried.mounting.x, tried.mounting.y, math.degrees(tried.mounting.theta)
+        where = f"the lidar is mounted at x {x:.3f} m, y {y:.3f} m, rotated by {yaw_deg:.1f} deg: as recorded"
+        choices.append(Choice("base_from_sensor", None, where))
+    return tuple(choices), tried
+
+
+def _find_reader(recording: Inspection) -> str:
+    return "carmen" if recording.kind == "CARMEN log" else "rosbag"
 
 
 def best_lidar(recording: Inspection) -> tuple[LidarStats, str]:
@@ -90,57 +111,54 @@ def _is_tilted_by_name(lidar: LidarStats) -> bool:
     return any(word in lidar.topic.lower() for word in TILT_WORDS)
 
 
-def _choose_for_bag(recording: Inspection) -> tuple[dict[str, Value], list[str]]:
+def _choose_for_bag(recording: Inspection) -> Iterator[Choice]:
     lidar, why = best_lidar(recording)
-    parameters: dict[str, Value] = {"topic": lidar.topic}
-    reasons = [f"topic {lidar.topic}: {why}"]
+    yield Choice("topic", lidar.topic, f"topic {lidar.topic}: {why}")
     messages = [one for one in recording.odometries if one.topic != "tf"]
     usable = [one for one in messages or recording.odometries if one.like_wheels]
     if not usable:
-        parameters["odometry"] = "none"
-        reasons.append(
-            "odometry none: " + ("its motion is not that of wheels" if recording.odometries else "the bag has none")
-        )
-        return parameters, reasons
+        why = "its motion is not that of wheels" if recording.odometries else "the bag has none"
+        yield Choice("odometry", "none", f"odometry none: {why}")
+        return
     named = next((one for one in usable if one.topic.lstrip("/") == "odom"), usable[0])
-    if len(messages) > 1:
-        parameters["odometry"] = named.topic
-    bases = [one.child for one in usable if one.topic == "tf"]
-    if named.topic == "tf" and len(bases) > 1:
-        parameters["base_frame"] = named.child
-    reasons.append(f"odometry {named.topic} of frame '{named.child}': {named.path_m:.1f} m")
-    return parameters, reasons
+    what = f"odometry {named.topic} of frame '{named.child}': {named.path_m:.1f} m"
+    yield Choice("odometry", named.topic if len(messages) > 1 else None, what)
+    if named.topic == "tf" and sum(one.topic == "tf" for one in usable) > 1:
+        yield Choice("base_frame", named.child, f"base frame {named.child}: that of this odometry")
 
 
-def _choose_for_log(recording: Inspection) -> tuple[dict[str, Value], list[str]]:
-    parameters: dict[str, Value] = {}
-    reasons = []
+def _choose_for_log(recording: Inspection) -> Iterator[Choice]:
     codes = [code.low_m for code in recording.lidars[0].returns.codes if code.low_m < 50.0]
     unknown = [low for low in codes if not is_default_code(low)]
     if unknown:
-        parameters["range_max_m"] = min(unknown)
-        reasons.append(f"range_max_m {min(unknown):g}: ranges of this length or more mean no return")
+        why = f"range_max_m {min(unknown):g}: ranges of this length or more mean no return"
+        yield Choice("range_max_m", min(unknown), why)
     if not recording.poses_from and recording.odometries and not recording.odometries[0].like_wheels:
-        parameters["odometry"] = "none"
-        reasons.append("odometry none: the motion of its poses is not that of wheels")
-    return parameters, reasons
+        yield Choice("odometry", "none", "odometry none: the motion of its poses is not that of wheels")
 
 
-def _find_truth_files(recording: Inspection) -> tuple[dict[str, Value], list[str]]:
-    """Return relations and reference trajectory in the same folder that overlap the recording in time."""
+def _choose_cells(lidar: LidarStats) -> Iterator[Choice]:
+    """Choose larger cells than usual if neighbouring beams are more than two usual cells apart at the median range."""
+    apart_m = lidar.returns.median_m * math.radians(abs(lidar.step_deg))
+    if apart_m > 2.0 * USUAL_CELL_M:
+        why = f"map cells of {LARGE_CELL_M:g} m: at the median range, {lidar.returns.median_m:.1f} m, beams are "
+        yield Choice(f"{MAPPER}resolution_m", LARGE_CELL_M, f"{why}{apart_m:.2f} m apart")
+
+
+def _find_truth_files(recording: Inspection, given: Mapping[str, Value]) -> Iterator[Choice]:
+    """Find relations and reference trajectory in the same folder that overlap the recording in time."""
     folder, stem = recording.path.parent, recording.path.name.split(".")[0].split("-")[0]
-    reader = "carmen" if recording.kind == "CARMEN log" else "rosbag"
-    parameters: dict[str, Value] = {}
-    reasons = []
+    reader = _find_reader(recording)
     for name, ending in (("relations", "*.relations"), ("ground_truth", "*.tum")):
+        if name in given:
+            continue
         files = sorted(folder.glob(ending), key=lambda file: (not file.name.startswith(stem), "gmapping" in file.name))
         for file in files:
             tried = _try_reader(reader, _minimal_parameters(recording) | {name: str(file)})
             if not tried.problem and tried.truth:
-                parameters[name] = str(file)
-                reasons.append(f"{name.replace('_', ' ')} {file.name}: in the same folder, and overlaps in time")
+                what = f"{name.replace('_', ' ')} {file.name}: in the same folder, and overlaps in time"
+                yield Choice(name, str(file), what)
                 break
-    return parameters, reasons
 
 
 def _minimal_parameters(recording: Inspection) -> dict[str, Value]:
@@ -186,9 +204,12 @@ def _find_catalogued(path: Path) -> tuple[str, tuple[str, ...]]:
     return "", ()
 
 
-def _format_table(reader: str, path: Path, parameters: Mapping[str, Value]) -> str:
+def _format_table(reader: str, path: Path, chosen: Mapping[str, Value]) -> str:
     lines = ["[[sequence]]", f'use = "{reader}"', f"label = {json.dumps(path.name.split('.')[0])}"]
-    return "\n".join([*lines, *(f"{name} = {json.dumps(value)}" for name, value in parameters.items())]) + "\n"
+    values = {"path": str(path), **chosen}
+    lines += [f"{name} = {json.dumps(value)}" for name, value in values.items() if not name.startswith(MAPPER)]
+    cells = [f"{k.removeprefix(MAPPER)} = {json.dumps(v)}" for k, v in values.items() if k.startswith(MAPPER)]
+    return "\n".join([*lines, *(["", "[mapper]", *cells] if cells else [])]) + "\n"
 
 
 def _format_command(parameters: Mapping[str, Value]) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from evalkit.config.experiment import RESULTS
 from evalkit.execution import environment
 from evalkit.io.output_files import write_texts
 from evalkit.plugins import registry
@@ -64,7 +65,7 @@ def basin(
     ]
     for one in trials:
         one.pairs_of_scans()  # raises before any trial if there is no pair
-    folder = folder or Path("reports") / "build" / "basin"
+    folder = folder or RESULTS / "basin"
     outcomes = _run(methods, trials, folder / "results", jobs or environment.physical_cores())
     result = make_result(trials, methods, outcomes, Criterion(within_m, math.radians(within_deg)))
     _finish(result, folder, as_json)

@@ -11,15 +11,16 @@ from typing import Annotated
 
 import typer
 
-from evalkit.config.adhoc_experiment import experiment_from_recording, read_first_frame
-from evalkit.config.experiment import Experiment, load_experiment
+from evalkit.config.adhoc_experiment import experiment_from_recording, open_recording, read_first_frame
+from evalkit.config.experiment import RESULTS, Experiment, load_experiment
 from evalkit.core.run_result import NO_STEPS
 from evalkit.execution.environment import describe
 from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
+from evalkit.plugins import defaults, registry
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress, run_summary
-from evalkit.terminal.options import RunOptions, err
+from evalkit.terminal.options import RunOptions, err, out
 
 RECORDING = "Options for a recording"
 
@@ -46,11 +47,16 @@ def compare(
         str,
         typer.Option(
             help="Back ends, separated by commas.",
-            show_default="all",
+            show_default="one of each family",
             autocompletion=options.complete_list("backends"),
             rich_help_panel=RECORDING,
         ),
     ] = "",
+    everything: Annotated[bool, typer.Option("--all", help="All back ends.", rich_help_panel=RECORDING)] = False,
+    as_is: Annotated[
+        bool,
+        typer.Option("--as-is", help="Choose no topic, truth or code.", rich_help_panel=RECORDING),
+    ] = False,
     setting: Annotated[
         list[str] | None,
         typer.Option("--set", help="NAME=VALUE of the reader (repeatable).", rich_help_panel=RECORDING),
@@ -77,14 +83,15 @@ def compare(
     files = {"topic": topic, "relations": relations, "ground_truth": ground_truth, "spans": spans}
     given = {name: str(value) for name, value in files.items() if value}
     if source.suffix == ".toml":
-        for name in [*map(_option, given), *(["backends"] if backends else []), *(["set"] if setting else [])]:
+        flags = {"backends": backends, "set": setting, "all": everything, "as-is": as_is}
+        for name in [*map(_option, given), *(name for name, value in flags.items() if value)]:
             raise typer.BadParameter(f"--{name}: needs a recording; in an experiment it is a key of the file")
         experiment = load_experiment(source)
     else:
-        experiment = _experiment_of_recording(source, given, backends, setting or [])
+        experiment = _experiment_of_recording(source, given, _name_backends(backends, everything), setting or [], as_is)
     experiment = experiment.untimed() if accuracy_only else experiment
     experiment = experiment.select(sequence or [], method or [], seed or [])
-    store = Store(folder or Path("reports") / "build" / experiment.name)
+    store = Store(folder or RESULTS / experiment.name)
     how = RunOptions.of(jobs, resume, rerun, collect, engine, scheduler)
     (_run if no_page else _run_and_report)(experiment, store, how, as_json)
 
@@ -94,14 +101,30 @@ def _option(parameter: str) -> str:
     return parameter.replace("_", "-")
 
 
-def _experiment_of_recording(source: Path, given: dict[str, str], backends: str, settings: list[str]) -> Experiment:
-    """Return the experiment of all methods on one recording, whose first frame has been read."""
+def _name_backends(text: str, everything: bool) -> list[str]:
+    """Return the named back ends, all, or those that declare themselves a default."""
+    names = [name for word in text.split(",") if (name := word.strip())]
+    if names and everything:
+        raise typer.BadParameter("--all: contradicts --backends")
+    return names or (registry.names("backends") if everything else defaults.find_default_backends())
+
+
+def _experiment_of_recording(
+    source: Path, given: dict[str, str], backends: list[str], settings: list[str], as_is: bool
+) -> Experiment:
+    """Return the experiment of methods on one recording, whose first frame has been read; print what was chosen."""
+    recording = open_recording(source, options.settings(settings) | given)
+    choices = () if as_is else recording.choose()
+    for choice in choices:
+        err.print(choice.reason, markup=False, highlight=False)
+    if others := len(registry.names("backends")) - len(backends):
+        what = f"{len(backends)} methods: {', '.join(backends)} (--all adds {others} more)"
+        err.print(what, markup=False, highlight=False)
     words = ["compare", str(source)]
     words += [word for name, value in given.items() for word in (f"--{_option(name)}", value)]
-    words += ["--backends", backends] if backends else []
+    words += ["--backends", ",".join(backends), *(["--as-is"] if as_is else [])]
     words += [word for item in settings for word in ("--set", item)]
-    names = [name for word in backends.split(",") if (name := word.strip())]
-    experiment = experiment_from_recording(source, given, options.settings(settings), names, shlex.join(words))
+    experiment = experiment_from_recording(recording, choices, backends, shlex.join(words))
     read_first_frame(experiment)
     return experiment
 
@@ -118,10 +141,14 @@ def _run(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -
 def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -> None:
     """Run the experiment, load its records, analyse them, render the page, print the summary."""
     from evalkit.api.pipeline import run_and_report  # noqa: PLC0415 - loads pandas and matplotlib
+    from evalkit.terminal.ranked_table import print_answer  # noqa: PLC0415 - as above
 
     with _scheduler(experiment, store, how) as scheduler:
-        comparison, page = run_and_report(scheduler, experiment, _executor(experiment, how))
-    runs = [(record.spec, record.result) for record in comparison.records]
+        analysis, page = run_and_report(scheduler, experiment, _executor(experiment, how))
+    records = analysis.comparison.records
+    if not as_json and any(record.result.is_complete for record in records):
+        print_answer(out, analysis)
+    runs = [(record.spec, record.result) for record in records]
     run_summary.print_summary(runs, experiment.title, store, page, as_json)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
 
 from evalkit.commands.realtime.virtual_clock import POLICIES, BreakingRule, Policy, find_breaking_factor
+from evalkit.config.experiment import RESULTS
 from evalkit.core.errors import DataMissing
 from evalkit.execution.task import Task, make_task
 from evalkit.execution.task_runner import run_tasks
@@ -50,7 +50,7 @@ def realtime(
     ] = "queue-of-one",
     odometry: Annotated[bool, typer.Option(help="Use wheel odometry between estimates.")] = True,
     repetitions: Annotated[int, typer.Option(min=1, help="Time measurements per scan; the median counts.")] = 3,
-    folder: options.Out = Path("reports") / "build" / "realtime",
+    folder: options.Out = RESULTS / "realtime",
     as_json: Json = False,
 ) -> None:
     """Simulate a slower device and measure the drift caused by dropped scans.
@@ -63,7 +63,7 @@ def realtime(
     }  # fmt: skip
     dataset, given_on = options.split_sequence(on or defaults.find_simulated_dataset())
     task = _make_task(backend, dataset, options.settings(setting or []), given_on, devices)
-    store = TaskStore(folder or Path("reports") / "build" / "realtime")
+    store = TaskStore(folder or RESULTS / "realtime")
     with progress.show_tasks(err, 1, 1) as done:
         result = run_tasks(store, [task], 1, done)[task.name]
     content = _as_json(backend, dataset, result)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from evalkit.config.experiment import RESULTS
 from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.execution import environment
 from evalkit.io.output_files import write_texts
@@ -44,7 +45,7 @@ def study(
     if point:
         _run_point(plan, point, as_json)
         return
-    folder = folder or Path("reports") / "build" / file.stem
+    folder = folder or RESULTS / file.stem
     workers = jobs or environment.physical_cores()
     cluster = options.cluster(engine, scheduler, workers)
     if cluster:

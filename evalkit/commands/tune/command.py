@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from evalkit.config.experiment import RESULTS
 from evalkit.core.run_result import RunStatus
 from evalkit.execution import environment
 from evalkit.io.output_files import write_texts
@@ -39,7 +40,7 @@ def tune(
     budget: Annotated[int | None, typer.Option(min=2, help="Points a back end.", show_default=str(BUDGET))] = None,
     setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for every data set.")] = None,
     folder: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder.", show_default="reports/build/tune-NAME")
+        Path | None, typer.Option("--out", "-o", help="Folder.", show_default="evalkit-results/tune-NAME")
     ] = None,
     jobs: Jobs = None,
     collect: Collect = False,
@@ -56,7 +57,7 @@ def tune(
 
     options.add_working_directory()
     tuning = _read_tuning(what, on or [], held_out or [], budget, setting or [])
-    folder = folder or Path("reports") / "build" / tuning.name
+    folder = folder or RESULTS / tuning.name
     workers = jobs or environment.physical_cores()
     ran_on = environment.describe(jobs=workers)
     started = datetime.now(UTC)

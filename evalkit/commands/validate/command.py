@@ -18,6 +18,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from evalkit.config.experiment import RESULTS
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.execution import environment
 from evalkit.plugins import defaults, registry
@@ -122,7 +123,7 @@ def validate(
     ] = 2,
     repetitions: Annotated[int, typer.Option(min=2, help="Runs of each.", rich_help_panel=DETERMINISM)] = 2,
     folder: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="reports/build/validate-NAME")
+        Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="evalkit-results/validate-NAME")
     ] = None,
     jobs: Jobs = None,
     as_json: Json = False,
@@ -148,7 +149,7 @@ def validate(
         seeds=seeds or (1 if quick else 3), claim=_parse_claim(claim), margin=_parse_margin(margin), noise_share=share,
         mapper=mapper, effort=replace(effort, scans=scans or effort.scans), only=group, disturbed=disturb,
     )  # fmt: skip
-    out_folder = folder or Path("reports") / "build" / f"validate-{_file_name(name or 'determinism')}"
+    out_folder = folder or RESULTS / f"validate-{_file_name(name or 'determinism')}"
     if fresh:
         for part in ("tasks", "runs"):  # only what this command writes: the folder may contain other files
             shutil.rmtree(out_folder / part, ignore_errors=True)

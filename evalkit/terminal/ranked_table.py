@@ -1,0 +1,170 @@
+"""The answer of a comparison on a terminal: the title, and a table of the methods by rank."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.text import Text
+
+from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.ranking import Ranking, mark
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.formatting import format_milliseconds, format_quantity
+
+MAX_LINES = 10
+"""Lines of the table, its head included."""
+
+WIDTH = 80
+"""Columns of a table that is piped; on a terminal the smaller of this and its width counts."""
+
+BARS = (18, 8)
+"""Widest and narrowest bar, in columns; a table without room for the narrowest has none."""
+
+LINEAR_RATIO = 8.0
+"""Bars are on a logarithmic scale if the largest value exceeds the smallest more than this."""
+
+STYLES = {
+    "best": "bold green", "best map": "bold green", "tied": "green", "lost": "red", "worse than the baseline": "yellow",
+}  # fmt: skip
+"""Style of a line by the beginning of its note."""
+
+
+@dataclass(frozen=True)
+class RankedRow:
+    """One line of the table; ``value``, ``low`` and ``high`` for the bar, the last two None without an interval."""
+
+    method: str
+    error: str
+    against: str
+    cost: str
+    note: str
+    value: float
+    low: float | None = None
+    high: float | None = None
+
+
+def print_answer(console: Console, analysis: Analysis) -> None:
+    """Print the title, what it costs, the ranked table, and what limits the answer."""
+    answer = analysis.answer
+    console.print(Text(answer.title, style="bold"), highlight=False)
+    if answer.subtitle:
+        console.print(Text(answer.subtitle), highlight=False)
+    head, rows = build_rows(analysis)
+    if rows:
+        console.print()
+        width = min(console.width, WIDTH) if console.is_terminal else WIDTH
+        for line in format_rows(head, rows, width):
+            console.print(line, highlight=False)
+        console.print()
+    for pill in answer.pills:
+        if pill.tone == "warn":
+            console.print(Text(pill.text, style="yellow"), highlight=False)
+
+
+def build_rows(analysis: Analysis) -> tuple[str, list[RankedRow]]:
+    """Return what the errors are, and the rows: of the one sequence, or over all data sets that count."""
+    if len(analysis.sequences) == 1:
+        return _rows_of_sequence(analysis, analysis.sequences[0])
+    return _rows_of_answer(analysis)
+
+
+def _rows_of_sequence(analysis: Analysis, sequence: SequenceAnalysis) -> tuple[str, list[RankedRow]]:
+    """Return a row for each ranked method of a sequence, then for those that have a value but no rank."""
+    ranking = sequence.deciding
+    if ranking is None:
+        return "", []
+    baselines = analysis.comparison.methods_with_role("baseline")
+    base = next((score.median for label in baselines if (score := ranking.of(label)) and score.median), None)
+    rows = []
+    for score in (*ranking.ranked, *(one for one in ranking.scores if one not in ranking.ranked and one.values)):
+        value, bounds = score.median or 0.0, score.interval
+        note = "worse than the baseline" if sequence.is_behind(score.method) else _note(analysis, ranking, score.method)
+        rows.append(
+            RankedRow(
+                score.method, format_quantity(ranking.metric, value), _against(value, base, score.method in baselines),
+                _cost(analysis, score.method), note, value, bounds.low if bounds else None,
+                bounds.high if bounds else None,
+            )
+        )  # fmt: skip
+    return f"{ranking.metric.label}, {sequence.label}", rows
+
+
+def _rows_of_answer(analysis: Analysis) -> tuple[str, list[RankedRow]]:
+    """Return a row for each method that takes part: its mean error by the best one's, and how often it leads."""
+    answer, baselines = analysis.answer, analysis.comparison.methods_with_role("baseline")
+    part = [(one, one.ratio) for one in answer.standings if one.counted and one.ratio is not None]
+    base = next((ratio for one, ratio in part if one.method in baselines), None)
+    rows = []
+    for one, ratio in part:
+        note = f"best or tied on {one.led} of {one.counted}" if one.led else ""
+        note += (", cheapest" if note else "cheapest") if answer.cheapest is one else ""
+        against = _against(ratio, base, one.method in baselines)
+        rows.append(RankedRow(one.method, f"{ratio:.2f} x", against, _cost(analysis, one.method), note, ratio))
+    return f"error by the best one's, geometric mean over {len(answer.contests)} data sets", rows
+
+
+def _note(analysis: Analysis, ranking: Ranking, method: str) -> str:
+    answer, place = analysis.answer, str(mark(ranking, method))
+    if answer.by_maps:  # several metrics together decide
+        place = "best map" if method in answer.winners else ""
+    cheapest = answer.cheapest is not None and answer.cheapest.method == method
+    return ", ".join([*([place] if place in STYLES else []), *(["cheapest"] if cheapest else [])])
+
+
+def _against(value: float, baseline: float | None, is_baseline: bool) -> str:
+    return "baseline" if is_baseline else f"{value / baseline:.2f} x" if baseline else ""
+
+
+def _cost(analysis: Analysis, method: str) -> str:
+    cpu_ms = analysis.answer.standing(method).cpu_ms
+    return "" if cpu_ms is None else format_milliseconds(cpu_ms)
+
+
+def format_rows(head: str, rows: Sequence[RankedRow], width: int) -> Iterator[Text]:
+    """Yield the lines of the table, at most ``MAX_LINES``, each of at most ``width`` columns if the names allow it.
+
+    Columns: method, error, its interval as a bar, error by the baseline's, CPU time a scan, note.
+    """
+    shown = rows if len(rows) < MAX_LINES else rows[: MAX_LINES - 2]
+    cells = [(row.method, row.error, row.against, row.cost, row.note) for row in shown]
+    sizes = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    room = width - sum(size + 2 for size in sizes if size) - 2
+    bar = min(room, BARS[0]) if room >= BARS[1] else 0
+    scale = _Scale([value for row in shown for value in (row.low, row.value, row.high) if value is not None], bar)
+    yield Text(f"  {head}", style="dim")
+    for row, own in zip(shown, cells, strict=True):
+        method, error, against, cost, note = (
+            text.ljust(size) if at in (0, 4) else text.rjust(size)
+            for at, (text, size) in enumerate(zip(own, sizes, strict=True))
+        )
+        parts = (method, error, scale.draw(row) if bar else "", against, cost, note)
+        style = next((style for word, style in STYLES.items() if row.note.startswith(word)), "")
+        yield Text(f"  {'  '.join(part for part in parts if part)}".rstrip(), style=style)
+    if len(rows) > len(shown):
+        yield Text(f"  and {len(rows) - len(shown)} more on the page", style="dim")
+
+
+class _Scale:
+    """Bars of so many columns from the smallest to the largest value, on a logarithmic scale if they are far apart."""
+
+    def __init__(self, values: Sequence[float], columns: int) -> None:
+        self._columns = columns
+        low, high = min(values), max(values)
+        self._log = low > 0.0 and high > LINEAR_RATIO * low
+        self._low, self._high = self._place(low), self._place(high)
+
+    def draw(self, row: RankedRow) -> str:
+        """Return the interval of a row as a line with its value as a dot."""
+        ends = [row.value if end is None else end for end in (row.low, row.high)]
+        first, at, last = (self._column(value) for value in (ends[0], row.value, ends[1]))
+        return "".join("●" if n == at else "─" if first <= n <= last else " " for n in range(self._columns))
+
+    def _place(self, value: float) -> float:
+        return math.log(value) if self._log else value
+
+    def _column(self, value: float) -> int:
+        span = self._high - self._low
+        return round((self._place(value) - self._low) / span * (self._columns - 1)) if span > 0.0 else 0

@@ -1,0 +1,63 @@
+"""The ranked table of a comparison: columns, bars and length, calculated by hand."""
+
+import io
+
+from rich.console import Console
+
+from evalkit.report.analysis.analysis import analyse
+from evalkit.terminal.ranked_table import MAX_LINES, RankedRow, build_rows, format_rows, print_answer
+
+
+def make_row(method, value, low=None, high=None, note="", against=""):
+    return RankedRow(method, f"{value:g} mm", against, "1.0 ms", note, value, low, high)
+
+
+def test_a_bar_runs_from_the_lower_to_the_upper_bound_with_a_dot_at_the_value():
+    rows = [make_row("a", 2.0, 1.0, 3.0, "best"), make_row("bb", 5.0, 5.0, 5.0)]
+    lines = [line.plain for line in format_rows("error, lab", rows, 39)]
+    # 39 columns: 2 + "bb" 2 + 2 + "2 mm" 4 + 2 + bar + 2 + "1.0 ms" 6 + 2 + "best" 4, so the bar has 13: 1 mm is 3
+    assert lines[0] == "  error, lab"
+    assert lines[1] == "  a   2 mm  ───●───        1.0 ms  best"
+    assert lines[2] == "  bb  5 mm              ●  1.0 ms"
+    assert all(len(line) <= 39 for line in lines)
+
+
+def test_values_far_apart_are_on_a_logarithmic_scale():
+    rows = [make_row("a", 1.0), make_row("b", 10.0), make_row("c", 100.0)]
+    dots = [line.plain.index("●") for line in list(format_rows("", rows, 80))[1:]]
+    assert dots[1] - dots[0] in (8, 9)  # the middle of 18 columns
+    assert dots[2] - dots[0] == 17
+
+
+def test_a_narrow_table_has_no_bar_and_equal_values_one_place():
+    assert "●" not in "".join(line.plain for line in format_rows("", [make_row("a" * 60, 1.0)], 80))
+    assert [line.plain.index("●") for line in list(format_rows("", [make_row("a", 1.0)] * 2, 80))[1:]] == [11, 11]
+
+
+def test_a_long_ranking_is_cut_to_ten_lines_that_count_the_rest():
+    lines = [line.plain for line in format_rows("", [make_row(f"m{n}", float(n)) for n in range(1, 15)], 80)]
+    assert len(lines) == MAX_LINES == 10
+    assert lines[-1] == "  and 6 more on the page"
+    assert len(list(format_rows("", [make_row(f"m{n}", float(n)) for n in range(1, 10)], 80))) == 10
+
+
+def test_several_data_sets_are_ranked_by_the_mean_ratio_of_errors(demo):
+    analysis = analyse(demo)
+    head, rows = build_rows(analysis)
+    assert head == f"error by the best one's, geometric mean over {len(analysis.answer.contests)} data sets"
+    assert [row.method for row in rows] == [one.method for one in analysis.answer.standings if one.ratio is not None]
+    (baseline,) = (row for row in rows if row.against == "baseline")
+    for row in rows:
+        if row is not baseline:
+            assert row.against == f"{row.value / baseline.value:.2f} x"
+
+
+def test_every_line_of_the_table_fits_80_columns_and_the_title_is_the_one_of_the_page(demo):
+    printed = io.StringIO()
+    analysis = analyse(demo)
+    print_answer(Console(file=printed, soft_wrap=True), analysis)
+    lines = printed.getvalue().splitlines()
+    assert lines[0] == analysis.answer.title
+    table = lines[lines.index("") + 1 : len(lines) - lines[::-1].index("") - 1]
+    assert 2 < len(table) <= MAX_LINES
+    assert max(map(len, table)) <= 80
