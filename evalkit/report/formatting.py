@@ -50,11 +50,12 @@ def format_bounds(interval: Interval, digits: int) -> str:
 def format_median(metric: Metric, score: MethodScore) -> str:
     """Format the median of the runs with its interval: "0.014 m (95 % interval 0.012 to 0.017)".
 
-    Without an interval, with the lowest and highest of several runs: "0.95 (0.94 to 0.96 in 3 runs)".
+    One run: "0.014 m (95 % interval of this run 0.012 to 0.017)". Two runs: "0.95 (0.94 to 0.96 in 2 runs)".
     """
     middle = format_amount(metric, median(score.values))
     if score.interval is not None:
-        return f"{middle} (95\u00a0% interval {format_bounds(score.interval, metric.digits)})"
+        of = " of this run" if len(score.values) == 1 else ""
+        return f"{middle} (95\u00a0% interval{of} {format_bounds(score.interval, metric.digits)})"
     if len(score.values) < 2:
         return middle
     low, high = (format_number(value, metric.digits) for value in (min(score.values), max(score.values)))

@@ -1,4 +1,4 @@
-"""The analysis for programs: results.json, schema version 2.
+"""The analysis for programs: results.json, schema version 3.
 
 results.schema.json beside this module fixes the layout; every report contains a copy. Within a version, keys are only
 added. Numbers are in the unit that ``metrics`` names, times in ISO 8601. A score whose ``value`` is null has a
@@ -72,7 +72,8 @@ def _intervals(sequence: SequenceAnalysis) -> Iterator[dict[str, Any]]:
     for name, ranking in sequence.rankings.items():
         for score in ranking.scores:
             if score.interval is not None:
-                yield {"sequence": sequence.label, "method": score.method, "metric": name} | asdict(score.interval)
+                names = {"sequence": sequence.label, "method": score.method, "metric": name}
+                yield names | asdict(score.interval) | {"resampled": "runs" if len(score.values) > 1 else "blocks"}
 
 
 def _differences(sequence: SequenceAnalysis) -> Iterator[dict[str, Any]]:
@@ -83,7 +84,11 @@ def _differences(sequence: SequenceAnalysis) -> Iterator[dict[str, Any]]:
             if table is not None and entry is not None and entry.difference is not None:
                 one = entry.difference
                 names = {"sequence": sequence.label, "method": method, "reference": reference}
-                how = {"resampled": one.resampled, "detectable": one.detectable, "verdict": entry.verdict}
+                within = (one.within.low, one.within.high) if one.within else (None, None)
+                how = {
+                    "resampled": one.resampled, "runs": one.runs, "within_low": within[0], "within_high": within[1],
+                    "detectable": one.detectable, "needed": one.needed, "verdict": entry.verdict,
+                }  # fmt: skip
                 yield names | {"metric": table.metric.name} | asdict(one.interval) | how
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.ranking import mark
 
 
 def build_runs_table(analysis: Analysis) -> pd.DataFrame:
@@ -55,8 +56,8 @@ def build_scores_table(analysis: Analysis) -> pd.DataFrame:
 def build_summary_table(analysis: Analysis) -> pd.DataFrame:
     """Return one row per sequence, method and metric: median, lowest, highest and 95 % interval of the complete runs.
 
-    ``rank`` is 1 for the best of the methods that completed every run, empty for others; ``tied_with_best``: the best
-    itself, and methods without a clear difference from it.
+    ``rank`` is 1 for the best of the methods that completed every run, empty for others. ``mark``: see
+    ``ranking.mark``.
     """
     rows = []
     for sequence in analysis.sequences:
@@ -78,7 +79,7 @@ def build_summary_table(analysis: Analysis) -> pd.DataFrame:
                     "low_95": score.interval.low if score.interval else None,
                     "high_95": score.interval.high if score.interval else None,
                     "rank": ranks.get(score.method),
-                    "tied_with_best": score in ranking.tied,
+                    "mark": mark(ranking, score.method),
                     "reason": score.reason,
                 }
                 for score in ranking.scores

@@ -19,7 +19,7 @@ from evalkit.io import untrusted_io
 from evalkit.results.run_record import RunRecord
 from evalkit.results.store import RESULT, Store, read_steps
 
-RESULTS_NAME, RESULTS_VERSION = "evalkit-results", 2
+RESULTS_NAME, RESULTS_VERSION = "evalkit-results", 3
 """Name and schema version of results.json."""
 
 REMEDY = "name a folder that `evalkit compare` has written, or write the report again"

@@ -76,16 +76,30 @@ def detectable_standard_errors(freedom: float, power: float = 0.8, alpha: float 
 
     ``freedom``: degrees of freedom of the standard error.
     """
-    from scipy import optimize, stats
+    from scipy import optimize
 
-    critical = float(stats.t.ppf(1.0 - alpha / 2.0, freedom))
+    largest = 4.0 * float(_compute_thresholds(freedom, alpha).max()) + 10.0
+    return float(optimize.brentq(lambda shift: compute_power(shift, freedom, alpha) - power, 0.0, largest))
+
+
+def compute_power(shift: float, freedom: float, alpha: float = 0.05) -> float:
+    """Return the probability that a two-sided t test detects a difference of ``shift`` standard errors.
+
+    Averaged over 4,000 possible standard errors.
+    """
+    from scipy import stats
+
+    thresholds = _compute_thresholds(freedom, alpha)
+    return float(np.mean(stats.norm.sf(thresholds - shift) + stats.norm.cdf(-thresholds - shift)))
+
+
+@cache
+def _compute_thresholds(freedom: float, alpha: float) -> Floats:
+    from scipy import stats
+
     quantiles = (np.arange(4000) + 0.5) / 4000.0
-    thresholds = critical * np.sqrt(stats.chi2.ppf(quantiles, freedom) / freedom)  # for each possible standard error
-
-    def missing_power(shift: float) -> float:
-        return float(np.mean(stats.norm.sf(thresholds - shift) + stats.norm.cdf(-thresholds - shift))) - power
-
-    return float(optimize.brentq(missing_power, 0.0, 2.0 * (critical + 4.0)))
+    critical = float(stats.t.ppf(1.0 - alpha / 2.0, freedom))
+    return np.asarray(critical * np.sqrt(stats.chi2.ppf(quantiles, freedom) / freedom))
 
 
 def _compute_differences(a: ArrayLike, b: ArrayLike) -> Floats:

@@ -96,7 +96,10 @@ def run(program):
     exec(compile(program, "results.md", "exec"), {})
 
 
-ONLY_SOME = {"intervals[].detectable", "intervals[].reference", "intervals[].verdict", "intervals[].resampled"}
+ONLY_SOME = {
+    f"intervals[].{key}"
+    for key in ("detectable", "needed", "reference", "runs", "verdict", "within_high", "within_low")
+}
 """The schema has one form for intervals and differences; these are of differences."""
 
 

@@ -91,17 +91,19 @@ def test_draws_of_every_statistic_match_the_score(statistic, score):
     assert np.median(found.values) == pytest.approx(score, abs=0.5)
 
 
-def test_runs_without_errors_for_every_scan_are_compared_by_students_t(record, build):
-    """Differences 0.1, 0.2, 0.3: mean 0.2, standard error 0.1 / sqrt(3), t(0.975, 2) = 4.3027."""
+def test_runs_are_compared_by_students_t_on_their_ratios(record, build):
+    """Ratios 1.2, 1.4 and 1.6 of a median of 0.5; t(0.975, 2) = 4.3027."""
     values = {"a": (0.5, 0.5, 0.5), "b": (0.6, 0.7, 0.8)}
     comparison = build([
         record(who, "room", {"map_f1": v}, seed=seed) for who, own in values.items() for seed, v in enumerate(own)
     ])  # fmt: skip
     found = compute_difference(_of(comparison, "b", "map_f1"), _of(comparison, "a", "map_f1"))
     assert found is not None
-    half = 4.3027 * 0.1 / math.sqrt(3)
-    assert (found.interval.low, found.interval.high) == pytest.approx((0.2 - half, 0.2 + half), abs=1e-4)
-    assert (found.resampled, _of(comparison, "a", "map_f1").interval) == ("runs", None)
+    logs = np.log([1.2, 1.4, 1.6])
+    half = 4.3027 * logs.std(ddof=1) / math.sqrt(3)
+    expected = [0.5 * (math.exp(logs.mean() + side) - 1.0) for side in (-half, half)]
+    assert [found.interval.low, found.interval.high] == pytest.approx(expected, abs=1e-4)
+    assert (found.resampled, found.runs, found.within) == ("runs", 3, None)
 
 
 def test_the_same_results_give_the_same_numbers(demo):

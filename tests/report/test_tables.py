@@ -47,14 +47,14 @@ def test_summary_csv_has_medians_over_complete_runs_only(folder):
     plane = found["plane", "ate_rmse_m"]
     assert float(plane["median"]) == pytest.approx(0.011 * 1.03)
     assert [float(plane[k]) for k in ("lowest", "highest")] == pytest.approx([0.011, 0.011 * 1.06])
-    assert (plane["rank"], plane["tied_with_best"]) == ("1", "True")
+    assert (plane["rank"], plane["mark"]) == ("1", "best")
     survivor = found["<script>alert(1)</script>", "ate_rmse_m"]
     assert [survivor[k] for k in ("runs_complete", "runs_expected", "rank")] == ["1", "3", ""]
 
 
 def test_results_json_contains_the_same_scores(folder, demo):
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-    assert results["schema"] == {"name": "evalkit-results", "version": 2}
+    assert results["schema"] == {"name": "evalkit-results", "version": 3}
     for row, record in zip(results["runs"], demo.records, strict=True):
         assert row["scores"] == {
             name: {"value": score.value, "support": score.support, "reason": score.reason}

@@ -5,8 +5,11 @@ from dataclasses import replace
 
 import pytest
 
+from evalkit.core.run_result import LostTrack
+from evalkit.metrics import METRICS
 from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.analysis import analyse
+from evalkit.report.analysis.ranking import mark
 from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.report.analysis.verdict import compute_verdict
 from evalkit.report.formatting import format_gap, join_words
@@ -36,7 +39,7 @@ def test_a_clear_winner_is_named_with_its_lead(record, build):
     assert re.search(
         r"a wins on ATE RMSE: 0\.011 m \(95 % interval 0\.0.. to 0\.01.\); the runner-up, b, has 0\.022 m", said
     )
-    assert "2.0 times as much; the difference, on the same scans, is 0.0110 m (95 % interval 0.00" in said
+    assert "2.0 times as much; over 3 pairs of runs, the difference is 0.0110 m (95 % interval 0.0110" in said
 
 
 def test_a_lead_that_reverses_in_one_seed_gives_no_winner(record, build):
@@ -44,13 +47,13 @@ def test_a_lead_that_reverses_in_one_seed_gives_no_winner(record, build):
     assert verdict(comparison, "room").outcome == "tied"
     assert "On ATE RMSE, a (0.011 m (95 % interval " in _verdict_text(comparison)
     assert re.search(
-        r"on the same scans, b is worse by 0\.00.. m \(95 % interval −0\.0.* to 0\.0.*\)", _verdict_text(comparison)
+        r"over 3 pairs of runs, b is worse by 0\.00.. m \(95 % interval −0\.0.* to 0\.0.*\)", _verdict_text(comparison)
     )
-    assert "which may be chance; these runs can detect a difference of 0.0" in _verdict_text(comparison)
+    assert "which may be chance; about 10 runs of each would settle a difference of this" in _verdict_text(comparison)
 
 
 def test_a_lead_in_every_seed_wins_even_if_the_seeds_overlap(record, build):
-    comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.020]), *_seeds(record, "b", [0.019, 0.022, 0.024])])
+    comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.020]), *_seeds(record, "b", [0.019, 0.022, 0.042])])
     assert (verdict(comparison, "room").outcome, verdict(comparison, "room").leaders) == ("winner", ("a",))
 
 
@@ -67,7 +70,9 @@ def test_a_lead_of_a_millimetre_is_a_tie(record, build):
 
 
 def test_differences_below_the_noise_of_the_relations_are_a_tie(record, build):
-    near = build([record(n, "room", {"relations_mean_m": v}, seed=None) for n, v in (("a", 0.051), ("b", 0.080))])
+    near = build(
+        [*_seeds(record, "a", [0.051] * 3, "relations_mean_m"), *_seeds(record, "b", [0.08] * 3, "relations_mean_m")]
+    )
     far = build(
         [*_seeds(record, "a", [0.05, 0.05], "relations_mean_m"), *_seeds(record, "b", [0.09, 0.09], "relations_mean_m")]
     )
@@ -76,35 +81,42 @@ def test_differences_below_the_noise_of_the_relations_are_a_tie(record, build):
     assert verdict(far, "room").leaders == ("a",)
 
 
-def test_one_run_without_per_scan_errors_gives_no_decision(record, build):
-    comparison = build([record(n, "room", {"map_f1": v}, seed=None) for n, v in (("a", 0.9), ("b", 0.2))])
-    assert verdict(comparison, "room").outcome == "tied"
-    assert "On map F1 at 10 cm, a (0.900) and b (0.200) are tied: one run each" in _verdict_text(comparison)
-
-
 def test_two_seeds_that_scatter_as_much_as_they_differ_give_no_decision(record, build):
-    """Student's t with one degree of freedom: differences 0.10 and 0.12 give 0.11 +- 12.7 x 0.01."""
+    """Student's t with one degree of freedom: log-ratios ln(0.80 / 0.90) and ln(0.80 / 0.92) give -0.129 +- 0.140."""
     near = build([*_seeds(record, "a", [0.90, 0.92], "map_f1"), *_seeds(record, "b", [0.80, 0.80], "map_f1")])
     assert verdict(near, "room").outcome == "tied"
-    assert "run by run, b is worse by 0.1100 (95 % interval −0.0171 to 0.2371), which may be chance" in _verdict_text(
-        near
+    assert (
+        "over 2 pairs of runs, b is worse by 0.1100 (95 % interval −0.0099 to 0.2142), which may be"
+        in _verdict_text(near)
     )
+    assert "about 3 runs of each would settle a difference of this size" in _verdict_text(near)
 
 
-def test_the_same_gap_in_metres_of_drift_is_a_lead(record, build):
-    comparison = build([record(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in (("a", 0.051), ("b", 0.080))])
-    found = verdict(comparison, "room")
-    assert (found.outcome, found.leaders) == ("ahead", ("a",))
-
-
-def test_one_run_each_gives_no_winner(record, build):
-    pair = (("a", 0.051), ("b", 0.080), ("paper", 0.1))
+@pytest.mark.parametrize("other", [0.080, 17.0])
+def test_one_run_each_gives_an_order_and_no_verdict(record, build, other):
+    """The bootstrap within the runs excludes zero; one run each still shows nothing about a next one."""
+    pair = (("a", 0.051), ("b", other), ("paper", 20.0), ("wheel", 0.049))
     comparison = build([record(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in pair])
-    assert "a is ahead in its single run, on ATE RMSE: 0.051 m (95 % interval " in _verdict_text(comparison)
-    said = " ".join(_overview(comparison))
-    assert "a is ahead in the single run of room." in said
-    assert "The reference method, paper, is behind in the single run of room." in said
-    assert not {"wins", "winner", "loses"} & set(f"{said} {_verdict_text(comparison)}".split())
+    found = verdict(comparison)
+    assert (found.outcome, found.leaders, found.counts) == ("one run", (), False)
+    said = _verdict_text(comparison)
+    assert "One run each gives an order and no verdict, which takes 3 or more. On ATE RMSE: wheel (0.049 m (95" in said
+    assert "% interval of this run " in said
+    assert "The reference method: paper has 20.000 m, place 4 of 4 in this order." in said
+    whole = f"{said} {' '.join(_overview(comparison))}"
+    assert "No sequence has both ground truth and repeated runs to compare" in whole
+    assert "describe these runs and not a next one, and give no verdict." in whole
+    assert not {"wins", "winner", "loses", "ahead", "behind", "tied", "Worse"} & set(whole.replace(",", "").split())
+    (ranking,) = (analyse_sequence(comparison, "room").deciding,)
+    assert {mark(ranking, name) for name, _ in pair} == {"not comparable"}
+
+
+def test_repeated_runs_are_not_described_as_single(record, build):
+    comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.012]), *_seeds(record, "b", [0.020, 0.022, 0.024])])
+    said = f"{_verdict_text(comparison)} {' '.join(_overview(comparison))}"
+    assert "of this run " not in said
+    assert "One run each" not in said
+    assert "Numbers are medians over up to 3 runs." in said
 
 
 def test_the_higher_value_wins_where_higher_is_better(record, build):
@@ -134,17 +146,16 @@ def test_a_loss_of_the_reference_method_is_stated(record, build):
 
 
 def test_a_method_worse_than_wheel_odometry_is_reported(record, build):
-    comparison = build(
-        [*_seeds(record, "wheel", [0.4, 0.41]), *_seeds(record, "a", [2, 3]), *_seeds(record, "b", [1, 1])]
-    )
-    assert "Worse than wheel alone (0.405 m): a (2.500 m) and b (1.000 m)." in _verdict_text(comparison)
+    values = {"wheel": (0.4, 0.41, 0.4), "a": (2, 3, 2.5), "b": (1, 1, 1), "c": (0.3, 0.5, 0.6)}
+    comparison = build([one for name, own in values.items() for one in _seeds(record, name, own)])
+    assert "Worse than wheel alone (0.400 m): a (2.500 m) and b (1.000 m)." in _verdict_text(comparison)
     assert "Worse than wheel alone: a on room and b on room." in _overview(comparison)
 
 
 def test_the_baseline_is_not_ranked_in_runtime(record, build):
     names = (("wheel", 0.01), ("a", 1.0), ("b", 5.0))
     comparison = build([record(n, "room", {"ate_rmse_m": v, "cpu_median_ms": v}, seed=None) for n, v in names])
-    assert "CPU time per scan, median: best a (1.00 ms), worst b (5.00 ms)." in _verdict_text(comparison)
+    assert "CPU time per scan, median: a (1.00 ms) to b (5.00 ms)." in _verdict_text(comparison)
 
 
 def test_a_degenerate_sequence_is_named_and_not_counted(record, build):
@@ -155,53 +166,51 @@ def test_a_degenerate_sequence_is_named_and_not_counted(record, build):
     assert (found.outcome, found.leaders, found.counts) == ("degenerate", (), False)
     assert "Degenerate geometry: A corridor without ends." in _verdict_text(comparison)
     assert " wins " not in _verdict_text(comparison)
-    assert "Not counted as wins or losses: room (degenerate geometry)." in _overview(comparison)
+    assert "Not counted: room (degenerate geometry)." in _overview(comparison)
 
 
-def _maps(record, build, **measures):
-    """One run each without ground truth; per method: halves apart (m), variance across walls (1000 cm2), cleared share
-    and S2M residual (m).
+def _maps(record, build, runs=3, **measures):
+    """Runs without ground truth that differ by 1 %; per method: halves apart (m), variance across walls (1000 cm2),
+    cleared share and S2M residual (m).
     """
     names = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m")
 
-    def scaled(values):
+    def scaled(values, seed):
         pairs = zip(names, values, (1.0, 1000.0, 100.0, 1.0), strict=True)
-        return {name: None if value is None else value * scale for name, value, scale in pairs}
+        return {name: None if value is None else value * scale * (1 + 0.01 * seed) for name, value, scale in pairs}
 
-    return build([record(n, "room", scaled(v), seed=None, truth=False) for n, v in measures.items()])
+    return build([
+        record(n, "room", scaled(v, seed or 0), seed=seed, truth=False)
+        for n, v in measures.items() for seed in (range(runs) if runs > 1 else (None,))
+    ])  # fmt: skip
+
+
+LOST_MAPS = {"lost": (0.10, 0.09, 0.30, 0.08), "a": (0.12, 0.02, 0.05, 0.03), "b": (0.2, 0.03, 0.04, 0.04)}
 
 
 def test_a_lead_in_the_distance_of_the_halves_alone_gives_no_winner(record, build):
-    comparison = _maps(
-        record, build, lost=(0.10, 0.09, 0.30, 0.08), a=(0.12, 0.02, 0.05, 0.03), b=(0.2, 0.03, 0.04, 0.04)
-    )
+    comparison = _maps(record, build, **LOST_MAPS)
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("disagreement", (), False)
     assert (
         "The map metrics disagree: lost has the smallest distance between the halves of the run, a the least scatter "
         "across orthogonal walls and the lowest S2M residual, b the fewest hits in cleared space."
     ) in _verdict_text(comparison)
+    assert mark(analyse_sequence(comparison, "room").deciding, "lost") == "not comparable"
+    once = _maps(record, build, runs=1, **LOST_MAPS)
+    assert verdict(once).outcome == "one run"
+    assert "disagree" not in _verdict_text(once)
 
 
 def test_a_map_best_in_every_metric_leads(record, build):
-    names, values = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m"), {"a": 0.02, "b": 0.04}
-    comparison = build([
-        record(who, "room", dict.fromkeys(names, value), seed=seed, truth=False)
-        for who, value in values.items() for seed in (0, 1)
-    ])  # fmt: skip
+    comparison = _maps(record, build, a=(0.10, 0.02, 0.04, 0.03), b=(0.20, 0.03, 0.05, 0.04))
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("winner", ("a",), False)
     assert "The other map metrics agree." in _verdict_text(comparison)
-
-
-def test_a_map_best_in_every_metric_of_one_run_is_tied(record, build):
-    comparison = _maps(record, build, a=(0.10, 0.02, 0.04, 0.03), b=(0.20, 0.02, 0.05, 0.04))
-    found = verdict(comparison, "room")
-    assert (found.outcome, found.leaders, found.counts) == ("tied", ("a",), False)
-    assert "one run each gives no interval. In every map metric a is best or tied." in _verdict_text(comparison)
     assert "compares maps only. Limitations: global warp." in _verdict_text(comparison)
     validated = load_validation().agreement_of("split_distance_m")
     assert f"Spearman correlation with that error was {validated.overall.value:.2f}" in _verdict_text(comparison)
+    assert verdict(_maps(record, build, runs=1, a=(0.10, 0.02, 0.04, 0.03), b=(0.2, 0.3, 0.5, 0.4))).leaders == ()
 
 
 def test_a_map_metric_without_value_leaves_the_map_undecided(record, build):
@@ -214,8 +223,73 @@ def test_without_ground_truth_worse_than_odometry_requires_every_metric(record, 
     wheel = (0.10, 0.02, 0.04, 0.03)
     one = _maps(record, build, wheel=wheel, a=(0.20, 0.01, 0.05, 0.04))
     every = _maps(record, build, wheel=wheel, a=(0.20, 0.03, 0.05, 0.04))
-    assert "than wheel alone" not in _verdict_text(one)
+    once = _maps(record, build, runs=1, wheel=wheel, a=(0.20, 0.03, 0.05, 0.04))
+    assert "than wheel alone" not in _verdict_text(one) + _verdict_text(once)
     assert "Worse map than wheel alone, in every map metric: a." in _verdict_text(every)
+
+
+def test_methods_that_lost_the_track_are_not_ranked(record, build):
+    """The lost run has the better error; it is neither best nor tied, and the best of the others wins."""
+
+    def runs(name, values, at_s=None):
+        own = _seeds(record, name, values)
+        gone = None if at_s is None else LostTrack(at_s, "4.89 m in one scan.")
+        return [*own[:-1], replace(own[-1], scores=replace(own[-1].scores, lost=gone))]
+
+    held = [*runs("b", [0.02, 0.021, 0.022]), *runs("c", [0.05, 0.052, 0.055])]
+    comparison = build([*runs("a", [0.001, 0.001, 0.001], 212.4), *held])
+    assert verdict(comparison).leaders == ("b",)
+    assert "Lost the track and not ranked: a at 212 s (4.89 m in one scan)." in _verdict_text(comparison)
+    ranking = analyse_sequence(comparison, "room").deciding
+    assert [mark(ranking, name) for name in "abc"] == ["lost", "best", "worse"]
+    assert "Lost the track" not in _verdict_text(build(held))
+
+    wheel = runs("wheel", [0.4, 0.41, 0.42])
+    gone = build([*runs("a", [0.5, 0.5, 0.5], 9.0), *runs("b", [0.4, 0.4, 0.4], 3.0), *wheel])
+    assert (verdict(gone).outcome, verdict(gone).leaders) == ("lost", ())
+    assert "No method held the track. Lost the track and not ranked: a at 9 s (" in _verdict_text(gone)
+    assert "No method held the track" not in _verdict_text(comparison)
+
+
+def test_settings_chosen_on_the_data_do_not_count(record, build):
+    comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.012]), *_seeds(record, "b", [0.020, 0.022, 0.024])])
+    tuned = {**comparison.methods, "a": replace(comparison.methods["a"], tuned_on=("room", "elsewhere"))}
+    found = replace(comparison, methods=tuned)
+    assert verdict(found).outcome == "single"
+    assert "Not ranked, because settings were chosen on these data: a." in _verdict_text(found)
+    assert mark(analyse_sequence(found, "room").deciding, "a") == "not comparable"
+    assert "settings were chosen" not in _verdict_text(comparison)
+
+
+def test_short_relations_decide_where_every_method_lost_the_long_ones(record, build):
+    metrics = {metric.name: metric for metric in METRICS}
+    names = ("relations_all_mean_m", "relations_short_mean_m", "relations_long_mean_m")
+
+    def compare(long_m):
+        table = tuple(metrics[name] for name in names)
+        runs = [
+            record(who, "room", dict(zip(names, (error + long_m, error, long_m), strict=True)), seed=seed)
+            for who, error in (("a", 0.1), ("b", 0.2)) for seed in range(3)
+        ]  # fmt: skip
+        return analyse_sequence(replace(build(runs), metrics=table), "room").deciding.metric.name
+
+    assert [compare(long_m) for long_m in (0.5, 3.0)] == ["relations_all_mean_m", "relations_short_mean_m"]
+
+
+@pytest.mark.parametrize(
+    ("values", "marks"),
+    [
+        ({"a": (0.1, 0.11, 0.12), "b": (0.2, 0.22, 0.24), "c": (0.3, 0.33, 0.36)}, ["best", "worse", "worse"]),
+        ({"a": (0.1, 0.11, 0.12), "b": (0.1, 0.12, 0.11), "c": (0.3, 0.33, 0.36)}, ["tied", "tied", "worse"]),
+        ({"a": (0.1,), "b": (0.2,), "c": (0.3,)}, ["not comparable"] * 3),
+        ({"a": (0.1, None, 0.12), "b": (0.2, 0.22, 0.24), "c": (0.3, 0.33, 0.36)}, ["not comparable", "best", "worse"]),
+    ],
+)
+def test_marks_follow_from_runs(record, build, values, marks):
+    comparison = build([one for name, own in values.items() for one in _seeds(record, name, own)])
+    ranking = analyse_sequence(comparison, "room").deciding
+    assert [mark(ranking, name) for name in values] == marks
+    assert mark(ranking, "nobody") == "not comparable"
 
 
 def test_a_method_that_kept_most_guesses_is_named_and_not_ranked(record, build):

@@ -140,7 +140,7 @@ def _summary_row(row: Mapping[str, str]) -> SummaryRow:
     median, low, high = (float(row[name]) if row[name] else None for name in ("median", "low_95", "high_95"))
     counts = int(row["runs_complete"]), int(row["runs_expected"])
     names = row["sequence"], row["method"], row["metric"]
-    return SummaryRow(*names, median, low, high, row["tied_with_best"] == "True", *counts)
+    return SummaryRow(*names, median, low, high, row["mark"] in ("best", "tied"), *counts)
 
 
 def _open_sequences(

@@ -121,7 +121,7 @@ def _make_difference_row(label: str, one: HeldOutSequence) -> Sequence[Cell | st
     if one.significant:
         verdict = "worse" if one.worse else "better"
     result = f"{interval.value:+.3g} ({interval.low:+.3g} to {interval.high:+.3g}){unit}"
-    detectable = one.difference.detectable
+    detectable = one.difference.detectable or math.inf
     return (*head, *medians, Cell(result, sort=interval.value),
             Cell(f"{format_number(detectable)}{unit}", sort=detectable),
             Cell(verdict, tone="bad" if one.worse else "good" if one.significant else ""))  # fmt: skip

@@ -10,8 +10,7 @@ from statistics import median
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import decided_by_maps
-from evalkit.report.analysis.pairwise import separation
-from evalkit.report.analysis.pills import Pill, compute_pills, find_left_out
+from evalkit.report.analysis.pills import Pill, compute_pills
 from evalkit.report.analysis.ranking import Ranking
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
@@ -30,7 +29,7 @@ class Contest:
     """One data set that counts.
 
     ``ranked``: methods that count there, best first; ``leaders``: the best and those without a clear difference.
-    ``left_out``: ranked methods whose settings were chosen there. ``repeated``: whether methods ran more than once.
+    ``left_out``: methods with a value whose settings were chosen there.
     """
 
     sequence: str
@@ -38,7 +37,6 @@ class Contest:
     ranked: tuple[MethodScore, ...]
     leaders: tuple[str, ...]
     left_out: tuple[str, ...]
-    repeated: bool
 
     @property
     def metric(self) -> Metric:
@@ -104,7 +102,7 @@ def compute_answer(
     comparison: Comparison, sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]
 ) -> Answer:
     """Compute the answer over the data sets with ground truth, or without any over those decided by maps."""
-    found = [_find_contest(comparison, *pair) for pair in zip(sequences, verdicts, strict=True)]
+    found = [_find_contest(*pair) for pair in zip(sequences, verdicts, strict=True)]
     contests = [one for one in found if one is not None]
     by_maps = bool(contests) and all(decided_by_maps(one.ranking) for one in contests)
     contests = contests if by_maps else [one for one in contests if not decided_by_maps(one.ranking)]
@@ -131,24 +129,13 @@ def compute_answer(
     )
 
 
-def _find_contest(comparison: Comparison, sequence: SequenceAnalysis, verdict: SequenceVerdict) -> Contest | None:
+def _find_contest(sequence: SequenceAnalysis, verdict: SequenceVerdict) -> Contest | None:
     """Return the contest on a sequence; None if it has no verdict, or fewer than two methods count there."""
     ranking = sequence.deciding
     if ranking is None or verdict.outcome not in LED:
         return None
-    tuned = find_left_out(comparison, sequence)
-    ranked = tuple(score for score in ranking.ranked if score.method not in tuned)
-    left_out = tuple(score.method for score in ranking.ranked if score.method in tuned)
-    if len(ranked) < 2:
-        return None
-    if decided_by_maps(ranking):
-        leaders = tuple(method for method in verdict.leaders if method not in tuned)
-    else:
-        apart = {score.method: separation(ranking.metric, ranked[0], score) for score in ranked[1:]}
-        if set(apart.values()) == {"no interval"}:
-            return None
-        leaders = (ranked[0].method, *(method for method, how in apart.items() if how != "clear"))
-    return Contest(sequence.label, ranking, ranked, leaders, left_out, verdict.repeated) if leaders else None
+    left_out = tuple(score.method for score in ranking.scores if score.tuned and score.values)
+    return Contest(sequence.label, ranking, ranking.ranked, verdict.leaders, left_out) if verdict.leaders else None
 
 
 def _compute_standings(
@@ -246,27 +233,27 @@ def _format_single(names: str, tied: bool, contest: Contest, by_maps: bool) -> s
         return f"Take {names}: the best map of {contest.sequence}, which has no ground truth."
     if tied:
         return f"Take {names}: tied for the best on {contest.sequence}."
-    if not contest.repeated:
-        return f"{names} is ahead on {contest.sequence}, in a single run each."
     return f"Take {names}: best on {contest.sequence}."
 
 
 def _explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
     """Return why no method is ahead or ranked."""
-    outcomes = [verdict.outcome for verdict in verdicts]
-    if all(sequence.none_finished for sequence in sequences):
-        return "No run finished: there is no answer."
+    outcomes = {verdict.outcome for verdict in verdicts}
     ranked = {score.method for s in sequences if s.deciding is not None for score in s.deciding.ranked}
-    if len(ranked) == 1:
-        return f"Only {next(iter(ranked))} is ranked: there is no other method to compare it with."
-    if not ranked:
-        return "No method is ranked: none completed every run with a value of the deciding metric."
-    if "disagreement" in outcomes:
-        return "No method is ahead: without ground truth, the map metrics disagree."
-    if set(outcomes) <= {"degenerate", "unranked"}:
-        where = join_words(v.sequence for v in verdicts if v.outcome == "degenerate")
-        return f"No method is ranked: the geometry of {where} does not determine the pose."
-    return "No method is ahead: single runs without an interval show no difference."
+    degenerate = join_words(v.sequence for v in verdicts if v.outcome == "degenerate")
+    reasons = (
+        (all(sequence.none_finished for sequence in sequences), "No run finished: there is no answer."),
+        (outcomes == {"lost"}, "No method held the track: there is no answer."),
+        (len(ranked) == 1, f"Only {join_words(ranked)} is ranked: there is no other method to compare it with."),
+        (not ranked, "No method is ranked: none completed every run with a value of the deciding metric."),
+        ("disagreement" in outcomes, "No method is ahead: without ground truth, the map metrics disagree."),
+        (
+            outcomes <= {"degenerate", "unranked"},
+            f"No method is ranked: the geometry of {degenerate} does not determine the pose.",
+        ),
+        (True, "No method is ahead: a verdict takes repeated runs."),
+    )
+    return next(text for holds, text in reasons if holds)
 
 
 def _format_subtitle(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from evalkit.report.analysis.pairwise import is_behind, is_clearly_worse, is_distinct
+from evalkit.report.analysis.pairwise import is_clearly_worse
 from evalkit.report.analysis.ranking import Ranking, rank_scores
 from evalkit.report.analysis.scores import MethodScore
 
@@ -53,7 +53,7 @@ def compute_map_agreement(
             missing.append(ranking.metric.label if ranking else name)
             continue
         best[name] = ranked[0].method
-        tied = [one.method for one in ranked if one is ranked[0] or not is_distinct(ranking.metric, ranked[0], one)]
+        tied = [one.method for one in ranked if not is_clearly_worse(ranking.metric, one, ranked[0])]
         agreed = tuple(label for label in agreed if label in tied)
     return MapAgreement(best, () if missing else agreed, tuple(missing), decided_by_maps(deciding))
 
@@ -75,11 +75,8 @@ def find_worse_than(
     measures = [rankings[name] for name in MEASURES if name in rankings]
     if len(measures) < len(MEASURES):
         return ()
-    return tuple(score for score in deciding.scores if all(_is_worse(one, score.method, baseline) for one in measures))
-
-
-def _is_worse(ranking: Ranking, method: str, baseline: str) -> bool:
-    one, other = ranking.of(method), ranking.of(baseline)
-    if one is None or other is None or not is_behind(ranking.metric, one, other):
-        return False
-    return is_distinct(ranking.metric, one, other)
+    return tuple(
+        score
+        for score in deciding.scores
+        if all(is_clearly_worse(one.metric, one.of(score.method), one.of(baseline)) for one in measures)
+    )

@@ -9,10 +9,12 @@ import numpy as np
 
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.ranking import Mark, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.verdict import Outcome, SequenceVerdict, describe_success
 from evalkit.report.formatting import join_words
 from evalkit.results.run_record import RunRecord
+from evalkit.stats.runs import MIN_RUNS
 
 MAX_LATE_SHARE = 0.01
 
@@ -25,7 +27,11 @@ def compute_overview(
     sentences = [
         describe_success(comparison.records),
         _describe_wins(counted),
-        *(_describe_reference(label, counted) for label in comparison.methods_with_role("reference") if counted),
+        *(
+            _describe_reference(label, sequences, verdicts)
+            for label in comparison.methods_with_role("reference")
+            if counted
+        ),
         _describe_baseline(comparison, sequences),
         _describe_speed(comparison),
         _describe_not_counted(sequences, verdicts),
@@ -36,10 +42,8 @@ def compute_overview(
 
 def _describe_wins(counted: Sequence[SequenceVerdict]) -> str:
     if not counted:
-        return "No sequence has both ground truth and a clear comparison, so there is no overall winner."
+        return "No sequence has both ground truth and repeated runs to compare, so there is no overall winner."
     parts = [f"{method} wins {len(where)} ({', '.join(where)})" for method, where in _group_leads(counted, "winner")]
-    ahead = _group_leads(counted, "ahead")
-    parts += [f"{method} is ahead in the single run of {', '.join(where)}" for method, where in ahead]
     tied = [verdict.sequence for verdict in counted if verdict.outcome == "tied"]
     if tied:
         where = "1 sequence" if len(tied) == 1 else f"{len(tied)} sequences"
@@ -57,30 +61,18 @@ def _group_leads(verdicts: Sequence[SequenceVerdict], outcome: Outcome) -> list[
     return sorted(led.items(), key=lambda item: -len(item[1]))
 
 
-def _describe_reference(label: str, counted: Sequence[SequenceVerdict]) -> str:
-    def where(leads: bool, outcome: Outcome | None = None, repeated: bool | None = None) -> list[str]:
-        return [
-            verdict.sequence
-            for verdict in counted
-            if (label in verdict.leaders) == leads
-            and outcome in (None, verdict.outcome)
-            and repeated in (None, verdict.repeated)
-        ]
-
-    groups = (
-        ("loses", where(False, repeated=True)),
-        ("is behind in the single run of", where(False, repeated=False)),
-        ("is tied with the best on", where(True, "tied")),
-        ("is ahead in the single run of", where(True, "ahead")),
-        ("wins", where(True, "winner")),
-    )
-    parts = [
-        f"{verb} {', '.join(found)}"
-        if "single run" in verb
-        else f"{verb} {len(found)} of {len(counted)} ({', '.join(found)})"
-        for verb, found in groups
-        if found
-    ]
+def _describe_reference(label: str, sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
+    marks = {
+        verdict.sequence: mark(sequence.deciding, label)
+        for sequence, verdict in zip(sequences, verdicts, strict=True)
+        if verdict.counts and sequence.deciding is not None
+    }
+    groups: tuple[tuple[str, Mark], ...] = (
+        ("loses", "worse"), ("lost the track on", "lost"), ("is not comparable on", "not comparable"),
+        ("is tied with the best on", "tied"), ("wins", "best"),
+    )  # fmt: skip
+    found = [(verb, [where for where, standing in marks.items() if standing == wanted]) for verb, wanted in groups]
+    parts = [f"{verb} {len(where)} of {len(marks)} ({', '.join(where)})" for verb, where in found if where]
     return f"The reference method, {label}, {join_words(parts)}."
 
 
@@ -95,17 +87,19 @@ def _describe_baseline(comparison: Comparison, sequences: Sequence[SequenceAnaly
     compared = False
     for sequence in sequences:
         reference = sequence.deciding.of(baselines[0]) if sequence.deciding else None
-        if sequence.deciding is None or reference is None or not reference.values:
+        if sequence.deciding is None or reference is None or len(reference.values) < 2:
             continue
-        compared = compared or any(score.values for score in sequence.deciding.scores if score is not reference)
+        compared = compared or any(
+            len(score.values) > 1 for score in sequence.deciding.scores if score is not reference
+        )
         for score in sequence.behind[baselines[0]]:
             behind.setdefault(score.method, []).append(sequence.label)
     if behind:
         listed = join_words(f"{method} on {join_words(where)}" for method, where in behind.items())
         return f"Worse than {baselines[0]} alone: {listed}."
     if not compared:
-        return f"No method can be compared with {baselines[0]} alone: no sequence has a value of both."
-    return f"No method is clearly worse than {baselines[0]} alone on any sequence with values of both."
+        return f"No method can be compared with {baselines[0]} alone: no sequence has repeated runs of both."
+    return f"No method is clearly worse than {baselines[0]} alone on any sequence with repeated runs of both."
 
 
 def _describe_speed(comparison: Comparison) -> str:
@@ -133,14 +127,14 @@ def late_share(run: RunRecord) -> float:
 
 
 def _describe_not_counted(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
-    reasons: dict[str, list[str]] = {"degenerate geometry": [], "no ground truth, or no comparison": [],
+    reasons: dict[str, list[str]] = {"degenerate geometry": [], "no ground truth, or no repeated runs": [],
                                      "no run finished": []}  # fmt: skip
     for sequence, verdict in zip(sequences, verdicts, strict=True):
         if not verdict.counts:
-            degenerate = "degenerate geometry" if sequence.card.degenerate else "no ground truth, or no comparison"
+            degenerate = "degenerate geometry" if sequence.card.degenerate else "no ground truth, or no repeated runs"
             reasons["no run finished" if sequence.none_finished else degenerate].append(sequence.label)
     parts = [f"{join_words(labels)} ({why})" for why, labels in reasons.items() if labels]
-    return f"Not counted as wins or losses: {join_words(parts)}." if parts else ""
+    return f"Not counted: {join_words(parts)}." if parts else ""
 
 
 def _describe_statistics(comparison: Comparison) -> str:
@@ -148,14 +142,16 @@ def _describe_statistics(comparison: Comparison) -> str:
     if not runs:
         return ""
     most = max(runs.values())
-    seeds = "Each sequence was run once, so intervals describe these runs, not a next one. "
-    if most > 1:
-        seeds = f"Numbers are medians over up to {most} seeds. "
+    if most == 1:
+        return (
+            "Each sequence was run once: intervals are resampled from stretches of up to 10 s, describe these runs and "
+            "not a next one, and give no verdict."
+        )
     return (
-        f"{seeds}A 95 % interval contains the number that other stretches of the same kind would give; it is resampled "
-        "from stretches of up to 10 s. A method leads only if the interval of the paired difference excludes zero and "
-        "the difference is at least 5 % and, for positions, 2 mm. This must hold against every other method, so "
-        "choosing the leader after the fact adds no false leads. A method that is worse than the leader is tested "
-        "alone: among many methods one may be so by chance, and the lead of a chosen leader is estimated too large "
-        "rather than too small."
+        f"Numbers are medians over up to {most} runs. From {MIN_RUNS} runs on, a 95 % interval is that of Student's t "
+        "over the runs and contains the median over all possible runs; the interval of a single run describes this "
+        "run. A method leads only if the interval of the paired difference over runs excludes zero and the difference "
+        "is at least 5 % and, for positions, 2 mm. This must hold against every other method, so choosing the leader "
+        "after the fact adds no false leads. A method that is worse than the leader is tested alone: among many "
+        "methods one may be so by chance."
     )

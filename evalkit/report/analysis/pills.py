@@ -78,7 +78,7 @@ def _find_lost(runs: Iterable[RunRecord]) -> dict[str, list[str]]:
     """Return the sequences on which a method lost the track, with the time of the first loss."""
     times: dict[tuple[str, str], float] = {}
     for run in runs:
-        lost = getattr(run.scores, "lost", None)
+        lost = run.scores.lost
         if lost is not None:
             place = run.method, run.sequence
             times[place] = min(times.get(place, lost.at_s), lost.at_s)

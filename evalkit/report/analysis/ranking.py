@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
+from typing import Literal
 
 from evalkit.metrics.series import SERIES
 from evalkit.metrics.table import Group, Metric
 from evalkit.report.analysis.bootstrap import RecordBootstrap
+from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.pairwise import PairedDifference, Separation, compute_difference, separation
 from evalkit.report.analysis.scores import DECIDING, MethodScore, compute_score
 from evalkit.results.run_record import RunRecord
@@ -19,9 +21,15 @@ WITHOUT_BASELINE: tuple[Group, ...] = ("residuals", "runtime")
 WHY_NOT_CLEAR: Mapping[Separation, str] = {
     "within the noise floor": "less than the accuracy of the ground truth",
     "within the margin": "too small to matter",
-    "no interval": "one run, no interval",
+    "one run": "one run, no verdict",
     "not shown": "no difference shown",
 }
+
+Mark = Literal["best", "tied", "worse", "lost", "not comparable"]
+"""How a method stands in one metric of one sequence, for every output."""
+
+MAX_LONG_M = 1.0
+"""Long relations with a larger mean error in every method compare lost tracks: short relations decide then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +37,8 @@ class Ranking:
     """One metric over one sequence.
 
     ``scores``: of all methods. ``ranked``: the rankable ones, best first. ``tied``: the best and those that do not
-    differ clearly from it. ``why_tied``: the reason of the first tie, "clear" without a tie.
+    differ clearly from it. ``why_tied``: the reason of the first tie, "clear" without a tie. ``comparable``: False if
+    the geometry does not determine the pose, or the map metrics that decide disagree.
     """
 
     sequence: str
@@ -38,11 +47,12 @@ class Ranking:
     ranked: tuple[MethodScore, ...]
     tied: tuple[MethodScore, ...]
     why_tied: Separation
+    comparable: bool = True
 
     @property
     def repeated(self) -> bool:
-        """Whether the ranked methods ran more than once: only then is there a winner."""
-        return any(len(score.values) > 1 for score in self.ranked)
+        """Whether the ranked methods ran more than once: only then are there a winner and ties."""
+        return sum(len(score.values) > 1 for score in self.ranked) > 1
 
     @property
     def winner(self) -> MethodScore | None:
@@ -57,6 +67,25 @@ class Ranking:
     def of(self, method: str) -> MethodScore | None:
         """Return the score of a method; None if it did not run over this sequence."""
         return next((score for score in self.scores if score.method == method), None)
+
+
+def mark(ranking: Ranking, method: str) -> Mark:
+    """Return how a method stands in a ranking: the one rule for page, terminal and exports.
+
+    "best": clearly better than every other ranked method. "tied": no clear difference from the best value. "worse":
+    clearly worse than the best value. "lost": it lost the track. "not comparable": no complete value, a single run, a
+    single method, settings chosen on this data set, no better direction, or a sequence without a ranking.
+    """
+    score = ranking.of(method)
+    if score is not None and score.lost is not None:
+        return "lost"
+    if score not in ranking.ranked or not ranking.repeated or not ranking.comparable:
+        return "not comparable"
+    if ranking.winner is score:
+        return "best"
+    if score in ranking.tied:
+        return "not comparable" if separation(ranking.metric, ranking.ranked[0], score) == "one run" else "tied"
+    return "worse"
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +105,11 @@ class PairwiseTable:
     rows: tuple[tuple[str, tuple[PairwiseEntry | None, ...]], ...]
 
 
-def compute_rankings(
-    runs: Mapping[str, Sequence[RunRecord]], metrics: Sequence[Metric], baselines: Sequence[str]
-) -> dict[str, Ranking]:
-    """Rank the methods of one sequence in every metric. ``runs``: by method; the result is by the metric's name."""
+def compute_rankings(comparison: Comparison, sequence: str) -> dict[str, Ranking]:
+    """Rank the methods of one sequence in every metric; the result is by the metric's name."""
+    runs = comparison.runs_by_method(sequence)
     bootstrap = RecordBootstrap([run for own in runs.values() for run in own], SERIES)
-    return {metric.name: _compute_ranking(runs, metric, baselines, bootstrap) for metric in metrics}
+    return {metric.name: _compute_ranking(comparison, runs, metric, bootstrap) for metric in comparison.metrics}
 
 
 def rank_scores(metric: Metric, scores: Iterable[MethodScore]) -> tuple[MethodScore, ...]:
@@ -95,11 +123,19 @@ def rank_scores(metric: Metric, scores: Iterable[MethodScore]) -> tuple[MethodSc
 def find_deciding(rankings: Mapping[str, Ranking]) -> Ranking | None:
     """Return the ranking that decides a sequence: the first headline metric, by strength of evidence, with a value."""
     headline = [one for one in rankings.values() if one.metric.headline and one.metric.better]
+    if _is_long_lost(rankings.get("relations_long_mean_m")):
+        headline.sort(key=lambda one: "_short_" not in one.metric.name)
     for group in DECIDING:
         for ranking in headline:
             if ranking.metric.group == group and any(score.values for score in ranking.scores):
                 return ranking
     return None
+
+
+def _is_long_lost(ranking: Ranking | None) -> bool:
+    """Return whether every method has lost the relations over long times, so that they only compare lost tracks."""
+    medians = [score.median for score in ranking.scores if score.median is not None] if ranking else []
+    return bool(medians) and min(medians) > MAX_LONG_M
 
 
 def compute_pairwise(ranking: Ranking | None, references: Sequence[str]) -> PairwiseTable | None:
@@ -116,10 +152,13 @@ def compute_pairwise(ranking: Ranking | None, references: Sequence[str]) -> Pair
 
 
 def _compute_ranking(
-    runs: Mapping[str, Sequence[RunRecord]], metric: Metric, baselines: Sequence[str], bootstrap: RecordBootstrap
+    comparison: Comparison, runs: Mapping[str, Sequence[RunRecord]], metric: Metric, bootstrap: RecordBootstrap
 ) -> Ranking:
-    scores = tuple(compute_score(own, metric, bootstrap) for own in runs.values())
-    excluded = baselines if metric.group in WITHOUT_BASELINE else ()
+    scores = tuple(
+        compute_score(own, metric, bootstrap, own[0].spec.sequence.dataset in comparison.methods[method].tuned_on)
+        for method, own in runs.items()
+    )
+    excluded = comparison.methods_with_role("baseline") if metric.group in WITHOUT_BASELINE else ()
     ranked = rank_scores(metric, (score for score in scores if score.method not in excluded))
     apart: list[Separation] = [separation(metric, ranked[0], score) for score in ranked[1:]]
     ties: list[tuple[MethodScore, Separation]] = [
@@ -127,7 +166,8 @@ def _compute_ranking(
     ]
     sequence = next(iter(runs.values()))[0].sequence
     tied = (*ranked[:1], *(score for score, _ in ties))
-    return Ranking(sequence, metric, scores, ranked, tied, ties[0][1] if ties else "clear")
+    comparable = not comparison.sequences[sequence].degenerate
+    return Ranking(sequence, metric, scores, ranked, tied, ties[0][1] if ties else "clear", comparable)
 
 
 def _compute_entry(ranking: Ranking, score: MethodScore, reference: str) -> PairwiseEntry | None:

@@ -8,13 +8,14 @@ from statistics import median
 
 import numpy as np
 
-from evalkit.core.run_result import RunStatus
+from evalkit.core.run_result import LostTrack, RunStatus
 from evalkit.core.se2 import Floats
 from evalkit.metrics.table import Group, Metric
 from evalkit.report.analysis.bootstrap import RecordBootstrap
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.bootstrap import DRAWS, BootstrapDraws, expanded_percentile_interval
 from evalkit.stats.intervals import Interval
+from evalkit.stats.runs import runs_interval
 
 MAX_GUESSED = 50.0
 """Above this share of scans (%) that keep the initial guess, the result is the guess's: the method is not ranked."""
@@ -45,7 +46,9 @@ class MethodScore:
     runs that ended early, which enter no median. ``complete`` of ``expected`` runs completed. ``reason``: why there is
     no value, "" if there is one. ``guessed_percent``: share of scans that kept the initial guess, 0 if unknown.
     ``draws``: bootstrap draws of each value, None where the metric has none. ``interval``: the median over the runs
-    with its 95 % interval, None if a run has no draws.
+    with its 95 % interval: over three or more runs by Student's t; of one run by its draws, which describes this run
+    alone; else None. ``lost``: the first loss of the track in one of its runs, None if all held it. ``tuned``: settings
+    of the method were chosen on this data set.
     """
 
     method: str
@@ -59,6 +62,8 @@ class MethodScore:
     guessed_percent: float = 0.0
     draws: tuple[BootstrapDraws | None, ...] = field(default=(), compare=False, repr=False)
     interval: Interval | None = None
+    lost: LostTrack | None = None
+    tuned: bool = False
 
     @property
     def median(self) -> float | None:
@@ -67,8 +72,9 @@ class MethodScore:
 
     @property
     def rankable(self) -> bool:
-        """Whether every run completed, has a value, and registered enough scans."""
-        return self.complete == self.expected == len(self.values) and self.registers
+        """Whether every run completed, has a value, held the track and registered, on data it was not tuned on."""
+        held = self.complete == self.expected == len(self.values) and self.registers
+        return held and self.lost is None and not self.tuned
 
     @property
     def registers(self) -> bool:
@@ -76,8 +82,10 @@ class MethodScore:
         return self.guessed_percent <= MAX_GUESSED
 
 
-def compute_score(runs: Sequence[RunRecord], metric: Metric, bootstrap: RecordBootstrap) -> MethodScore:
-    """Compute the score of one method's runs over one sequence."""
+def compute_score(
+    runs: Sequence[RunRecord], metric: Metric, bootstrap: RecordBootstrap, tuned: bool = False
+) -> MethodScore:
+    """Compute the score of one method's runs over one sequence. ``tuned``: its settings were chosen on these data."""
     complete = [run for run in runs if run.result.is_complete]
     scored = [(run, run.scores.by_metric[metric.name]) for run in complete if metric.name in run.scores.by_metric]
     known = [(run, score.value, score.support) for run, score in scored if score.value is not None]
@@ -98,8 +106,15 @@ def compute_score(runs: Sequence[RunRecord], metric: Metric, bootstrap: RecordBo
         tuple(run.seed for run, *_ in known),
         guessed_percent(complete),
         draws,
-        _compute_interval(values, draws, support),
+        runs_interval(values) if len(values) > 1 else _compute_interval(values, draws, support),
+        None if metric.group == "runtime" else find_loss(runs),
+        tuned and metric.group != "runtime",
     )
+
+
+def find_loss(runs: Sequence[RunRecord]) -> LostTrack | None:
+    """Return the earliest loss of the track in these runs; None if all held it."""
+    return min((run.scores.lost for run in runs if run.scores.lost is not None), key=lambda one: one.at_s, default=None)
 
 
 def median_over_runs(draws: Sequence[Floats]) -> Floats:
@@ -124,13 +139,9 @@ def guessed_percent(runs: Sequence[RunRecord]) -> float:
 
 
 def _compute_interval(values: Sequence[float], draws: Sequence[BootstrapDraws | None], support: int) -> Interval | None:
-    known = [one for one in draws if one is not None]
-    if not known or len(known) < len(values):
-        return None
-    blocks = sum(one.blocks for one in known)
-    return expanded_percentile_interval(
-        median(values), median_over_runs([one.values for one in known]), support, blocks
-    )
+    """Return the bootstrap interval of one run."""
+    one = draws[0] if draws else None
+    return None if one is None else expanded_percentile_interval(values[0], one.values, support, one.blocks)
 
 
 def _reason_without_value(runs: Sequence[RunRecord], metric: Metric) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis.comparison import Comparison, SequenceCard
@@ -63,13 +63,17 @@ def analyse_sequence(comparison: Comparison, label: str) -> SequenceAnalysis:
     """Compute the analysis of one sequence."""
     runs = comparison.runs_by_method(label)
     baselines = comparison.methods_with_role("baseline")
-    rankings = compute_rankings(runs, comparison.metrics, baselines)
+    card = comparison.sequences[label]
+    rankings = compute_rankings(comparison, label)
     deciding = find_deciding(rankings)
     agreement = compute_map_agreement(rankings, comparison.method_labels, deciding)
+    if deciding is not None and agreement.disagrees:
+        deciding = replace(deciding, comparable=False)
+        rankings[deciding.metric.name] = deciding
     paths = () if deciding is None else tuple(s.method for s in deciding.ranked if s.method not in baselines)
     return SequenceAnalysis(
         label,
-        comparison.sequences[label],
+        card,
         runs,
         rankings,
         deciding,

@@ -13,8 +13,15 @@ from evalkit.metrics.table import Metric
 from evalkit.report.analysis import warnings
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import MEASURES, MapAgreement, decided_by_maps
-from evalkit.report.analysis.pairwise import MARGIN_SHARE, compute_difference, is_position, noise_floor
-from evalkit.report.analysis.ranking import Ranking
+from evalkit.report.analysis.pairwise import (
+    MARGIN_SHARE,
+    PairedDifference,
+    compute_difference,
+    is_position,
+    margin,
+    noise_floor,
+)
+from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, WITH_TRUTH, MethodScore, unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import (
@@ -28,19 +35,20 @@ from evalkit.report.formatting import (
     strip_full_stop,
 )
 from evalkit.results.run_record import RunRecord
+from evalkit.stats.runs import MAX_RUNS, MIN_RUNS
 
-Outcome = Literal["winner", "ahead", "tied", "single", "disagreement", "degenerate", "unranked"]
-LED: tuple[Outcome, ...] = ("winner", "ahead", "tied")
-PAIRED = {"blocks": "on the same scans", "runs": "run by run"}
+Outcome = Literal["winner", "tied", "one run", "single", "lost", "disagreement", "degenerate", "unranked"]
+LED: tuple[Outcome, ...] = ("winner", "tied")
+NAMED = 3
+"""A sentence on an order without a verdict names at most so many methods."""
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceVerdict:
     """The verdict over one sequence.
 
-    ``leaders``: the method that wins or is ahead (with one run each), or all that are tied. ``counts``: whether the
-    sequence counts in the tally of wins, which takes ground truth and a geometry that determines the pose.
-    ``repeated``: whether the ranked methods ran more than once.
+    ``leaders``: the method that wins, or all that are tied. ``counts``: whether the sequence counts in the tally of
+    wins, which takes ground truth, a geometry that determines the pose, and more than one run of each method.
     """
 
     sequence: str
@@ -48,7 +56,6 @@ class SequenceVerdict:
     counts: bool
     leaders: tuple[str, ...]
     sentences: tuple[str, ...]
-    repeated: bool = True
 
 
 def compute_verdict(comparison: Comparison, sequence: SequenceAnalysis) -> SequenceVerdict:
@@ -62,8 +69,9 @@ def compute_verdict(comparison: Comparison, sequence: SequenceAnalysis) -> Seque
         sentences.append("No headline metric has a value here, so there is no ranking.")
     else:
         sentences += [_describe_outcome(sequence, ranking, outcome), warnings.warn_of_guesses(sequence)]
-        if outcome not in ("degenerate", "disagreement"):
+        if outcome in (*LED, "one run"):
             sentences.append(_describe_reference(comparison.methods_with_role("reference"), ranking))
+        sentences += [_describe_tuned(ranking), _describe_lost(ranking) if outcome != "lost" else ""]
         sentences += [_describe_baseline(sequence, ranking), *warnings.warn_of_evidence(ranking)]
     sentences += [_describe_cost(sequence), warnings.warn_of_processors(runs)]
     leads = ranking is not None and outcome in LED
@@ -73,7 +81,6 @@ def compute_verdict(comparison: Comparison, sequence: SequenceAnalysis) -> Seque
         leads and ranking is not None and ranking.metric.group in WITH_TRUTH,
         _find_leaders(sequence, ranking) if leads and ranking is not None else (),
         tuple(sentence for sentence in sentences if sentence),
-        ranking is not None and ranking.repeated,
     )
 
 
@@ -107,19 +114,21 @@ def _find_outcome(sequence: SequenceAnalysis) -> Outcome:
     ranking = sequence.deciding
     if sequence.card.degenerate:
         return "degenerate"
-    if ranking is None or not ranking.ranked:
+    if ranking is None:
         return "unranked"
-    if len(ranking.ranked) == 1:
-        return "single"
-    if sequence.map_agreement.disagrees:
-        return "disagreement"
-    if ranking.winner is None:
-        return "tied"
-    return "winner" if ranking.repeated else "ahead"
+    held = [score for score in ranking.ranked if score.method not in sequence.behind]
+    if not held and any(score.lost for score in ranking.scores):
+        return "lost"
+    if len(ranking.ranked) < 2:
+        return "single" if ranking.ranked else "unranked"
+    if not ranking.repeated:
+        return "one run"
+    undecided: Outcome = "disagreement" if sequence.map_agreement.disagrees else "tied"
+    return undecided if ranking.winner is None or not ranking.comparable else "winner"
 
 
 def _find_leaders(sequence: SequenceAnalysis, ranking: Ranking) -> tuple[str, ...]:
-    if decided_by_maps(ranking):
+    if decided_by_maps(ranking) and ranking.winner is None:
         return sequence.map_agreement.agreed
     return tuple(score.method for score in ranking.tied)
 
@@ -127,12 +136,10 @@ def _find_leaders(sequence: SequenceAnalysis, ranking: Ranking) -> tuple[str, ..
 def _describe_outcome(sequence: SequenceAnalysis, ranking: Ranking, outcome: Outcome) -> str:
     if outcome == "disagreement":
         return _describe_disagreement(sequence.map_agreement)
-    if not decided_by_maps(ranking) or outcome not in LED:
-        return _describe_leaders(ranking, outcome)
-    if outcome == "tied" and ranking.why_tied == "no interval":
-        best = join_words(sequence.map_agreement.agreed)
-        return f"No difference shown: one run each gives no interval. In every map metric {best} is best or tied."
-    return f"{_describe_leaders(ranking, outcome)} The other map metrics agree."
+    if outcome == "lost":
+        return f"No method held the track. {_describe_lost(ranking)}"
+    sentence = _describe_leaders(ranking, outcome)
+    return f"{sentence} The other map metrics agree." if decided_by_maps(ranking) and outcome in LED else sentence
 
 
 def _describe_leaders(ranking: Ranking, outcome: Outcome) -> str:
@@ -145,8 +152,11 @@ def _describe_leaders(ranking: Ranking, outcome: Outcome) -> str:
     if outcome == "degenerate":
         last = f"{ranked[-1].method}, has {format_median(metric, ranked[-1])}"
         return f"On {metric.label}, {first}; the last of the finished methods, {last}."
-    if outcome == "ahead":
-        return f"{ranked[0].method} is ahead in its single run, on {metric.label}: {_describe_lead(ranking)}."
+    if outcome == "one run":
+        order = join_words(f"{score.method} ({format_median(metric, score)})" for score in ranked[:NAMED])
+        return (
+            f"One run each gives an order and no verdict, which takes {MIN_RUNS} or more. On {metric.label}: {order}."
+        )
     if outcome == "winner":
         verb = "wins" if metric.group in WITH_TRUTH else "is ahead"
         return f"{ranked[0].method} {verb} on {metric.label}: {_describe_lead(ranking)}."
@@ -171,14 +181,16 @@ def _describe_lead(ranking: Ranking) -> str:
     metric, (winner, runner_up) = ranking.metric, ranking.ranked[:2]
     best, second = median(winner.values), median(runner_up.values)
     difference = compute_difference(runner_up, winner)
-    margin = ""
-    if difference is not None:
-        amount = format_difference(metric, difference, _sign(metric))
-        margin = f"; the difference, {PAIRED[difference.resampled]}, is {amount}"
+    margin = "" if difference is None else f"; {_describe_pairs(difference)}, the difference is "
+    margin += "" if difference is None else format_difference(metric, difference, _sign(metric))
     return (
         f"{format_median(metric, winner)}; the runner-up, {runner_up.method}, has "
         f"{format_median(metric, runner_up)}, {format_gap(metric, second, best)}{margin}"
     )
+
+
+def _describe_pairs(difference: PairedDifference) -> str:
+    return f"over {difference.runs} pairs of runs"
 
 
 def _describe_tie(ranking: Ranking) -> str:
@@ -187,27 +199,43 @@ def _describe_tie(ranking: Ranking) -> str:
         return (
             f"they differ by less than the accuracy of the ground truth ({format_amount(metric, noise_floor(metric))})"
         )
-    if ranking.why_tied == "no interval":
-        return "one run each, without an error for every scan, gives no interval"
     if ranking.why_tied == "within the margin":
         return f"they are less than {100 * MARGIN_SHARE:.0f} % {'or 2 mm ' if is_position(metric) else ''}apart"
     difference = compute_difference(second, first)
-    if difference is None:
-        return "they cannot be compared"
+    if ranking.why_tied == "one run" or difference is None or difference.detectable is None:
+        return f"{second.method} has no second run in common with {first.method}"
     bounds = difference.interval
     if bounds.low == bounds.high == 0.0 or difference.detectable < 0.05 * 10.0**-metric.digits:
         return "they are equal to every printed digit"
-    detectable = f"{format_number(difference.detectable, metric.digits + 1)}\u00a0{metric.unit}".rstrip()
     amount = format_difference(metric, difference, _sign(metric))
-    return (
-        f"{PAIRED[difference.resampled]}, {second.method} is worse by {amount}, which may be chance; these runs can "
-        f"detect a difference of {detectable}"
-    )
+    shown = f"{_describe_pairs(difference)}, {second.method} is worse by {amount}, which may be chance"
+    return f"{shown}; {_describe_need(metric, difference, min(median(first.values), median(second.values)))}"
+
+
+def _describe_need(metric: Metric, difference: PairedDifference, better: float) -> str:
+    """Return how many runs would settle a difference of the measured size, or what so many runs can detect."""
+    if abs(difference.interval.value) < margin(metric, better):
+        detectable = difference.detectable or 0.0
+        unit = f"{format_number(detectable, metric.digits + 1)}\u00a0{metric.unit}".rstrip()
+        return f"these runs can detect a difference of {unit}"
+    runs = f"more than {MAX_RUNS}" if difference.needed is None else f"about {max(difference.needed, MIN_RUNS)}"
+    return f"{runs} runs of each would settle a difference of this size"
 
 
 def _sign(metric: Metric) -> float:
     """Return the sign that makes "worse minus better" positive."""
     return -1.0 if metric.better == "higher" else 1.0
+
+
+def _describe_lost(ranking: Ranking) -> str:
+    lost = [(score.method, score.lost) for score in ranking.scores if score.lost is not None]
+    listed = join_words(f"{method} at {loss.at_s:.0f}\u00a0s ({strip_full_stop(loss.reason)})" for method, loss in lost)
+    return f"Lost the track and not ranked: {listed}." if lost else ""
+
+
+def _describe_tuned(ranking: Ranking) -> str:
+    tuned = [score.method for score in ranking.scores if score.tuned and score.values]
+    return f"Not ranked, because settings were chosen on these data: {join_words(tuned)}." if tuned else ""
 
 
 def _describe_reference(references: Sequence[str], ranking: Ranking) -> str:
@@ -217,28 +245,29 @@ def _describe_reference(references: Sequence[str], ranking: Ranking) -> str:
 
 def _reference_clause(label: str, ranking: Ranking) -> str:
     score = ranking.of(label)
-    wins = ranking.metric.group in WITH_TRUTH and ranking.repeated
-    if score is None or not score.rankable:
-        if score is not None and not score.registers:
-            return f"{label} is not ranked: it registered too few scans"
-        count = f"{score.complete} of {score.expected}" if score else "none"
-        return f"{label} is not ranked ({count} of its runs finished)"
-    first = ranking.ranked[0]
-    if score in ranking.tied:
-        return f"{label} {_reference_among_best(score, ranking, wins)}"
-    best, own = median(first.values), median(score.values)
-    figures = f"{format_amount(ranking.metric, own)} against {format_amount(ranking.metric, best)}"
-    return f"{label} {'loses' if wins else 'is behind'}, with {figures}: {format_gap(ranking.metric, own, best)}"
+    if score is None or score not in ranking.ranked:
+        return f"{label} is not ranked: {_explain_unranked(score)}"
+    place = f"{label} has {format_amount(ranking.metric, median(score.values))}, "
+    if not ranking.repeated:
+        return f"{place}place {ranking.ranked.index(score) + 1} of {len(ranking.ranked)} in this order"
+    standing, first, truth = mark(ranking, label), ranking.ranked[0], ranking.metric.group in WITH_TRUTH
+    if standing == "best":
+        return f"{label} {'wins' if truth else 'is ahead'}"
+    if standing == "worse":
+        best, own = median(first.values), median(score.values)
+        figures = f"{format_amount(ranking.metric, own)} against {format_amount(ranking.metric, best)}"
+        return f"{label} {'loses' if truth else 'is behind'}, with {figures}: {format_gap(ranking.metric, own, best)}"
+    if score is first:
+        return f"{label} has the best value, but not by a clear difference"
+    return f"{label} is tied with the best, {first.method}"
 
 
-def _reference_among_best(score: MethodScore, ranking: Ranking, wins: bool) -> str:
-    if ranking.winner is score:
-        return "wins" if wins else "is ahead"
-    if len(ranking.ranked) == 1:
-        return "is the only ranked method"
-    if score is ranking.ranked[0]:
-        return "has the best value, but not by a clear difference"
-    return f"is tied with the best, {ranking.ranked[0].method}"
+def _explain_unranked(score: MethodScore | None) -> str:
+    if score is None or not score.complete == score.expected == len(score.values):
+        return f"{score.complete if score else 'none'} of {score.expected if score else 'its'} runs finished"
+    if score.lost is not None:
+        return "it lost the track"
+    return "it registered too few scans" if not score.registers else "its settings were chosen on these data"
 
 
 def _describe_baseline(sequence: SequenceAnalysis, ranking: Ranking) -> str:
@@ -251,11 +280,10 @@ def _describe_baseline(sequence: SequenceAnalysis, ranking: Ranking) -> str:
         if behind and decided_by_maps(ranking):
             return f"Worse map than {baseline} alone, in every map metric: {join_words(s.method for s in behind)}."
         if behind:
-            amount = format_amount(ranking.metric, reference.median)
             listed = join_words(
                 f"{score.method} ({format_amount(ranking.metric, median(score.values))})" for score in behind
             )
-            return f"Worse than {baseline} alone ({amount}): {listed}."
+            return f"Worse than {baseline} alone ({format_amount(ranking.metric, reference.median)}): {listed}."
     return ""
 
 
@@ -266,5 +294,5 @@ def _describe_cost(sequence: SequenceAnalysis) -> str:
             first, last = (
                 f"{score.method} ({format_amount(metric, median(score.values))})" for score in (ranked[0], ranked[-1])
             )
-            return f"{capitalise(metric.label)}: best {first}, worst {last}."
+            return f"{capitalise(metric.label)}: {first} to {last}."
     return ""

@@ -35,8 +35,6 @@ def warn_of_evidence(ranking: Ranking) -> list[str]:
                 f"Over {correlation.support} maps with a known error, its Spearman correlation with that error was "
                 f"{correlation.value:.2f} (95\u00a0% interval {format_bounds(correlation, 2)})."
             )
-    if ranking.ranked and not ranking.repeated:
-        warnings.append("Each method ran once: the spread over repetitions is not known.")
     return warnings
 
 

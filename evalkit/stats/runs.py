@@ -1,0 +1,98 @@
+"""Intervals and tests whose unit is the run: Student's t over repetitions, on logarithms where values are positive."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from evalkit.core.se2 import Floats
+from evalkit.stats.intervals import CONFIDENCE, Interval
+from evalkit.stats.paired_tests import compute_power, detectable_standard_errors
+
+MIN_RUNS = 3
+"""Fewer runs have no interval of their median: that of two runs is 25 times as wide as their difference."""
+
+MAX_RUNS = 200
+"""A larger number of runs is not searched for."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairedRuns:
+    """The difference ``one - other`` of two methods over runs paired by repetition, in the unit of the values.
+
+    From the ratios of the pairs where all values are positive: ``interval`` is then the median of ``other`` times the
+    ratio's excess over one. ``error``: standard error, ``mean``: estimate, both on the scale of the t test.
+    """
+
+    interval: Interval
+    mean: float
+    error: float
+    scale: float
+
+    @property
+    def detectable(self) -> float:
+        """The difference that so many runs detect with 80 % power at 5 %."""
+        return self._in_unit(self.error * detectable_standard_errors(self.interval.support - 1))
+
+    def runs_needed(self, confidence: float = CONFIDENCE, power: float = 0.8) -> int | None:
+        """Return how many runs of each method show a difference of this size with 80 % power; None above 200."""
+        sd = self.error * math.sqrt(self.interval.support)
+        if sd == 0.0 or self.mean == 0.0:
+            return self.interval.support if self.mean else None
+
+        def detects(runs: int) -> bool:
+            return compute_power(abs(self.mean) / sd * math.sqrt(runs), runs - 1, 1.0 - confidence) >= power
+
+        found = bisect_left(range(2, MAX_RUNS + 1), True, key=detects) + 2
+        return found if found <= MAX_RUNS else None
+
+    def _in_unit(self, size: float) -> float:
+        return size if math.isnan(self.scale) else self.scale * math.expm1(min(size, 50.0))
+
+
+def runs_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval | None:
+    """Return the median of runs (N,) with the interval of Student's t over them; None for fewer than three runs.
+
+    On logarithms where all values are positive: run-to-run differences of errors are factors. The interval is that of
+    the median over all possible runs; another single run may lie outside.
+    """
+    series = np.asarray(values, dtype=np.float64)
+    if len(series) < MIN_RUNS:
+        return None
+    positive = bool((series > 0.0).all())
+    mean, error = _mean_and_error(np.log(series) if positive else series)
+    half = _critical(len(series) - 1, confidence) * error
+    low, high = (math.exp(bound) if positive else bound for bound in (mean - half, mean + half))
+    middle = float(np.median(series))
+    return Interval(middle, min(low, middle), max(high, middle), len(series), confidence)
+
+
+def paired_runs(one: ArrayLike, other: ArrayLike, confidence: float = CONFIDENCE) -> PairedRuns | None:
+    """Compare two methods over the same repetitions (N,) by the paired t test; None for fewer than two."""
+    first, second = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
+    count = len(first)
+    if count < 2:
+        return None
+    positive = bool((first > 0.0).all() and (second > 0.0).all())
+    mean, error = _mean_and_error(np.log(first) - np.log(second) if positive else first - second)
+    half = _critical(count - 1, confidence) * error
+    scale = float(np.median(second)) if positive else math.nan
+    value, low, high = (
+        scale * math.expm1(min(bound, 50.0)) if positive else bound for bound in (mean, mean - half, mean + half)
+    )
+    return PairedRuns(Interval(value, low, high, count, confidence), mean, error, scale)
+
+
+def _mean_and_error(series: Floats) -> tuple[float, float]:
+    centred = np.round(series, 12)  # equal runs have no spread, not one of rounding errors
+    return float(centred.mean()), float(centred.std(ddof=1)) / math.sqrt(len(centred))
+
+
+def _critical(freedom: int, confidence: float) -> float:
+    from scipy import stats
+
+    return float(stats.t.ppf(0.5 + confidence / 2.0, freedom))
