@@ -16,6 +16,7 @@ from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import DatasetSpec, Published
 from evalkit_datasets import catalog, reader_common
 from evalkit_datasets.carmen import Carmen
+from evalkit_datasets.columns import Columns
 from evalkit_datasets.rosbag import RosBag
 
 FLOOR_FILES = ("mac_1st_floor_final.pgm", "mac_1st_floor_final.yaml")
@@ -53,6 +54,7 @@ class RawCarmen(Carmen):
 READERS: Mapping[str, Callable[..., Sequence]] = {
     "carmen": Carmen,
     "raw carmen": RawCarmen,
+    "columns": Columns,
     "rosbag": RosBag,
     "rosbag with a floor map": RosBagWithFloorMap,
     "rosbag of a robot at rest": StaticRosBag,
@@ -61,7 +63,8 @@ READERS: Mapping[str, Callable[..., Sequence]] = {
 DATASETS = catalog.load_datasets()
 
 FILES: Mapping[str, tuple[str, ...]] = {
-    name: (*card["files"].values(), *card.get("beside", ())) for name, card in DATASETS.items()
+    name: tuple(dict.fromkeys((*card["files"].values(), *card.get("beside", ()), *card.get("drives", {}).values())))
+    for name, card in DATASETS.items()
 }
 """Files of the catalogue that each data set needs; the first is the recording."""
 
@@ -72,16 +75,18 @@ def find_raw(name: str) -> Mapping[str, Value]:
     return raw if raw and catalog.find_local(catalog.get_file(str(raw["path"]))) is not None else {}
 
 
-def needed_files(name: str) -> tuple[str, ...]:
-    """Return the files of the catalogue that a data set needs here; the first is the recording."""
-    raw = find_raw(name)
+def needed_files(name: str, drive: str = "") -> tuple[str, ...]:
+    """Return the files of the catalogue that a data set (one of its drives) needs here; the first is the recording."""
+    card, raw = DATASETS[name], find_raw(name)
+    if "drives" in card:
+        return (card["drives"][drive or next(iter(card["drives"]))],)
     return (str(raw["path"]), *FILES[name][1:]) if raw else FILES[name]
 
 
-def _open(name: str, **selection: Value) -> Sequence:
+def _open(name: str, drive: str = "", **selection: Value) -> Sequence:
     """Return the sequence of a data set; ``selection``: the parameters of its spec."""
     card, raw = DATASETS[name], find_raw(name)
-    located = [str(catalog.locate(file)) for file in needed_files(name)]
+    located = [str(catalog.locate(file)) for file in needed_files(name, drive)]
     files = dict(zip(card["files"], located, strict=False))  # those beside have no parameter
     how = {"how": card["truth"]} if "relations" in files else {}
     topic = {"topic": card["topics"][0]} if "topics" in card else {}
@@ -90,15 +95,19 @@ def _open(name: str, **selection: Value) -> Sequence:
     return reader(**{**files, **how, **topic, **own, **selection})
 
 
-def _describe_missing(name: str, **_: object) -> str:
-    return catalog.describe_missing(name, needed_files(name))
+def _describe_missing(name: str, drive: str = "", **_: object) -> str:
+    return catalog.describe_missing(name, needed_files(name, drive))
 
 
 def _make_spec(name: str) -> DatasetSpec:
     """Return the spec of a data set with the metadata of its recording."""
     card, file = DATASETS[name], catalog.get_file(FILES[name][0])
-    topics = tuple(card.get("topics", ()))
-    topic = [Parameter("topic", topics[0], "", "topic of the lidar", choices=topics)] if topics else []
+    choices = {"topic": ("topic of the lidar", card.get("topics")), "drive": ("recording", card.get("drives"))}
+    chosen = [
+        Parameter(key, next(iter(known)), "", meaning, choices=tuple(known))
+        for key, (meaning, known) in choices.items()
+        if known
+    ]
     return DatasetSpec(
         make=partial(_open, name),
         summary=card["summary"],
@@ -111,7 +120,7 @@ def _make_spec(name: str) -> DatasetSpec:
             Published(label, mean_m, sd_m, KUEMMERLE, "relations_all_mean_m", "relations_all_sd_m")
             for label, mean_m, sd_m in card.get("published", ())
         ),
-        parameters=(*topic, *reader_common.SELECTION),
+        parameters=(*chosen, *reader_common.SELECTION),
         missing=partial(_describe_missing, name),
         thinned_by="every",
         excerpts=card.get("excerpts", {}),
@@ -124,3 +133,4 @@ TURTLEBOT4 = _make_spec("turtlebot4")
 WHEELCHAIR = _make_spec("wheelchair")
 STATIC = _make_spec("static")
 BACKPACK = _make_spec("backpack")
+RPLIDAR_SLAMBOT = _make_spec("rplidar-slambot")
