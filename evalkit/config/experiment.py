@@ -19,12 +19,16 @@ from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief
 from evalkit.io.toml import load_toml
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, defaults, registry
-from evalkit.plugins.parameters import Value, resolve_parameters
+from evalkit.plugins.parameters import EXCERPT, NUISANCE, Value, resolve_parameters
 
 Item = TypeVar("Item")
 
 RESULTS = Path("evalkit-results")
 """Folder of the results folders of commands that are given none."""
+
+NUISANCE_KEYS = (NUISANCE, EXCERPT)
+MAX_NUISANCE = 64
+MIN_EXCERPT_SCANS = 50
 
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\.", re.IGNORECASE)
 
@@ -47,7 +51,9 @@ class Method:
 class SequenceSpec:
     """A data set with all its parameters except the seed, under a label.
 
-    ``seeds``: one per repetition, (None,) for a recording. ``missing``: why the data are not available here, or "".
+    ``seeds``: one per repetition. A recording has (None,), and the numbers of its perturbations (``plugins.nuisance``)
+    if it is ``perturbed``; with ``excerpt_scans`` every perturbation is an excerpt of so many scans, and the whole
+    recording is not run. ``missing``: why the data are not available here, or "".
     """
 
     label: str
@@ -55,10 +61,16 @@ class SequenceSpec:
     parameters: Mapping[str, Value]
     seeds: tuple[int | None, ...]
     missing: str = ""
+    perturbed: bool = False
+    excerpt_scans: int = 0
 
     def parameters_with_seed(self, seed: int | None) -> dict[str, Value]:
         """The parameters of one repetition."""
-        return dict(self.parameters) if seed is None else {**self.parameters, "seed": seed}
+        if seed is None:
+            return dict(self.parameters)
+        if not self.perturbed:
+            return {**self.parameters, "seed": seed}
+        return {**self.parameters, NUISANCE: seed} | ({EXCERPT: self.excerpt_scans} if self.excerpt_scans else {})
 
 
 @dataclass(frozen=True)
@@ -170,11 +182,12 @@ def load_experiment(path: Path) -> Experiment:
 def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, source: str) -> Experiment:
     """The experiment that TOML tables describe. ``file``: named in errors; ``source``: used in commands."""
     table = TomlTable(content, file)
-    table.check_keys(("title", "description", "timed", "mapper", "limits", "method", "sequence"))
+    table.check_keys(("title", "description", "timed", *NUISANCE_KEYS, "mapper", "limits", "method", "sequence"))
     timed = table.flag("timed", default=True)
     with table.errors():
         methods = tuple(_read_method(each) for each in table.tables("method", "an experiment"))
-        sequences = tuple(_read_sequence(each) for each in table.tables("sequence", "an experiment"))
+        repeats = _read_nuisance(table, (0, 0))
+        sequences = tuple(_read_sequence(each, repeats) for each in table.tables("sequence", "an experiment"))
         mapper = _read_mapper(table.table("mapper", " with use = NAME"))
     _require_distinct("method", [method.label for method in methods], file)
     _require_distinct("sequence", [sequence.label for sequence in sequences], file)
@@ -203,9 +216,20 @@ def _read_method(table: TomlTable) -> Method:
     return Method(label, use, parameters, spec.missing(), tuned_on)
 
 
-def _read_sequence(table: TomlTable) -> SequenceSpec:
+def _read_nuisance(table: TomlTable, default: tuple[int, int]) -> tuple[int, int]:
+    """The number of perturbations of each recording, and the scans of each (0: all)."""
+    count, scans = (table.whole_number(key, value) for key, value in zip(NUISANCE_KEYS, default, strict=True))
+    if count == 1 or count > MAX_NUISANCE:
+        raise table.bad_value(NUISANCE, f"0, or 2 to {MAX_NUISANCE} perturbations")
+    if 0 < scans < MIN_EXCERPT_SCANS:
+        raise table.bad_value(EXCERPT, f"0 for whole recordings, or at least {MIN_EXCERPT_SCANS} scans")
+    return count, scans
+
+
+def _read_sequence(table: TomlTable, repeats: tuple[int, int]) -> SequenceSpec:
     use, label = table.text("use"), _read_label(table)
-    given = flatten({key: value for key, value in table.content.items() if key not in ("use", "label", "seeds")})
+    own = ("use", "label", "seeds", *NUISANCE_KEYS)
+    given = flatten({key: value for key, value in table.content.items() if key not in own})
     with table.errors():
         spec = registry.dataset(use)
     table = table.labelled(label)
@@ -213,7 +237,10 @@ def _read_sequence(table: TomlTable) -> SequenceSpec:
         raise table.error(f"'seeds': {use} is a recording and has none; remove the key")
     if "seed" in given and spec.seeded:
         raise table.error("found 'seed'; write seeds = [0, 1, ...]")
-    seeds = table.whole_numbers("seeds", [0]) if spec.seeded else (None,)
+    if spec.seeded and any(key in table.content for key in NUISANCE_KEYS):
+        raise table.error(f"'nuisance': {use} has seeds; write seeds = [0, 1, ...]")
+    count, scans = (0, 0) if spec.seeded else _read_nuisance(table, repeats)
+    seeds: tuple[int | None, ...] = tuple(table.whole_numbers("seeds", [0])) if spec.seeded else (None,)
     parameters = resolve_parameters(table.place, spec.parameters, given)
     if spec.seeded:
         parameters.pop("seed")
@@ -223,7 +250,10 @@ def _read_sequence(table: TomlTable) -> SequenceSpec:
         raise table.error(str(error)) from error
     if missing and spec.suffixes:  # the user names a reader's files: a wrong path is a mistake of the file
         raise table.error(missing)
-    return SequenceSpec(label, use, parameters, seeds, missing)
+    if not count or missing:
+        return SequenceSpec(label, use, parameters, seeds, missing)
+    whole = () if scans else seeds
+    return SequenceSpec(label, use, parameters, (*whole, *range(1, count + 1)), perturbed=True, excerpt_scans=scans)
 
 
 def _read_mapper(table: TomlTable) -> MapperChoice:

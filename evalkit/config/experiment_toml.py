@@ -29,8 +29,12 @@ def format_experiment(experiment: Experiment) -> str:
         lines += _format_settings(method.parameters)
     for sequence in experiment.sequences:
         seeds = [seed for seed in sequence.seeds if seed is not None]
+        repeats = [f"nuisance = {len(seeds)}", f"nuisance_scans = {sequence.excerpt_scans}"]
         lines += ["", "[[sequence]]", f"use = {_format_text(sequence.dataset)}"]
-        lines += [f"label = {_format_text(sequence.label)}", *([f"seeds = {seeds}"] if seeds else [])]
+        lines += [
+            f"label = {_format_text(sequence.label)}",
+            *(repeats if sequence.perturbed else [f"seeds = {seeds}"] if seeds else []),
+        ]
         lines += _format_settings(sequence.parameters)
     return "\n".join(lines) + "\n"
 

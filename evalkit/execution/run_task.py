@@ -186,7 +186,7 @@ def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: Run
     if core is not None:
         os.sched_setaffinity(0, {core})
     backend, mapper = registry.backend(spec.method.backend), registry.mapper(settings.mapper.name)
-    sequence = registry.dataset(spec.sequence.dataset).make(**spec.dataset_parameters)
+    sequence = registry.dataset(spec.sequence.dataset).open(spec.dataset_parameters)
     if isinstance(backend, MapSpec):
         scores = evaluate.evaluate_map(result, backend.make(**spec.method.parameters), sequence)
     else:

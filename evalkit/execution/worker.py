@@ -28,7 +28,8 @@ from evalkit.io.output_files import write_text
 from evalkit.odometry import frontend
 from evalkit.odometry.run_odometry import run_odometry
 from evalkit.plugins import registry
-from evalkit.plugins.parameters import Value
+from evalkit.plugins.nuisance import perturb_parameters
+from evalkit.plugins.parameters import NUISANCE, Value
 from evalkit.plugins.protocols import Odometry, Sequence
 from evalkit.plugins.specs import DatasetSpec, MapSpec
 
@@ -80,16 +81,20 @@ def execute_request(request: Request, folder: Path) -> RunResult:
             raise NotInstalled(request.backend, "not installed", why)
         _write_json(folder / "started.json", {"reading": True})
         dataset = registry.dataset(request.dataset)
-        sequence: Sequence = dataset.make(**request.dataset_parameters)
+        sequence: Sequence = dataset.open(request.dataset_parameters)
         if isinstance(spec, MapSpec):
             spec.make(**request.backend_parameters)  # raises if the file cannot be read
             return RunResult(NO_STEPS, expected, peak_memory_bytes=_peak_memory_bytes())
+        values = request.backend_parameters
+        if NUISANCE in request.dataset_parameters:
+            perturbation = int(request.dataset_parameters[NUISANCE])
+            values = perturb_parameters(values, frontend.settable_parameters(spec), perturbation)
         expected = len(sequence)
         every = _find_scan_stride(dataset, request)
         started = {"expected": expected, "every": every}
         _write_json(folder / "started.json", started)  # in case the back end kills this process in its warm-up
-        warm = _warm_up(frontend.make_odometry(spec, request.backend_parameters), sequence)
-        odometry = frontend.make_odometry(spec, request.backend_parameters)
+        warm = _warm_up(frontend.make_odometry(spec, values), sequence)
+        odometry = frontend.make_odometry(spec, values)
         _write_json(folder / "started.json", started | {"warm_up_scans": warm})
         with (folder / "steps.bin").open("ab", buffering=0) as file:
             record_run(odometry, sequence, request, file)

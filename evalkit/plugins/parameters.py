@@ -20,6 +20,9 @@ from evalkit.core.errors import BadParameter, UnknownName
 
 Value = bool | int | float | str
 
+NUISANCE, EXCERPT = "nuisance", "nuisance_scans"
+"""Reserved parameters of a recording: the number of its perturbation, and the scans of an excerpt (0: all)."""
+
 _KEY = "evalkit parameter"
 _EXPECTED: dict[type, str] = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from evalkit.plugins.parameters import Parameter, Value, declared_parameters
+from evalkit.plugins.parameters import EXCERPT, NUISANCE, Parameter, Value, declared_parameters
 
 if TYPE_CHECKING:
     from evalkit.core.grid import OccupancyGrid
@@ -216,6 +216,16 @@ class DatasetSpec:
     thinned_by: str = ""
     excerpts: Mapping[Excerpt, Mapping[str, Value]] = field(default_factory=dict)
     choose: Callable[[Mapping[str, Value]], Iterable[Choice]] | None = None
+
+    def open(self, parameters: Mapping[str, Value]) -> Sequence:
+        """Make the sequence of a run, perturbed if the parameters contain the reserved ones of a perturbation."""
+        own = {name: value for name, value in parameters.items() if name not in (NUISANCE, EXCERPT)}
+        sequence = self.make(**own)
+        if NUISANCE not in parameters:
+            return sequence
+        from evalkit.plugins.nuisance import PerturbedSequence  # noqa: PLC0415 - loads NumPy
+
+        return PerturbedSequence(sequence, int(parameters[NUISANCE]), int(parameters.get(EXCERPT, 0)))
 
 
 def make_first_stage_parameter(parameter: Parameter, default: Value) -> Parameter:

@@ -54,8 +54,8 @@ def build_comparison(
 
 def open_sequence(sequence: SequenceSpec) -> Callable[[], SensorSequence]:
     """Return a function that opens a sequence at its lowest seed."""
-    seed = min((seed for seed in sequence.seeds if seed is not None), default=None)
-    return lambda: registry.dataset(sequence.dataset).make(**sequence.parameters_with_seed(seed))
+    seed = min(sequence.seeds, key=lambda one: -1 if one is None else one)
+    return lambda: registry.dataset(sequence.dataset).open(sequence.parameters_with_seed(seed))
 
 
 def sort_runs(experiment: Experiment, runs: Sequence[RunRecord]) -> tuple[RunRecord, ...]:

@@ -16,8 +16,12 @@ from evalkit.core.errors import StoreError
 from evalkit.core.ground_truth import Truth
 from evalkit.core.se2 import Floats
 from evalkit.io import untrusted_io
+from evalkit.plugins.parameters import EXCERPT, NUISANCE
 from evalkit.results.run_record import RunRecord
 from evalkit.results.store import RESULT, Store, read_steps
+
+REPETITION = ("seed", NUISANCE, EXCERPT)
+"""Parameters of a sequence that belong to one repetition."""
 
 RESULTS_NAME, RESULTS_VERSION = "evalkit-results", 3
 """Name and schema version of results.json."""
@@ -104,9 +108,12 @@ def load_run(folder: Path, entry: Mapping[str, Any], truth: Truth) -> RunRecord:
     if result is None or scores is None or answered != expected:
         missing = "its alignment and map are missing" if answered == expected else f"{answered} of {expected} poses"
         raise StoreError(str(store.run_folder(entry["key"])), f"incomplete: {missing}", "write the report again")
-    parameters = {name: value for name, value in entry["dataset_parameters"].items() if name != "seed"}
+    parameters = {name: value for name, value in entry["dataset_parameters"].items() if name not in REPETITION}
     method = Method(entry["method"], entry["backend"], entry["backend_parameters"])
-    sequence = SequenceSpec(entry["sequence"], entry["dataset"], parameters, (entry["seed"],))
+    given = entry["dataset_parameters"]
+    sequence = SequenceSpec(
+        entry["sequence"], entry["dataset"], parameters, (entry["seed"],), "", NUISANCE in given, given.get(EXCERPT, 0)
+    )
     spec = RunSpec(entry["key"], method, sequence, entry["seed"])
     return RunRecord(spec, result, replace(scores, alignment=entry["alignment"]), truth, entry["command"])
 
@@ -141,7 +148,7 @@ def _load_reported(folder: Path) -> StoredResults:
 
 
 def _entry_run(folder: Path, entry: Mapping[str, Any]) -> StoredRun:
-    parameters = {name: value for name, value in entry["dataset_parameters"].items() if name != "seed"}
+    parameters = {name: value for name, value in entry["dataset_parameters"].items() if name not in REPETITION}
     own = folder / "runs" / Path(str(entry["key"])).name  # stays inside the folder, whatever the file says
     return StoredRun(entry["status"], entry["reason"], parameters, _score_values(entry["scores"]), *_load_errors(own))
 
@@ -170,7 +177,7 @@ def _load_unreported_run(own: Path, result: Mapping[str, Any]) -> tuple[RunName,
     request = _load_object(own / "request.json")
     scores = _load_object(own / "scores.json")["scores"] if (own / "scores.json").exists() else {}
     parameters = dict(request.get("dataset_parameters", {}))
-    name = (result["method"], result["sequence"], parameters.pop("seed", None))
+    name = (result["method"], result["sequence"], parameters.pop("seed", parameters.pop(NUISANCE, None)))
     return name, StoredRun(result["status"], result["reason"], parameters, _score_values(scores), *_load_errors(own))
 
 

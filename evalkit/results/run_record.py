@@ -68,6 +68,6 @@ def _load_truth(spec: RunSpec) -> Truth:
     if spec.sequence.missing:
         return Truth("the data are not available here")
     try:
-        return registry.dataset(spec.sequence.dataset).make(**spec.dataset_parameters).truth()
+        return registry.dataset(spec.sequence.dataset).open(spec.dataset_parameters).truth()
     except Exception as error:  # noqa: BLE001 - an error of the reader, which is the reason of each of its runs too
         return Truth(f"cannot be read: {error}")

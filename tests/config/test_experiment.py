@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from evalkit.config.experiment import Limits, experiment_from_tables, load_experiment
+from evalkit.config.experiment_toml import format_experiment
 from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.plugins import registry
 
@@ -349,3 +350,42 @@ def test_no_label_places_a_run_outside_its_folder(label):
     assert re.fullmatch(r"\w[\w.-]*", run.key)
     assert len(f"{run.key}.yaml.part".encode()) < 200
     assert not run.key.lower().startswith(("nul.", "con."))
+
+
+# perturbed recordings
+
+
+def test_nuisance_repeats_recordings_under_perturbations_and_leaves_seeded_worlds_alone(log):
+    sequences = ({"use": "carmen", "path": str(log)}, {"use": "room", "seeds": [4]})
+    plain, found = plan_runs(sequences=sequences), plan_runs(sequences=sequences, nuisance=3)
+    assert [sequence.seeds for sequence in found.sequences] == [(None, 1, 2, 3), (4,)]
+    runs = [run for run in found.runs() if run.sequence.dataset == "carmen"]
+    assert [run.dataset_parameters.get("nuisance") for run in runs] == [None, 1, 2, 3]
+    assert len({run.key for run in runs}) == 4
+    assert runs[0].key == next(plain.runs()).key  # the unperturbed run stays the same
+    assert found.command(runs[2]).split(" --seed ")[1].startswith("2 ")
+    assert "nuisance" not in next(run for run in found.runs() if run.seed == 4).dataset_parameters
+
+
+def test_excerpts_replace_the_whole_recording_and_a_sequence_overrides_the_experiment(log):
+    own = {"use": "carmen", "path": str(log), "nuisance": 2, "nuisance_scans": 100}
+    (sequence,) = plan_runs(sequences=[own], nuisance=9).sequences
+    assert (sequence.seeds, sequence.excerpt_scans) == ((1, 2), 100)
+    assert sequence.parameters_with_seed(2) == {**sequence.parameters, "nuisance": 2, "nuisance_scans": 100}
+    written = tomllib.loads(format_experiment(plan_runs(sequences=[own])))["sequence"][0]
+    assert (written["nuisance"], written["nuisance_scans"]) == (2, 100)
+
+
+@pytest.mark.parametrize(
+    ("keys", "part"),
+    [
+        ({"nuisance": 1}, "expected 0, or 2 to 64 perturbations"),
+        ({"nuisance": 65}, "expected 0, or 2 to 64 perturbations"),
+        ({"nuisance": 8, "nuisance_scans": 20}, "expected 0 for whole recordings, or at least 50 scans"),
+    ],
+)
+def test_numbers_of_perturbations_are_checked(log, keys, part):
+    with pytest.raises(BadExperiment, match=part):
+        plan_runs(sequences=[{"use": "carmen", "path": str(log)}], **keys)
+    with pytest.raises(BadExperiment, match=r"room has seeds; write seeds = \[0, 1, ...\]"):
+        plan_runs(sequences=[{"use": "room", "nuisance": 4}])

@@ -10,6 +10,7 @@ from evalkit.metrics import METRICS
 from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.analysis.ranking import mark
+from evalkit.report.analysis.scores import NuisanceBand
 from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.report.analysis.verdict import compute_verdict
 from evalkit.report.formatting import format_gap, join_words
@@ -226,6 +227,26 @@ def test_without_ground_truth_worse_than_odometry_requires_every_metric(record, 
     once = _maps(record, build, runs=1, wheel=wheel, a=(0.20, 0.03, 0.05, 0.04))
     assert "than wheel alone" not in _verdict_text(one) + _verdict_text(once)
     assert "Worse map than wheel alone, in every map metric: a." in _verdict_text(every)
+
+
+def test_a_recording_is_judged_by_its_perturbed_runs(record, build):
+    """Without ground truth, every map metric agrees in each of four perturbed runs; the band is their range."""
+
+    def perturbed(run):
+        sequence = replace(run.spec.sequence, perturbed=True)
+        return replace(run, spec=replace(run.spec, sequence=sequence))
+
+    plain = _maps(record, build, runs=4, a=(0.10, 0.02, 0.04, 0.03), b=(0.20, 0.03, 0.05, 0.04))
+    comparison = replace(plain, records=tuple(map(perturbed, plain.records)))
+    assert verdict(comparison).outcome == "winner"
+    score = analyse_sequence(comparison, "room").deciding.of("a")
+    assert score.band == NuisanceBand(pytest.approx(0.10), pytest.approx(0.103), 4)
+    said = _verdict_text(comparison)
+    assert "a is ahead on halves of the run apart: 0.102 m (0.100 to 0.103 in 4 perturbed runs)" in said
+    assert "The spread is that of 4 runs of this recording" in said
+    assert "perturbed" not in _verdict_text(plain)
+    assert "spread is that of" not in _verdict_text(plain)
+    assert analyse_sequence(plain, "room").deciding.of("a").band is None
 
 
 def test_methods_that_lost_the_track_are_not_ranked(record, build):

@@ -154,7 +154,7 @@ def _open_sequences(
         if name in opened or not one["scans_answered"]:
             continue
         try:
-            opened[name] = registry.dataset(one["dataset"]).make(**one["dataset_parameters"])
+            opened[name] = registry.dataset(one["dataset"]).open(one["dataset_parameters"])
         except (EvalkitError, TypeError) as error:  # TypeError: a stored parameter that the reader does not have
             remarks[f"{one['sequence']}: without scans and ground truth ({error})"] = None
     return opened, list(remarks)

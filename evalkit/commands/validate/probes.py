@@ -192,7 +192,7 @@ def load_backend(backend: Plugin) -> ComparedBackend:
 
 def load_sequence(on: Data) -> Sequence:
     """The sequence of a data set and its parameters."""
-    return registry.dataset(on["dataset"]).make(**on["parameters"])
+    return registry.dataset(on["dataset"]).open(on["parameters"])
 
 
 def _perturb(frame: Frame, rng: np.random.Generator) -> Frame:

@@ -39,6 +39,15 @@ STATUS_LABELS: dict[RunStatus, str] = {
 
 
 @dataclass(frozen=True, slots=True)
+class NuisanceBand:
+    """The lowest and highest value over ``runs`` of a recording under small perturbations, which must not matter."""
+
+    low: float
+    high: float
+    runs: int
+
+
+@dataclass(frozen=True, slots=True)
 class MethodScore:
     """One metric of one method over one sequence, in the metric's unit.
 
@@ -48,7 +57,7 @@ class MethodScore:
     ``draws``: bootstrap draws of each value, None where the metric has none. ``interval``: the median over the runs
     with its 95 % interval: over three or more runs by Student's t; of one run by its draws, which describes this run
     alone; else None. ``lost``: the first loss of the track in one of its runs, None if all held it. ``tuned``: settings
-    of the method were chosen on this data set.
+    of the method were chosen on this data set. ``perturbed``: the repetitions are perturbations of a recording.
     """
 
     method: str
@@ -64,6 +73,14 @@ class MethodScore:
     interval: Interval | None = None
     lost: LostTrack | None = None
     tuned: bool = False
+    perturbed: bool = False
+
+    @property
+    def band(self) -> NuisanceBand | None:
+        """The spread over the perturbations of a recording; None without them."""
+        if not self.perturbed or len(self.values) < 2:
+            return None
+        return NuisanceBand(min(self.values), max(self.values), len(self.values))
 
     @property
     def median(self) -> float | None:
@@ -109,6 +126,7 @@ def compute_score(
         runs_interval(values) if len(values) > 1 else _compute_interval(values, draws, support),
         None if metric.group == "runtime" else find_loss(runs),
         tuned and metric.group != "runtime",
+        runs[0].spec.sequence.perturbed,
     )
 
 

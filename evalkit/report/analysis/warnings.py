@@ -35,6 +35,13 @@ def warn_of_evidence(ranking: Ranking) -> list[str]:
                 f"Over {correlation.support} maps with a known error, its Spearman correlation with that error was "
                 f"{correlation.value:.2f} (95\u00a0% interval {format_bounds(correlation, 2)})."
             )
+    band = next((score.band for score in ranking.ranked if score.band is not None), None)
+    if band is not None:
+        warnings.append(
+            f"The spread is that of {band.runs} runs of this recording with a later start, fewer beams, noise at the "
+            "resolution of the ranges, and lengths among the parameters changed by at most 1\u00a0%, the same for all "
+            "methods; another recording may differ by more."
+        )
     return warnings
 
 
