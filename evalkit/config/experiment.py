@@ -132,7 +132,8 @@ class Experiment:
     def runs(self) -> Iterator[RunSpec]:
         """Every run, with the methods interleaved in each repetition and every second repetition in reverse: AB BA AB.
 
-        So a slow hour affects all methods alike, and no method always runs first or after the same method.
+        So a slow hour affects all methods alike where all runs are of one call, and no method always runs first or
+        after the same method.
         """
         yield from self._runs
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from enum import StrEnum
 from typing import Any
 
@@ -103,6 +103,50 @@ exist or does not report it. The reports of an odometry about itself fill the se
 
 NO_STEPS = np.zeros(0, dtype=STEP)
 
+DISTURBED = "disturbed"
+"""Name of the runs that ``--rerun`` executes again because of their conditions, beside the statuses."""
+
+MAX_OTHER_PERCENT, MAX_STEAL_PERCENT, MAX_WAITED_PERCENT = 5.0, 2.0, 5.0
+"""Beyond one of these a run was disturbed: its times say something about the machine too."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunConditions:
+    """The machine during a run; None: not known.
+
+    ``load``: mean of the load averages over one minute before and after. ``mhz``: mean frequency. In percent of wall
+    time: ``other_percent``, CPU time of other processes on the run's core; ``steal_percent``, time that the hypervisor
+    took from it; ``waited_percent``, time the run's main thread was ready but not running. ``threads``: of the run's
+    process at its end; ``busy_threads``: those that took at least 1 % of its CPU time. ``pools``: thread pools of the
+    loaded libraries with their sizes, "" if not known.
+    """
+
+    load: float | None = None
+    mhz: float | None = None
+    other_percent: float | None = None
+    steal_percent: float | None = None
+    waited_percent: float | None = None
+    threads: int | None = None
+    busy_threads: int | None = None
+    pools: str = ""
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name != "pools" and value is not None and not (0.0 <= value < np.inf):
+                raise ValueError(f"{item.name}: expected a finite number from 0, got {value}")
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether other processes or the hypervisor took more than a little of the run's core."""
+        waited = 0.0 if (self.busy_threads or 1) > 1 else self.waited_percent or 0.0  # own threads wait for each other
+        other, stolen = self.other_percent or 0.0, self.steal_percent or 0.0
+        return other > MAX_OTHER_PERCENT or stolen > MAX_STEAL_PERCENT or waited > MAX_WAITED_PERCENT
+
+    def as_dict(self) -> dict[str, float | str | bool | None]:
+        """All values with ``disturbed``, for JSON."""
+        return {**asdict(self), DISTURBED: self.disturbed}
+
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
@@ -114,6 +158,7 @@ class RunResult:
     ``warm_up_scans``: scans given to a separate instance of the back end before timing starts. ``notes``: counts
     reported by the reader of the sequence. ``every``: the sequence holds one in ``every`` scans of the sensor.
     ``provenance``: when and on which machine the run was executed, with which versions and limits (JSON values).
+    ``conditions``: what else the machine did meanwhile; None if the run was not executed.
     """
 
     steps: NDArray[np.void]
@@ -125,6 +170,7 @@ class RunResult:
     notes: Mapping[str, int] = field(default_factory=dict)
     every: int = 1
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    conditions: RunConditions | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "steps", self.steps, (None,), STEP)

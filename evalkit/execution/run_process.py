@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 
 from evalkit.config.experiment import Limits
 from evalkit.core.run_result import STEP, Cause, RunResult
+from evalkit.execution.conditions import ConditionsMeter
 from evalkit.execution.subprocesses import OUTPUT, ChildProcess, Usage
 from evalkit.execution.worker import Request
 from evalkit.io import untrusted_io
@@ -21,7 +22,7 @@ from evalkit.results.store import STEPS, whole_records
 REQUEST, STARTED, OUTCOME = "request.json", "started.json", "outcome.json"
 
 KNOWN = {"cause": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
-         "every": int, "reading": bool}  # fmt: skip
+         "every": int, "reading": bool, "conditions": dict}  # fmt: skip
 """Keys and types accepted from ``STARTED`` and ``OUTCOME``, because a back end can write to the folder of its run."""
 
 Ending = tuple[Cause, str]
@@ -47,7 +48,7 @@ def run(
     write_text(folder / REQUEST, json.dumps(asdict(request), indent=1))
     with answers:
         with ChildProcess("evalkit.execution.worker", folder, threads) as child:
-            supervision = _Supervision(child, folder, limits, answers)
+            supervision = _Supervision(child, folder, limits, answers, ConditionsMeter(request.core))
             ending = supervision.wait(report_answers, stop)
         return supervision.result(ending)
 
@@ -58,8 +59,10 @@ class _Supervision:
     ``answers``: the file that the run appends to, open for reading: answers survive a removed folder.
     """
 
-    def __init__(self, child: ChildProcess, folder: Path, limits: Limits, answers: BinaryIO) -> None:
-        self._child, self._folder, self._limits, self._answers = child, folder, limits, answers
+    def __init__(
+        self, child: ChildProcess, folder: Path, limits: Limits, answers: BinaryIO, meter: ConditionsMeter
+    ) -> None:
+        self._child, self._folder, self._limits, self._answers, self._meter = child, folder, limits, answers, meter
         self._started: dict[str, Any] = {}
         self._peak_bytes = 0
 
@@ -73,6 +76,7 @@ class _Supervision:
         for used in self._child.watch():
             self._started = _read(self._folder / STARTED) or self._started
             self._peak_bytes = max(self._peak_bytes, used.resident_bytes)
+            self._meter.update(used.cpu_s)
             grown = os.fstat(self._answers.fileno()).st_size
             if grown > size or self._started.get("reading"):  # indexing a recording of a day may take minutes
                 last_answer = used
@@ -99,6 +103,7 @@ class _Supervision:
         if cause not in set(Cause) or (cause != Cause.COMPLETED and not reason):
             ending = ending or _ending_without_outcome(self._child, self._folder)
         cause, reason = ending or (Cause(cause), reason)
+        values["conditions"] = self._meter.conclude(values.get("conditions", {}))
         return RunResult(steps, cause=cause, reason=reason, **values)
 
 

@@ -7,7 +7,7 @@ from contextlib import closing, nullcontext
 from dataclasses import asdict, dataclass, field
 
 from evalkit.config.experiment import Experiment, RunSpec
-from evalkit.core.run_result import Cause, RunResult, RunStatus
+from evalkit.core.run_result import DISTURBED, Cause, RunResult, RunStatus
 from evalkit.execution import run_task
 from evalkit.execution.executors import Executor, Progress
 from evalkit.execution.run_task import PendingRun, RunSettings
@@ -25,15 +25,16 @@ LIMITED = (RunStatus.TIMEOUT, RunStatus.OUT_OF_MEMORY)
 class Scheduler:
     """Decides for every run whether a stored result is used or the run is executed.
 
-    ``resume``: use final results, but execute runs with a status in ``rerun`` again. ``collect``: execute no run;
-    missing runs are skipped. ``environment``: description of the machine, kept with every executed run.
+    ``resume``: use final results, but execute runs with a status in ``rerun`` again, and the disturbed ones with
+    ``DISTURBED`` in it. ``collect``: execute no run; missing runs are skipped. ``environment``: description of the
+    machine, kept with every executed run.
     """
 
     store: Store
     progress: Progress
     environment: Mapping[str, str] = field(default_factory=dict)
     resume: bool = False
-    rerun: frozenset[RunStatus] = frozenset()
+    rerun: frozenset[str] = frozenset()
     collect: bool = False
 
     def run(self, experiment: Experiment, executor: Executor) -> Generator[tuple[RunSpec, RunResult]]:
@@ -82,6 +83,8 @@ class Scheduler:
         if result is None or self.collect:
             return result
         if result.status in self.rerun or (settings.timed and not result.provenance.get("timed", True)):
+            return None
+        if DISTURBED in self.rerun and result.conditions is not None and result.conditions.disturbed:
             return None
         same_limits = result.provenance.get("limits") == asdict(settings.limits)
         return result if result.status in FINAL or (result.status in LIMITED and same_limits) else None

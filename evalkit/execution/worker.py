@@ -11,7 +11,7 @@ import os
 import sys
 import time
 import traceback
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,6 +23,7 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
 from evalkit.core.scan import Frame
 from evalkit.core.timing import CallTiming
+from evalkit.execution.conditions import WaitingMeter, measure_own_threads
 from evalkit.execution.subprocesses import end_with_parent
 from evalkit.io.output_files import write_text
 from evalkit.odometry import frontend
@@ -62,7 +63,8 @@ def main() -> int:
     if request.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {request.core})
     result = execute_request(request, folder)
-    _write_json(folder / "outcome.json", {name: value for name, value in vars(result).items() if name != "steps"})
+    outcome = {name: value for name, value in asdict(result).items() if name not in ("steps", "provenance")}
+    _write_json(folder / "outcome.json", outcome)
     return 0
 
 
@@ -75,6 +77,7 @@ def execute_request(request: Request, folder: Path) -> RunResult:
     expected = warm = 0
     every = 1
     cause, reason = Cause.COMPLETED, ""
+    conditions = None
     try:
         spec = registry.backend(request.backend)
         if why := spec.missing():
@@ -96,12 +99,16 @@ def execute_request(request: Request, folder: Path) -> RunResult:
         warm = _warm_up(frontend.make_odometry(spec, values), sequence)
         odometry = frontend.make_odometry(spec, values)
         _write_json(folder / "started.json", started | {"warm_up_scans": warm})
+        waiting = WaitingMeter()
         with (folder / "steps.bin").open("ab", buffering=0) as file:
             record_run(odometry, sequence, request, file)
+        conditions = measure_own_threads(waiting.percent())
         notes = dict(sequence.notes())
     except Exception as error:  # noqa: BLE001 - an exception of a third party's code is a result to report
         cause, reason = cause_of(error)
-    return RunResult(NO_STEPS, expected, cause, plain(reason), _peak_memory_bytes(), warm, notes, every)
+    return RunResult(
+        NO_STEPS, expected, cause, plain(reason), _peak_memory_bytes(), warm, notes, every, conditions=conditions
+    )
 
 
 def cause_of(error: Exception) -> tuple[Cause, str]:

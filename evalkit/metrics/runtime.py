@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from evalkit.core.arrays import Ints
 from evalkit.core.run_result import RunResult, Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.table import NO_POSES, Evidence, make_metrics, make_score
@@ -24,6 +25,16 @@ def period_ns(run: RunResult) -> float:
     sequence.
     """
     return float(np.median(np.diff(run.steps["stamp_ns"]))) / run.every
+
+
+def work_ns(run: RunResult) -> Ints:
+    """Return the CPU time (N,) of each scan in ns, of a device its own time; zeros where neither was measured."""
+    return run.steps["cpu_ns"] if run.steps["cpu_ns"].any() else run.steps["device_ns"]
+
+
+def late_share(run: RunResult) -> float:
+    """Return the share of the scans that took more work than the sensor's period; 0 for fewer than two scans."""
+    return float(np.mean(work_ns(run) > period_ns(run))) if len(run.steps) > 1 else 0.0
 
 
 def _score_milliseconds(field: str, statistic: Callable[[Floats], np.floating], evidence: Evidence) -> Score:
@@ -47,13 +58,21 @@ def _score_real_time_factor(evidence: Evidence) -> Score:
     run = evidence.run
     if len(run.steps) < 2:
         return Score(None, len(run.steps), _TOO_FEW)
-    mean = run.steps["cpu_ns"].mean() or run.steps["device_ns"].mean()
-    if mean == 0:
+    if not work_ns(run).any():
         return Score(None, len(run.steps), NOT_MEASURED["cpu_ns"])
-    return make_score(period_ns(run) / mean, len(run.steps))
+    return make_score(period_ns(run) / work_ns(run).mean(), len(run.steps))
 
 
 def _score_late(evidence: Evidence) -> Score:
+    run = evidence.run
+    if len(run.steps) < 2:
+        return Score(None, len(run.steps), _TOO_FEW)
+    if not work_ns(run).any():
+        return Score(None, len(run.steps), NOT_MEASURED["cpu_ns"])
+    return make_score(100.0 * late_share(run), len(run.steps))
+
+
+def _score_late_wall(evidence: Evidence) -> Score:
     run = evidence.run
     if len(run.steps) < 2:
         return Score(None, len(run.steps), _TOO_FEW)
@@ -94,6 +113,7 @@ METRICS = make_metrics(
         "conversion_percent": _score_conversion,
         "real_time_factor": _score_real_time_factor,
         "late_percent": _score_late,
+        "late_wall_percent": _score_late_wall,
         "peak_memory_mib": _score_memory,
         "harness_median_ms": partial(_score_milliseconds, "harness_ns", np.median),
     },

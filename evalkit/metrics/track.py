@@ -4,7 +4,7 @@ A track is lost where its motion over a window differs from a reference by more 
 path, or by ``MAX_TURN`` and ``MAX_SHARE`` of the turns: far beyond the drift of a working method. References, as far
 as they exist: the true trajectory, the relations, the wheel odometry. The odometry may be wrong itself (slip, a lifted
 robot), so a difference from it counts only where the scans at both ends of the window fit the odometry better. Without
-all three, a jump beyond the track's own speeds counts where the scans fit no motion, or the motion before, better.
+all three, long steps count where the scans fit the motion before them better.
 """
 
 from __future__ import annotations
@@ -46,6 +46,9 @@ NEAR_M, MIN_FIT, MIN_BETTER = 0.15, 0.3, 0.1
 Another motion fits better if its share is at least ``MIN_FIT`` and larger by ``MIN_BETTER``.
 """
 
+MIN_KNOWN = 0.95
+"""Where the truth is known at fewer of the scans, the other references count too."""
+
 NO_POINTS = np.zeros((0, 2))
 
 MAX_JUDGED = 200
@@ -60,13 +63,16 @@ def find_lost_track(evidence: Evidence, frames: Callable[[], Iterable[Frame]]) -
     estimate, truth = evidence.run.estimate, evidence.truth
     if len(estimate) < 2:
         return None
+    described: list[LostTrack] = []
+    known = 0
     if truth.trajectory is not None:
         tracks = _make_tracks(estimate, truth.trajectory)
+        known = len(tracks.stamps_ns)
         found = [*islice(_find_windows(tracks), 1), *islice(_find_long_windows(tracks), 1)]
-        described = [_describe(estimate, tracks, *window, "the ground truth") for window in found]
-        return min(described, key=lambda lost: lost.at_s, default=None)
-    described = [] if truth.relations is None else _find_wrong_relation(estimate, truth.relations)
-    described += _find_contradicted_by_scans(estimate, evidence.odometry, frames)
+        described += [_describe(estimate, tracks, *window, "the ground truth") for window in found]
+    if known < MIN_KNOWN * len(estimate):
+        described += [] if truth.relations is None else _find_wrong_relation(estimate, truth.relations)
+        described += _find_contradicted_by_scans(estimate, evidence.odometry, frames)
     return min(described, key=lambda lost: lost.at_s, default=None)
 
 
@@ -179,7 +185,10 @@ def _find_contradicted_by_scans(
     """The first window whose scans fit another motion better: that of the odometry, or without it the one before."""
     reference = _without_jumps(estimate) if odometry is None else odometry
     tracks = _make_tracks(estimate, reference)
-    windows = list(islice(_find_windows(tracks), MAX_JUDGED))
+    steps = np.arange(len(tracks.stamps_ns))
+    long_steps = np.flatnonzero(tracks.are_wrong(steps[:-1], steps[1:])).tolist()  # no motion lasts for a whole window
+    found = ((first, first + 1) for first in long_steps) if odometry is None else _find_windows(tracks)
+    windows = list(islice(found, MAX_JUDGED))
     points = _collect_points(frames, {int(tracks.stamps_ns[index]) for window in windows for index in window})
     name = "the motion before" if odometry is None else "the wheel odometry"
     for first, last in windows:
@@ -192,10 +201,10 @@ def _find_contradicted_by_scans(
 
 
 def _without_jumps(estimate: Trajectory) -> Trajectory:
-    """The track with the speed before each jump kept during the jump."""
+    """The track with the speed before each long step kept during that step."""
     steps = se2.between(estimate.poses[:-1], estimate.poses[1:])
     seconds = np.diff(estimate.stamps_ns) * 1e-9
-    jumps = _find_jumps(steps, estimate.stamps_ns)
+    jumps = _find_jumps(steps, estimate.stamps_ns, 0.0)  # any long step; the scans tell a fast robot from a lost one
     before = np.maximum.accumulate(np.where(jumps, -1, np.arange(len(steps))))  # the last step that was no jump
     kept = np.where((before >= 0)[:, None], steps[before] * (seconds / seconds[before])[:, None], 0.0)
     steps[jumps] = kept[jumps]
@@ -205,13 +214,13 @@ def _without_jumps(estimate: Trajectory) -> Trajectory:
     return Trajectory(estimate.stamps_ns, np.column_stack([positions, se2.wrap(headings)]))
 
 
-def _find_jumps(steps: Floats, stamps_ns: Stamps) -> Bools:
-    """Which steps (N - 1, 3) are jumps."""
+def _find_jumps(steps: Floats, stamps_ns: Stamps, factor: float = JUMP) -> Bools:
+    """Which steps (N - 1, 3) are jumps. ``factor``: how many times faster than others."""
     seconds = np.diff(stamps_ns) * 1e-9
     jumps = np.zeros(len(steps), dtype=np.bool_)
     for size, shortest in ((np.hypot(steps[:, 0], steps[:, 1]), MIN_JUMP_M), (np.abs(steps[:, 2]), MIN_JUMP_TURN)):
         speed = size / seconds
-        jumps |= (size > shortest) & (speed > JUMP * np.percentile(speed, 95)) if len(speed) else jumps
+        jumps |= (size > shortest) & (speed > factor * np.percentile(speed, 95)) if len(speed) else jumps
     return jumps
 
 

@@ -135,10 +135,13 @@ def describe_fairness(runs: Sequence[RunRecord], environment: Mapping[str, str])
     map_only = any(run.result.is_complete and not len(run.result.steps) for run in runs)
     elsewhere = "; a map from another program is compared with the ground truth as it is" if map_only else ""
     shared = "; concurrent runs share caches and memory and slow each other down" if at_once != "1" else ""
+    alike = ", so that slow periods affect all alike"
+    if "earlier runs" in environment:  # kept by --resume: the turns were not taken in this order
+        alike = " where they ran in one call; some were kept from earlier calls, so a slow period may affect only some"
     return (
         *([f"Runs at a time: {at_once}{shared}."] if at_once else []),
         "Each run has its own process with one thread for numerical libraries. Methods take turns within each "
-        "repetition, in reverse order in every second one (A B, B A), so that slow periods affect all alike.",
+        f"repetition, in reverse order in every second one (A B, B A){alike}.",
         "Only the call of the method is timed. Conversion to and from a library's format is part of it and is also "
         "shown apart. Reading, checking and storing are not timed.",
         f"Another instance processes {warmed} before the timed one starts, to exclude imports and first allocations.",

@@ -109,6 +109,7 @@ def _run(run: RunRecord) -> dict[str, Any]:
         "seed": run.seed,
         "command": run.command,
         "alignment": run.scores.alignment,
+        "conditions": result.conditions.as_dict() if result.conditions else None,
         "lost_at_s": run.scores.lost.at_s if run.scores.lost else None,
         "lost_reason": run.scores.lost.reason if run.scores.lost else "",
         "status": result.status,

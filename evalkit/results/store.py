@@ -28,7 +28,7 @@ from evalkit.config.experiment import RunSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Cause, LostTrack, RunResult, Score, Scores
+from evalkit.core.run_result import DISTURBED, STEP, Cause, LostTrack, RunConditions, RunResult, Score, Scores
 from evalkit.io import map_server, untrusted_io
 from evalkit.io.output_files import as_store_error, create_folder, write_bytes
 from evalkit.io.tum import format_tum
@@ -125,10 +125,12 @@ class Store:
             self.write(steps, result.steps.tobytes())
         text = format_tum(result.estimate, f"evalkit: {spec.method.label} on {spec.sequence.label}")
         self.write(self.folder / "trajectories" / f"{spec.key}.tum", text)
-        record = {
+        record: dict[str, Any] = {
             "method": spec.method.label, "sequence": spec.sequence.label, "seed": spec.seed, "status": result.status,
             "answered": len(result.steps), **{name: getattr(result, name) for name in _RESULT_FIELDS},
         }  # fmt: skip
+        if result.conditions is not None:
+            record["conditions"] = result.conditions.as_dict()
         self.write(folder / RESULT, json.dumps(record, indent=1))
         self.clear_attempts(spec.key)
 
@@ -142,6 +144,8 @@ class Store:
                 return None
             values: dict[str, Any] = {name: record[name] for name in _RESULT_FIELDS}
             values["cause"] = Cause(record["cause"])
+            if (conditions := values["conditions"]) is not None:
+                values["conditions"] = RunConditions(**{k: v for k, v in conditions.items() if k != DISTURBED})
             return RunResult(steps, **values)
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             return None

@@ -16,7 +16,6 @@ from rich.console import Console
 from evalkit.plugins import registry
 
 if TYPE_CHECKING:
-    from evalkit.core.run_result import RunStatus
     from evalkit.execution.dask_cluster import Cluster
 
 out = Console(soft_wrap=True)
@@ -54,10 +53,10 @@ def complete_metric(incomplete: str) -> list[str]:
 
 
 def complete_status() -> list[str]:
-    """Return the statuses of a run."""
-    from evalkit.core.run_result import RunStatus  # noqa: PLC0415 - loads numpy
+    """Return what ``--rerun`` takes."""
+    from evalkit.core.run_result import DISTURBED, RunStatus  # noqa: PLC0415 - loads numpy
 
-    return [status.value for status in RunStatus]
+    return [*(status.value for status in RunStatus), DISTURBED]
 
 
 Backend = Annotated[
@@ -98,7 +97,8 @@ Resume = Annotated[
 Rerun = Annotated[
     list[str] | None,
     typer.Option(
-        help="Keep finished runs except those with this status (repeatable); failed: any kind of failure.",
+        help="Keep finished runs except those with this status (repeatable); failed: any kind of failure; disturbed: "
+        "runs whose times other processes disturbed.",
         show_default=False, rich_help_panel=EXECUTION, autocompletion=complete_status,
     ),
 ]  # fmt: skip
@@ -133,7 +133,7 @@ class RunOptions:
 
     jobs: int
     resume: bool
-    rerun: frozenset[RunStatus]
+    rerun: frozenset[str]
     collect: bool
     cluster: Cluster | None = None
 
@@ -148,15 +148,15 @@ class RunOptions:
         scheduler: str = "",
     ) -> RunOptions:
         """Return the checked options. Raises typer.BadParameter for an unknown status or engine."""
-        from evalkit.core.run_result import BROKEN, RunStatus  # noqa: PLC0415 - loads numpy
+        from evalkit.core.run_result import BROKEN, DISTURBED, RunStatus  # noqa: PLC0415 - loads numpy
         from evalkit.execution.environment import physical_cores  # noqa: PLC0415 - loads psutil
 
-        again: set[RunStatus] = set()
+        again: set[str] = set()
+        known = (*RunStatus, DISTURBED)
         for name in rerun or []:
-            known = [status for status in RunStatus if status == name]
-            if not known:
-                raise typer.BadParameter(f"--rerun: found '{name}', expected one of: {', '.join(RunStatus)}")
-            again.update(BROKEN if name == "failed" else known)
+            if name not in known:
+                raise typer.BadParameter(f"--rerun: found '{name}', expected one of: {', '.join(known)}")
+            again.update(BROKEN if name == "failed" else [name])
         workers = jobs or physical_cores()
         return cls(workers, resume or bool(rerun), frozenset(again), collect, cluster(engine, scheduler, workers))
 

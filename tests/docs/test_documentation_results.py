@@ -121,7 +121,8 @@ def test_page_schema_and_a_full_report_have_the_same_keys(demo, small):
     ("name", "free"),
     [
         ("request.json", {"backend_parameters", "dataset_parameters"}), ("started.json", ()),
-        ("outcome.json", {"notes"}), ("result.json", {"notes", "provenance.versions"}), ("scores.json", {"scores"}),
+        ("outcome.json", {"notes", "conditions"}),
+        ("result.json", {"notes", "provenance.versions"}), ("scores.json", {"scores"}),
     ],
 )  # fmt: skip
 def test_page_and_files_of_a_run_have_the_same_keys(small, name, free):

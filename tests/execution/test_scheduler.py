@@ -18,7 +18,8 @@ import pytest
 
 from evalkit.config.experiment import Limits, experiment_from_tables
 from evalkit.core.errors import StoreError
-from evalkit.execution import environment, executors, run_task, subprocesses
+from evalkit.core.run_result import RunConditions
+from evalkit.execution import environment, executors, run_process, run_task, subprocesses
 from evalkit.execution.executors import LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.plugins import registry
@@ -146,6 +147,21 @@ def test_rerun_executes_only_runs_with_the_given_status(tmp_path, threaded_scori
     assert [record.result.status for record in made] == ["complete", "failed", "failed", "crashed"]
     changed = {name for name, run in run_files(tmp_path).items() if run.stat().st_mtime_ns != stamps[name]}
     assert changed == {"segfault"}
+
+
+def test_rerun_disturbed_executes_only_runs_that_something_disturbed(tmp_path, threaded_scoring, monkeypatch):
+    shares = iter([50.0, 0.0, 0.0])
+    monkeypatch.setattr(run_process.ConditionsMeter, "conclude", lambda *_: RunConditions(other_percent=next(shares)))
+    run(plan("none", "raise"), tmp_path, jobs=1)
+    first = {
+        name: json.loads(path.read_text())["conditions"]["disturbed"] for name, path in run_files(tmp_path).items()
+    }
+    assert first == {"none": True, "raise": False}
+    stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
+    again = run(plan("none", "raise"), tmp_path, resume=True, rerun=frozenset({"disturbed"}))
+    assert [record.result.conditions.disturbed for record in again] == [False, False]
+    changed = {name for name, run in run_files(tmp_path).items() if run.stat().st_mtime_ns != stamps[name]}
+    assert changed == {"none"}
 
 
 def test_collect_executes_no_run_and_lists_missing_runs(tmp_path, threaded_scoring):

@@ -32,7 +32,8 @@ def test_times_equal_a_hand_calculation() -> None:
     assert found["wall_median_ms"].value == 32.0
     assert found["conversion_percent"].value == pytest.approx(10.0)
     assert found["real_time_factor"].value == pytest.approx(2.0)  # 100 ms over a mean of 50 ms
-    assert found["late_percent"].value == 20.0  # 100 ms at 10 Hz is exactly real time
+    assert found["late_percent"].value == 20.0  # 150 ms of CPU time; 100 ms at 10 Hz is exactly real time
+    assert found["late_wall_percent"].value == 20.0  # 101 ms on the wall clock
     assert found["peak_memory_mib"].value == 256.0
     assert found["harness_median_ms"].value == 2.0
 
@@ -57,7 +58,15 @@ def test_skipped_scans_do_not_change_the_sensor_period() -> None:
         evidence = Evidence(run, Truth("exact"))
         found.append({metric.name: metric.compute(evidence).value for metric in runtime.METRICS})
     assert found[0]["real_time_factor"] == found[1]["real_time_factor"] == pytest.approx(2.0)
-    assert found[0]["late_percent"] == found[1]["late_percent"] == 100.0
+    assert found[0]["late_percent"] == found[1]["late_percent"] == 0.0  # 50 ms of CPU time
+    assert found[0]["late_wall_percent"] == found[1]["late_wall_percent"] == 100.0  # 101 ms on a busy machine
+
+
+def test_a_device_is_late_by_its_own_clock() -> None:
+    steps = np.zeros(4, STEP)
+    steps["stamp_ns"], steps["device_ns"] = np.arange(4) * 100_000_000, [90_000_000, 110_000_000, 0, 0]
+    evidence = Evidence(RunResult(steps, 4), Truth("exact"))
+    assert {m.name: m.compute(evidence) for m in runtime.METRICS}["late_percent"] == Score(25.0, 4)
 
 
 def test_unmeasured_times_give_a_reason() -> None:

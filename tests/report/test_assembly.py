@@ -66,6 +66,14 @@ def test_the_number_of_runs_at_a_time_is_described_where_known(demo):
     assert not any("at a time" in sentence for sentence in describe_fairness(demo.records, {}))
 
 
+def test_runs_kept_from_an_earlier_call_did_not_take_turns(demo):
+    alike = "so that slow periods affect all alike"
+    assert any(alike in sentence for sentence in describe_fairness(demo.records, {}))
+    resumed = describe_fairness(demo.records, {"earlier runs": "3 runs, executed 2026-01-01 10:00 UTC"})
+    assert not any(alike in sentence for sentence in resumed)
+    assert any("some were kept from earlier calls" in sentence for sentence in resumed)
+
+
 def test_a_sequence_has_its_settings_and_the_ground_truth_of_its_runs(plan, record):
     sequence = plan.sequences[0]
     met = replace(record("paper", "room", {}), truth=Truth("exact: as met"))

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-import numpy as np
-
-from evalkit.metrics.runtime import period_ns
+from evalkit.metrics.runtime import late_share, work_ns
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.verdict import Outcome, SequenceVerdict, describe_success
 from evalkit.report.formatting import join_words
-from evalkit.results.run_record import RunRecord
 from evalkit.stats.runs import MIN_RUNS
 
 MAX_LATE_SHARE = 0.01
@@ -106,24 +103,17 @@ def _describe_speed(comparison: Comparison) -> str:
     """Return which methods are slower than the sensor, of those that register and answered; "" without any."""
     baselines = comparison.methods_with_role("baseline")
     timed = [run for run in comparison.records if run.method not in baselines and len(run.result.steps) > 1]
-    timed = [run for run in timed if run.result.steps["wall_ns"].any()]
+    timed = [run for run in timed if work_ns(run.result).any()]
     if not timed:
         return ""
     late: dict[str, list[str]] = {}
-    for method, sequence in dict.fromkeys((r.method, r.sequence) for r in timed if late_share(r) > MAX_LATE_SHARE):
+    slow = [run for run in timed if late_share(run.result) > MAX_LATE_SHARE]
+    for method, sequence in dict.fromkeys((run.method, run.sequence) for run in slow):
         late.setdefault(method, []).append(sequence)
     if not late:
-        return "No run took longer than the scan period on more than 1 % of its scans."
+        return "No run took more CPU time than the scan period on more than 1 % of its scans."
     listed = join_words(f"{method} on {join_words(sequences)}" for method, sequences in late.items())
     return f"Slower than the sensor on more than 1 % of the scans: {listed}."
-
-
-def late_share(run: RunRecord) -> float:
-    """Return the share of a run's scans whose wall time exceeds the sensor's period; 0 without scans."""
-    steps = run.result.steps
-    if len(steps) < 2:
-        return 0.0
-    return float(np.mean(steps["wall_ns"] > period_ns(run.result)))
 
 
 def _describe_not_counted(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:

@@ -19,7 +19,8 @@ FILES = (RESULT, STEPS, SCORES, "grid.npz", "errors.npy")
 
 def _sound() -> dict[str, bytes]:
     run = {"status": "complete", "cause": "completed", "reason": "", "expected": 2, "peak_memory_bytes": 0,
-           "warm_up_scans": 0, "notes": {}, "every": 1, "provenance": {}, "answered": 2}  # fmt: skip
+           "warm_up_scans": 0, "notes": {}, "every": 1, "provenance": {}, "conditions": None,
+           "answered": 2}  # fmt: skip
     steps = np.zeros(2, dtype=STEP)
     steps["stamp_ns"] = [0, 1]
     scores = {"scores": {"ate": {"value": 1.0, "support": 2, "reason": ""}}, "world_from_start": [0, 0, 0],
