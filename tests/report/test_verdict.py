@@ -248,6 +248,19 @@ def test_a_recording_is_judged_by_its_perturbed_runs(record, build):
     assert "spread is that of" not in _verdict_text(plain)
     assert analyse_sequence(plain, "room").deciding.of("a").band is None
 
+    def lose(count):
+        found = replace(comparison, records=tuple(
+            replace(run, scores=replace(run.scores, lost=LostTrack(9.0, "a jump")))
+            if run.method == "a" and run.seed < count else run for run in comparison.records
+        ))  # fmt: skip
+        return verdict(found).leaders, _verdict_text(found)
+
+    assert lose(0)[0] == lose(1)[0] == ("a",)
+    assert "Lost the track in fewer than half of the perturbed runs: a in 1 of 4." in lose(1)[1]
+    assert "Lost the track" not in lose(0)[1]
+    assert lose(2)[0] == ()
+    assert "Lost the track and not ranked: a at 9 s (a jump)." in lose(2)[1]
+
 
 def test_methods_that_lost_the_track_are_not_ranked(record, build):
     """The lost run has the better error; it is neither best nor tied, and the best of the others wins."""

@@ -10,7 +10,7 @@ from evalkit.metrics.table import Metric
 from evalkit.report.analysis.scores import MethodScore, median_over_runs
 from evalkit.stats.bootstrap import expanded_percentile_interval
 from evalkit.stats.intervals import Interval
-from evalkit.stats.runs import paired_runs
+from evalkit.stats.runs import PairedRuns, paired_runs
 
 RELATIONS_FLOOR = {"m": 0.03, "deg": 0.4, "°": 0.4}
 """Accuracy of the published relations themselves, by unit."""
@@ -29,27 +29,35 @@ class PairedDifference:
 
     ``resampled``: "runs" (Student's t over ``runs`` paired repetitions), or "blocks" of scans of a single run each; the
     latter describes these two runs only. ``within``: the bootstrap over blocks of the same runs, None without draws.
-    ``detectable``: the difference that so many runs detect with 80 % power at 5 %, None for one run. ``needed``: runs
-    that would show a difference of this size with that power; None if unknown or above 200.
+    ``paired``: the test over runs, None for one run.
     """
 
     interval: Interval
     resampled: Literal["blocks", "runs"]
     within: Interval | None
     runs: int
-    detectable: float | None = None
-    needed: int | None = None
+    paired: PairedRuns | None = None
+
+    @property
+    def detectable(self) -> float | None:
+        """The difference that so many runs detect with 80 % power at 5 %; None for one run."""
+        return None if self.paired is None else self.paired.detectable
+
+    @property
+    def needed(self) -> int | None:
+        """The runs that would show a difference of this size with 80 % power; None for one run or above 200."""
+        return None if self.paired is None else self.paired.runs_needed()
 
 
 def compute_difference(one: MethodScore, other: MethodScore) -> PairedDifference | None:
     """Compute ``one - other`` over the common repetitions; None for a single pair of runs without draws."""
-    pairs = _pair_runs(one, other)
-    if not pairs:
+    first, second = _pair_runs(one, other)
+    if not first:
         return None
     within = _resample_blocks(one, other)
-    found = paired_runs([a for a, _ in pairs], [b for _, b in pairs])
+    found = paired_runs(first, second)
     if found is not None:
-        return PairedDifference(found.interval, "runs", within, len(pairs), found.detectable, found.runs_needed())
+        return PairedDifference(found.interval, "runs", within, len(first), found)
     return None if within is None else PairedDifference(within, "blocks", within, 1)
 
 
@@ -59,8 +67,8 @@ def separation(metric: Metric, one: MethodScore, other: MethodScore) -> Separati
     Clear: the 95 % interval of the paired difference over at least two runs excludes zero, and the difference is at
     least the margin.
     """
-    difference = compute_difference(one, other)
-    if difference is None or difference.resampled != "runs":
+    difference = paired_runs(*_pair_runs(one, other))
+    if difference is None:
         return "one run"
     size = abs(difference.interval.value)
     if size < noise_floor(metric):
@@ -96,9 +104,11 @@ def is_clearly_worse(metric: Metric, one: MethodScore | None, other: MethodScore
     return behind and separation(metric, one, other) == "clear"
 
 
-def _pair_runs(one: MethodScore, other: MethodScore) -> list[tuple[float, float]]:
-    values = dict(zip(other.seeds, other.values, strict=True))
-    return [(value, values[seed]) for seed, value in zip(one.seeds, one.values, strict=True) if seed in values]
+def _pair_runs(one: MethodScore, other: MethodScore) -> tuple[list[float], list[float]]:
+    """Return the values of both over their common repetitions."""
+    own, values = (dict(zip(score.seeds, score.values, strict=True)) for score in (one, other))
+    common = [seed for seed in own if seed in values]
+    return [own[seed] for seed in common], [values[seed] for seed in common]
 
 
 def _resample_blocks(one: MethodScore, other: MethodScore) -> Interval | None:
@@ -110,5 +120,5 @@ def _resample_blocks(one: MethodScore, other: MethodScore) -> Interval | None:
         return None
     resampled = median_over_runs([a.values - b.values for a, b in known])
     blocks = sum(min(a.blocks, b.blocks) for a, b in known)
-    middle = median(a - b for a, b in _pair_runs(one, other))
+    middle = median(a - b for a, b in zip(*_pair_runs(one, other), strict=True))
     return expanded_percentile_interval(middle, resampled, len(known), blocks)

@@ -56,8 +56,9 @@ class MethodScore:
     no value, "" if there is one. ``guessed_percent``: share of scans that kept the initial guess, 0 if unknown.
     ``draws``: bootstrap draws of each value, None where the metric has none. ``interval``: the median over the runs
     with its 95 % interval: over three or more runs by Student's t; of one run by its draws, which describes this run
-    alone; else None. ``lost``: the first loss of the track in one of its runs, None if all held it. ``tuned``: settings
-    of the method were chosen on this data set. ``perturbed``: the repetitions are perturbations of a recording.
+    alone; else None. ``lost``: the first loss of the track in its runs, None if they held it; perturbed runs of a
+    recording count as held if fewer than half lost it. ``lost_runs``: how many lost it. ``tuned``: settings of the
+    method were chosen on this data set. ``perturbed``: the repetitions are perturbations of a recording.
     """
 
     method: str
@@ -74,6 +75,7 @@ class MethodScore:
     lost: LostTrack | None = None
     tuned: bool = False
     perturbed: bool = False
+    lost_runs: int = 0
 
     @property
     def band(self) -> NuisanceBand | None:
@@ -110,6 +112,7 @@ def compute_score(
         run.scores.by_metric[metric.name].value for run in unfinished(runs) if metric.name in run.scores.by_metric
     ]
     values = tuple(value for _, value, _ in known)
+    perturbed, lost_runs = runs[0].spec.sequence.perturbed, sum(run.scores.lost is not None for run in runs)
     support = int(median(support for *_, support in known)) if known else 0
     draws = tuple(bootstrap.draws(run, metric.name) for run, *_ in known)
     return MethodScore(
@@ -124,9 +127,10 @@ def compute_score(
         guessed_percent(complete),
         draws,
         runs_interval(values) if len(values) > 1 else _compute_interval(values, draws, support),
-        None if metric.group == "runtime" else find_loss(runs),
+        None if metric.group == "runtime" or (perturbed and 2 * lost_runs < len(runs)) else find_loss(runs),
         tuned and metric.group != "runtime",
-        runs[0].spec.sequence.perturbed,
+        perturbed,
+        lost_runs,
     )
 
 
