@@ -230,9 +230,8 @@ def _sign(metric: Metric) -> float:
 def _describe_lost(ranking: Ranking) -> str:
     lost = [(score.method, score.lost) for score in ranking.scores if score.lost is not None]
     listed = join_words(f"{method} at {loss.at_s:.0f}\u00a0s ({strip_full_stop(loss.reason)})" for method, loss in lost)
-    some = join_words(
-        f"{s.method} in {s.lost_runs} of {s.expected}" for s in ranking.scores if s.lost_runs and not s.lost
-    )
+    partly = [score for score in ranking.scores if score.lost_runs and score.lost is None]
+    some = join_words(f"{score.method} in {score.lost_runs} of {score.expected}" for score in partly)
     sentences = (
         f"Lost the track and not ranked: {listed}." if lost else "",
         f"Lost the track in fewer than half of the perturbed runs: {some}." if partly else "",
