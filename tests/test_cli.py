@@ -89,27 +89,23 @@ def test_bash_completion_contains_the_commands(evalkit, monkeypatch):
 # --- list
 
 
-def rows(table):
-    """Return the rows of a printed table, with continued lines joined."""
-    found = []
-    for line in table.splitlines():
-        cells = [cell.strip() for cell in line.strip("│").split("│")] if "│" in line else []
-        if cells and cells[0]:
-            found.append(cells)
-        elif cells:
-            found[-1] = [f"{first} {more}".strip() for first, more in zip(found[-1], cells, strict=True)]
-    return found
-
-
-def test_the_list_shows_missing_requirements_with_reasons(evalkit):
+def test_the_list_of_a_kind_shows_missing_requirements_with_reasons(evalkit):
     code, out, _ = evalkit("list", "backends")
-    assert code == 0
-    name, _, missing = next(row for row in rows(out) if row[0].startswith("absent"))
-    assert (name, missing) == ("absent", "the library 'nowhere' is not installed; pip install nowhere")
-    assert "paper" in {row[0] for row in rows(out)}
-    assert len([line for line in out.splitlines() if "│" in line]) == len(
-        rows(out)
-    )  # piped output has one line per row
+    title, *rows = out.splitlines()  # piped output has one line per row
+    assert (code, title) == (0, "backends")
+    assert [row.split()[0] for row in rows] == registry.names("backends")
+    (absent,) = (row for row in rows if row.split()[0] == "absent")
+    assert absent.endswith("; not here: the library 'nowhere' is not installed; pip install nowhere")
+
+
+def test_the_list_without_a_kind_is_short_and_shows_what_is_not_here(evalkit):
+    out = evalkit("list")[1]
+    assert len(out.splitlines()) <= 12
+    heads = [line for line in out.splitlines() if not line.startswith(" ")]
+    assert heads == [f"{kind}: evalkit list {kind}" for kind in ("backends", "mappers", "datasets", "metrics")]
+    here, absent = out.splitlines()[1:3]
+    assert "wheel-odometry" in here
+    assert re.search(r"not here .*\babsent\b", absent)
 
 
 def test_the_list_can_be_printed_as_json(evalkit):

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -18,8 +19,25 @@ from evalkit.plugins import registry
 if TYPE_CHECKING:
     from evalkit.execution.dask_cluster import Cluster
 
-out = Console(soft_wrap=True)
-err = Console(stderr=True, soft_wrap=True)
+
+class WordConsole(Console):
+    """A console that wraps at words on a terminal, and nowhere else."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as ``Console.print``; in a text without mark-up, a word longer than a line stays whole."""
+        if self.is_terminal and not options.get("markup", True) and "soft_wrap" not in options:
+            objects = tuple(_wrap(one, self.width) if isinstance(one, str) else one for one in objects)
+            options["soft_wrap"] = True
+        super().print(*objects, **{"soft_wrap": not self.is_terminal, **options})
+
+
+def _wrap(text: str, width: int) -> str:
+    lines = (textwrap.wrap(line, width, break_long_words=False, break_on_hyphens=False) for line in text.split("\n"))
+    return "\n".join("\n".join(line) for line in lines)
+
+
+out = WordConsole()
+err = WordConsole(stderr=True)
 
 ENGINES = ("local", "dask")
 EXECUTION = "Execution"

@@ -33,7 +33,7 @@ def print_summary(runs: Sequence[Run], title: str, store: Store, page: Path | No
     else:
         _print_counts(runs, skipped)
         if page is not None:
-            out.print(str(page.resolve()), highlight=False, markup=False)
+            out.print(str(page.resolve()), highlight=False, markup=False, soft_wrap=True)
             folder = shlex.quote(str(store.folder))
             out.print(f"next: evalkit export {folder} -f latex (tables for a paper)", highlight=False, markup=False)
     if any(result.status in BROKEN for _, result in runs):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,9 +14,12 @@ import typer
 from evalkit.core.errors import BadData
 from evalkit.io.output_files import as_store_error
 from evalkit.terminal.options import Json, out, print_json
-from evalkit_datasets.inspection.findings import format_count
+from evalkit.terminal.text_list import print_hanging
+from evalkit_datasets.inspection.findings import Level, format_count
 from evalkit_datasets.inspection.inspector import Inspection, inspect_recording
 from evalkit_datasets.inspection.suggested_config import SuggestedConfig, suggest_config
+
+STYLES: Mapping[Level, str] = {"problem": "red", "warning": "yellow", "note": ""}
 
 
 def inspect(
@@ -90,20 +93,21 @@ def _write_page(folder: Path, recording: Inspection, advice: SuggestedConfig | N
 
 
 def _print_inspection(recording: Inspection, advice: SuggestedConfig | None) -> None:
-    out.print(f"{recording.path.name}: {recording.kind}, {recording.bytes / 1e6:.1f} MB", markup=False, highlight=False)
+    print_hanging(out, f"{recording.path.name}: {recording.kind}, {recording.bytes / 1e6:.1f} MB", "bold")
     for text in _describe_streams(recording):
-        out.print(text, markup=False, highlight=False)
+        print_hanging(out, text)
     for finding in recording.findings:
         more = f"; {finding.advice}" if finding.advice else ""
-        out.print(f"{finding.level}: {finding.about}: {finding.what}{more}", markup=False, highlight=False)
+        print_hanging(out, f"{finding.level}: {finding.about}: {finding.what}{more}", STYLES[finding.level])
     if advice is None:
         return
     for reason in advice.reasons:
-        out.print(f"chosen: {reason}", markup=False, highlight=False)
+        print_hanging(out, f"chosen: {reason}", "green")
     for defect in advice.defects:
-        out.print(f"known defect: {defect}", markup=False, highlight=False)
-    result = f"does not run: {advice.problem}" if advice.problem else f"opened: {advice.scans} scans"
-    out.print(f"{result}\n\n{advice.table}\n{advice.command}", markup=False, highlight=False)
+        print_hanging(out, f"known defect: {defect}")
+    print_hanging(out, f"does not run: {advice.problem}" if advice.problem else f"opened: {advice.scans} scans")
+    block = f"\n{advice.table}\n{advice.command}"  # lines stay whole, to be copied
+    out.print(block, markup=False, highlight=False, soft_wrap=True)
 
 
 def _describe_streams(recording: Inspection) -> Iterator[str]:

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
 from evalkit.commands.list import inventory
 from evalkit.core.errors import UnknownName
-from evalkit.terminal import options, progress
+from evalkit.terminal import options
 from evalkit.terminal.options import out
+from evalkit.terminal.text_list import print_list
 
 if TYPE_CHECKING:
     from evalkit.metrics.table import Metric
 
-METRICS, ALL = "metrics", "all"
+METRICS, ALL, MISSING = "metrics", "all", "not here"
 
 
 def _complete(incomplete: str) -> list[str]:
@@ -40,7 +39,7 @@ def list_names(
 ) -> None:
     """List back ends, mappers, data sets and metrics, or print the card of a metric.
 
-    The lists of plug-ins say what is missing on this machine, and how to install it.
+    The list of a kind says what is missing on this machine, and how to install it.
     """  # fmt: skip
     if group and what not in (METRICS, ALL):
         raise typer.BadParameter("--group: needs 'metrics'")
@@ -54,13 +53,30 @@ def list_names(
         content: dict[str, Any] = {kind: [asdict(entry) for entry in entries] for kind, entries in found.items()}
         options.print_json(content | ({METRICS: _cards(metrics)} if metrics else {}))
         return
-    for kind, entries in found.items():
-        _print_table(kind, ("name", "summary", "missing"), [(e.name, e.summary, e.missing or "-") for e in entries])
-    if metrics:
-        rows = [(m.name, m.label, m.unit or "-", m.better or "-", m.group) for m in metrics]
-        _print_table(METRICS, ("name", "label", "unit", "better", "group"), rows)
     if not what:
-        out.print("metrics: evalkit list metrics", markup=False, highlight=False)
+        _print_names(found)
+        return
+    for kind, entries in found.items():
+        rows = [(e.name, f"{e.summary}; {MISSING}: {e.missing}" if e.missing else e.summary) for e in entries]
+        print_list(out, kind, rows)
+    for name in dict.fromkeys(metric.group for metric in metrics):
+        print_list(out, name, [(metric.name, _describe(metric)) for metric in metrics if metric.group == name])
+
+
+def _print_names(found: Mapping[str, Sequence[inventory.Entry]]) -> None:
+    """Print the names of each kind, those that cannot be used here apart."""
+    for kind, entries in found.items():
+        here = [entry.name for entry in entries if not entry.missing]
+        absent = [entry.name for entry in entries if entry.missing]
+        rows = [("here", ", ".join(here)), *([(MISSING, ", ".join(absent))] if absent else [])]
+        print_list(out, f"{kind}: evalkit list {kind}", rows)
+    out.print("metrics: evalkit list metrics", markup=False, highlight=False, style="bold")
+
+
+def _describe(metric: Metric) -> str:
+    """Return label, unit and direction of a metric."""
+    unit = f" [{metric.unit}]" if metric.unit else ""
+    return f"{metric.label}{unit}{f', {metric.better} is better' if metric.better else ''}"
 
 
 def _print_card(name: str, as_json: bool) -> None:
@@ -93,10 +109,3 @@ def _cards(metrics: list[Metric]) -> list[dict[str, Any]]:
     from evalkit.commands.list.cards import card_as_json  # noqa: PLC0415 - loads scipy
 
     return [card_as_json(metric) for metric in metrics]
-
-
-def _print_table(title: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
-    table = Table(*columns, title=title, title_justify="left", expand=out.is_terminal)
-    for row in rows:
-        table.add_row(*map(escape, row))
-    progress.print_table(out, table)
