@@ -37,6 +37,9 @@ VARIANTS = (
     {"max_correspondence_m": 0.0},
     {"max_correspondence_m": 0.05, "epsilon": 1e-8},
     {"error_at": "before", "epsilon": 1e-5},
+    {"metric": "line", "epsilon": 1e-6},
+    {"metric": "line", "cauchy_m": 0.1, "one_to_one": False, "max_correspondence_m": 1.0, "epsilon": 1e-6},
+    {"metric": "line", "line_neighbours": 20, "error": "rmse", "error_at": "before", "epsilon": 1e-5},
     {"min_pairs": 900},
 )
 
@@ -195,11 +198,31 @@ def test_normals_of_degenerate_clouds_are_defined():
             embedded.normals_2d(np.eye(2), k)
 
 
-def test_the_parameters_equal_those_of_the_paper_except_the_lines():
-    theirs = {p.name: (p.default, p.unit, p.low, p.high, p.choices) for p in paper.SPEC.parameters}
-    ours = {p.name: (p.default, p.unit, p.low, p.high, p.choices) for p in embedded.SPEC.parameters}
-    assert ours.items() <= theirs.items()
-    assert theirs.keys() - ours.keys() == {"metric", "line_neighbours", "cauchy_m"}
+def test_the_parameters_equal_those_of_the_paper():
+    for ours, theirs in ((embedded.SPEC, paper.SPEC), (embedded.MAP_LINE, paper.MAP_LINE)):
+        expected = {p.name: (p.default, p.unit, p.low, p.high, p.choices) for p in theirs.parameters}
+        expected["line_neighbours"] = (*expected["line_neighbours"][:3], MAX_NEIGHBOURS, ())
+        assert {p.name: (p.default, p.unit, p.low, p.high, p.choices) for p in ours.parameters} == expected
+        assert ours.frontend == theirs.frontend
+
+
+@needs_core
+def test_a_single_wall_does_not_move_along_itself():
+    wall, steps = np.linspace(-3.0, 3.0, 61), np.zeros(61)
+    target, source = Cloud(np.stack([wall, steps], axis=1)), Cloud(np.stack([wall + 0.013, steps + 0.04], axis=1))
+    found = make_plugin(embedded.MAP_LINE).register(target, source, Pose(0.0, 0.0, 0.01))
+    assert_same(found, make_plugin(paper.MAP_LINE).register(target, source, Pose(0.0, 0.0, 0.01)))
+    assert found.target_from_source.row == pytest.approx([0.0, -0.04, 0.0], abs=1e-3)
+
+
+@needs_core
+def test_on_a_lasting_map_the_lines_give_the_trajectory_of_the_reference():
+    ours, theirs = (
+        frontend.make_odometry(spec, frontend.complete_parameters(name, spec, {}))
+        for name, spec in (("embedded-map-line", embedded.MAP_LINE), ("paper-map-line", paper.MAP_LINE))
+    )
+    off = [np.abs((theirs.update(f).pose.inverse() @ ours.update(f).pose).row).max() for f in lab(60)]
+    assert max(off) < 1e-8
 
 
 def lab(scans_wanted=120, every=1):

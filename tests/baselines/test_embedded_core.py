@@ -306,7 +306,8 @@ def test_the_defaults_of_the_core_equal_those_of_python(precision):
     values = compiled.load_core(precision).defaults()
     icp, front_end, grid = ({p.name: p.default for p in table} for table in TABLES)
     icp["error"], icp["error_before"] = registration.ERRORS.index(icp["error"]), icp.pop("error_at") == "before"
-    del icp["trace"]  # not a parameter of the core
+    icp["lines"] = icp.pop("metric") == "line"
+    del icp["trace"], icp["line_neighbours"]  # not in the core's parameters of the registration
     for stage in ("icp", "scan_to_scan", "scan_to_map"):
         assert values[stage] == pytest.approx(icp, rel=1e-6)
     stages = {name: front_end[name] for name in pipeline.FRONT_END}

@@ -7,7 +7,9 @@ The NumPy implementation in ``evalkit_baselines.paper`` is its specification: in
 from dataclasses import replace
 from functools import partial
 
+from evalkit.plugins.parameters import with_defaults
 from evalkit.plugins.specs import MapperSpec, OdometrySpec, RegistrationSpec
+from evalkit_baselines import paper
 from evalkit_baselines.embedded import mapper, pipeline, registration
 from evalkit_baselines.embedded.compiled import compiled_missing
 from evalkit_baselines.embedded.mapper import CompiledGrid
@@ -31,6 +33,14 @@ FLOAT = replace(
     make=partial(CompiledIcp, "float"),
     summary="the paper's ICP in C99, single precision: what a board without double arithmetic computes",
     default=False,
+)
+
+MAP_LINE = replace(
+    SPEC,
+    summary="paper-map-line in C99: one lasting map, distances to walls with Cauchy weights",
+    parameters=with_defaults(registration.PARAMETERS, **{p.name: p.default for p in paper.MAP_LINE.parameters}),
+    frontend=paper.MAP_LINE.frontend,
+    tuned_on=paper.MAP_LINE.tuned_on,
 )
 
 PIPELINE = OdometrySpec(

@@ -27,16 +27,17 @@ def defaults() -> dict[str, dict[str, float]]:
     """
 
 class Index:
-    """Immutable index for exact nearest neighbours among points (N, 2) in metres."""
+    """Immutable index for exact nearest neighbours among points (N, 2) in metres; for ``lines``, with normals from the
+    given number of neighbours."""
 
-    def __init__(self, points: Array) -> None: ...
+    def __init__(self, points: Array, neighbours: int = 0) -> None: ...
     def __len__(self) -> int: ...
 
 def normals(points: Array, neighbours: int) -> Array:
     """Unit normals (N, 2) of points (N, 2) in metres from their nearest neighbours (ek/normals.h)."""
 
 class Icp:
-    """Point-to-point ICP (ek/icp.h); ``error``: 0 mean, 1 mean squared, 2 its root."""
+    """ICP (ek/icp.h); ``error``: 0 mean, 1 mean squared, 2 its root; ``lines``: distances to lines instead of points."""
 
     def __init__(
         self,
@@ -48,6 +49,8 @@ class Icp:
         one_to_one: bool,
         max_correspondence: float,
         min_pairs: int,
+        lines: bool = False,
+        cauchy: float = 0.0,
     ) -> None: ...
     def register(
         self, target: Index, source: Array, guess: Row, trace: bool = False

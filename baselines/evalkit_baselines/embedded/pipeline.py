@@ -21,10 +21,12 @@ FRONT_END = (
     "keyframe_angle_deg", "min_inliers",
 )  # fmt: skip
 
+NOT_IN_PIPELINE = ("metric", "line_neighbours", "cauchy_m", "trace")
+
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("precision", "double", "", "floating-point precision of the core", choices=("double", "float")),
     Parameter("beams", 4096, "", "largest number of beams of a scan; memory is allocated once", low=1, high=1 << 20),
-    *(p for p in registration.PARAMETERS if p.name != "trace"),
+    *(p for p in registration.PARAMETERS if p.name not in NOT_IN_PIPELINE),
     *(p for p in frontend.PARAMETERS if p.name in FRONT_END),
 )
 

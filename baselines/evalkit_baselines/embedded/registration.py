@@ -12,20 +12,23 @@ from evalkit.core.scan import Cloud
 from evalkit.core.timing import Cost, Stopwatch
 from evalkit.plugins.parameters import Parameter
 from evalkit_baselines.embedded.compiled import Precision, load_core, to_real
+from evalkit_baselines.embedded.normals import MAX_NEIGHBOURS
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.association import CloudCache
 
-NOT_IN_CORE = ("metric", "line_neighbours", "cauchy_m")
 ERRORS = ("mean", "mean-squared", "rmse")  # in the order of ek_error_measure
 
+TRACE = "record every iteration with its pairs (costs more than the registration)"
+
 PARAMETERS: tuple[Parameter, ...] = tuple(
-    replace(p, meaning="record every iteration with its pairs (costs more than the registration)")
+    replace(p, meaning=TRACE)
     if p.name == "trace"
+    else replace(p, high=MAX_NEIGHBOURS)
+    if p.name == "line_neighbours"
     else p
     for p in icp.PARAMETERS
-    if p.name not in NOT_IN_CORE
 )
-"""The parameters of the NumPy ICP, without the metric "line", which the core does not have."""
+"""The parameters of the NumPy ICP."""
 
 
 class CompiledIcp:
@@ -41,6 +44,7 @@ class CompiledIcp:
         self._min_pairs = parameters["min_pairs"]
         self._squared = parameters["error"] == "mean-squared"
         self._trace = parameters["trace"]
+        self._neighbours = parameters["line_neighbours"] if parameters["metric"] == "line" else 0
         self._recent: CloudCache[Any] = CloudCache()
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
@@ -62,7 +66,7 @@ class CompiledIcp:
     def _index(self, target: Cloud, conversion: Stopwatch) -> Any:
         with conversion:
             points = to_real(target.points, self._core)
-        return self._core.Index(points)
+        return self._core.Index(points, self._neighbours)
 
     def _iteration(self, error: float, inliers: int, row: tuple[float, float, float], pairs: Any) -> Iteration:
         return Iteration(math.sqrt(error) if self._squared else error, inliers, Pose(*row), pairs)
@@ -78,4 +82,6 @@ def make_icp(module: Any, parameters: dict[str, Any]) -> Any:
         one_to_one=parameters["one_to_one"],
         max_correspondence=parameters["max_correspondence_m"],
         min_pairs=parameters["min_pairs"],
+        lines=parameters.get("metric") == "line",
+        cauchy=parameters.get("cauchy_m", 0.0),
     )

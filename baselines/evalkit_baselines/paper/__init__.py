@@ -18,7 +18,7 @@ the largest distances of a pair.
 from collections.abc import Mapping
 
 from evalkit.plugins.parameters import Value, with_defaults
-from evalkit.plugins.specs import BackendSpec, MapperSpec, RegistrationSpec
+from evalkit.plugins.specs import MapperSpec, RegistrationSpec
 from evalkit_baselines.paper import grid, icp
 from evalkit_baselines.paper.grid import LogOddsGrid
 from evalkit_baselines.paper.icp import Icp
@@ -28,7 +28,7 @@ CITATION = "Occupancy grid mapping based on ICP for indoor autonomous vehicles"
 
 def _variant(
     summary: str, frontend: Mapping[str, Value] | None = None, default: bool = False, **defaults: Value
-) -> BackendSpec:
+) -> RegistrationSpec:
     return RegistrationSpec(
         make=Icp,
         summary=summary,

@@ -16,6 +16,8 @@ inline nb::dict defaults_of(const ek_icp_parameters &icp)
     values["one_to_one"] = icp.one_to_one != 0;
     values["max_correspondence_m"] = double(icp.max_correspondence);
     values["min_pairs"] = icp.min_pairs;
+    values["lines"] = icp.metric == EK_METRIC_LINE;
+    values["cauchy_m"] = double(icp.cauchy);
     return values;
 }
 

@@ -11,7 +11,8 @@ namespace EK_NAME(binding) {
 
 class Index {
 public:
-    explicit Index(const Points &points)
+    // With neighbours (2 or more) also the normals of the points.
+    Index(const Points &points, int64_t neighbours)
     {
         constexpr std::size_t cells_per_point = 16, max_cells = std::size_t{1} << 18; // as in the core's front end
         const nb::gil_scoped_release others_may_run;
@@ -20,25 +21,28 @@ public:
             return ek_index_init(&index_, arena, room, std::min(cells_per_point * room, max_cells));
         });
         require(ek_index_build(&index_, start_of(points), points.shape(0)), "target");
+        if (neighbours != 0) {
+            normals_.resize(2 * room);
+            require(ek_normals_compute(&index_, natural(neighbours), normals_.data()), "neighbours");
+            index_.normals = normals_.data();
+        }
     }
 
     const ek_index &index() const { return index_; }
 
+    const std::vector<ek_real> &normals() const { return normals_; }
+
 private:
     ek_index index_ = {};
     Memory memory_;
+    std::vector<ek_real> normals_;
 };
 
 // Normals (N, 2) of points from their nearest neighbours.
 inline nb::object normals(const Points &points, int64_t neighbours)
 {
-    std::vector<ek_real> found(2 * std::max<std::size_t>(points.shape(0), 1));
-    const Index index(points);
-    {
-        const nb::gil_scoped_release others_may_run;
-        require(ek_normals_compute(&index.index(), natural(neighbours), found.data()), "neighbours");
-    }
-    return array_of(std::move(found), {points.shape(0), 2});
+    const Index index(points, std::max<int64_t>(neighbours, 1));
+    return array_of(std::vector<ek_real>(index.normals()), {points.shape(0), 2});
 }
 
 struct Iteration {
@@ -63,7 +67,7 @@ inline void note(void *context, const ek_icp_iteration *now)
 class Icp {
 public:
     Icp(double epsilon, int64_t max_iterations, int64_t error, bool error_before, bool one_to_one,
-        double max_correspondence, int64_t min_pairs)
+        double max_correspondence, int64_t min_pairs, bool lines, double cauchy)
         : parameters_(ek_icp_default())
     {
         parameters_.epsilon = ek_real(epsilon);
@@ -73,6 +77,8 @@ public:
         parameters_.one_to_one = one_to_one;
         parameters_.max_correspondence = ek_real(max_correspondence);
         parameters_.min_pairs = whole(min_pairs);
+        parameters_.metric = lines ? EK_METRIC_LINE : EK_METRIC_POINT;
+        parameters_.cauchy = ek_real(cauchy);
         require(ek_icp_check(&parameters_), "parameters");
     }
 
@@ -108,7 +114,10 @@ private:
         }
         ek_icp larger = {};
         memory_ = Memory("registration", [&](ek_arena *arena) {
-            return ek_icp_init(&larger, arena, std::max(sources, icp_.capacity), std::max(targets, icp_.targets));
+            const ek_status status =
+                ek_icp_init(&larger, arena, std::max(sources, icp_.capacity), std::max(targets, icp_.targets));
+            const bool lines = parameters_.metric == EK_METRIC_LINE;
+            return status == EK_OK && lines ? ek_icp_init_lines(&larger, arena) : status;
         });
         icp_ = larger;
     }

@@ -33,7 +33,8 @@ ek_status ek_frontend_check(const ek_frontend_parameters *parameters)
     }
     if (parameters->keyframe_distance < EK_R(0.0) || parameters->keyframe_angle < EK_R(0.0) ||
         parameters->keyframes < 1u || parameters->keyframes > MAX_KEYFRAMES || parameters->points < 1u ||
-        parameters->points > MAX_POINTS || parameters->min_inliers < 0) {
+        parameters->points > MAX_POINTS || parameters->min_inliers < 0 ||
+        parameters->scan_to_scan.metric != EK_METRIC_POINT || parameters->scan_to_map.metric != EK_METRIC_POINT) {
         return EK_OUT_OF_RANGE;
     }
     const ek_status status = ek_icp_check(&parameters->scan_to_scan);

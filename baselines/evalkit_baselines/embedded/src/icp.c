@@ -1,10 +1,13 @@
 #include "ek/icp.h"
+#include "ek/fit.h"
+#include "ek/table.h"
 
 #include <string.h>
 
 #define MAX_COUNT ((size_t)1 << 30)
 #define FIRST_LOOK EK_R(0.75) /* cells: half width of the first search without a known neighbour */
 #define BEYOND EK_R(0.25)     /* cells: searched beyond the last neighbour; saves later searches */
+#define ROUNDED_DOWN (EK_R(1.0) - EK_R(8.0) * EK_EPSILON)
 #define MAX_DISTANCE EK_R(1e12) /* m; below EK_FAR: stands for "no limit" */
 
 ek_icp_parameters ek_icp_default(void)
@@ -17,6 +20,8 @@ ek_icp_parameters ek_icp_default(void)
     parameters.error = EK_ERROR_MEAN;
     parameters.error_before = 0;
     parameters.one_to_one = 1;
+    parameters.metric = EK_METRIC_POINT;
+    parameters.cauchy = EK_R(0.0);
     return parameters;
 }
 
@@ -26,11 +31,13 @@ ek_status ek_icp_check(const ek_icp_parameters *parameters)
         return EK_NULL_POINTER;
     }
     if (parameters->max_iterations < 1 || parameters->min_pairs < 2 ||
-        (unsigned)parameters->error > (unsigned)EK_ERROR_RMSE) {
+        (unsigned)parameters->error > (unsigned)EK_ERROR_RMSE ||
+        (unsigned)parameters->metric > (unsigned)EK_METRIC_LINE) {
         return EK_OUT_OF_RANGE;
     }
     if (!isfinite(parameters->epsilon) || parameters->epsilon < EK_R(0.0) ||
-        !isfinite(parameters->max_correspondence) || parameters->max_correspondence < EK_R(0.0)) {
+        !isfinite(parameters->max_correspondence) || parameters->max_correspondence < EK_R(0.0) ||
+        !isfinite(parameters->cauchy) || parameters->cauchy < EK_R(0.0)) {
         return EK_OUT_OF_RANGE;
     }
     return EK_OK;
@@ -47,6 +54,7 @@ ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targ
     ek_real **const reals[] = {&icp->px, &icp->py, &icp->mx,     &icp->my,       &icp->tx,    &icp->ty,
                                &icp->ax, &icp->ay, &icp->others, &icp->distance, &icp->slack, &icp->weight};
     uint32_t **const numbers[] = {&icp->nearest, &icp->stale, &icp->pair_source, &icp->pair_target};
+    memset(icp, 0, sizeof *icp);
     icp->capacity = capacity;
     icp->targets = targets;
     for (size_t i = 0; i < sizeof reals / sizeof *reals; i++) {
@@ -55,11 +63,18 @@ ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targ
     for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) {
         *numbers[i] = (uint32_t *)ek_arena_alloc(arena, EK_PADDED(capacity), sizeof(uint32_t));
     }
-    icp->owner = (uint32_t *)ek_arena_alloc(arena, targets, sizeof(uint32_t));
-    if (arena->memory && ek_arena_check(arena) == EK_OK) {
-        /* any value is valid, an owner counts only if it points back; zero so that reading it is defined */
-        memset(icp->owner, 0, targets * sizeof(uint32_t));
+    icp->owner = (uint32_t *)ek_arena_alloc(arena, targets + 1u, sizeof(uint32_t));
+    return EK_OK;
+}
+
+ek_status ek_icp_init_lines(ek_icp *icp, ek_arena *arena)
+{
+    if (!icp || !arena) {
+        return EK_NULL_POINTER;
     }
+    icp->nx = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
+    icp->ny = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
+    icp->across = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
     return EK_OK;
 }
 
@@ -79,58 +94,70 @@ static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
         icp->others[i] = EK_R(-1.0);
         icp->weight[i] = EK_R(0.0);
         icp->nearest[i] = (uint32_t)icp->targets;
+        if (icp->across) {
+            icp->nx[i] = icp->ny[i] = EK_R(0.0);
+        }
     }
     return EK_OK;
 }
 
-/* Move points by a pose; compute distance to the target points and slack. All pointers are parameters because compilers
- * vectorise with `restrict` only on parameters. */
-static void move_points(size_t padded, ek_pose pose, ek_real limit, const ek_real *EK_RESTRICT px,
-                  const ek_real *EK_RESTRICT py, const ek_real *EK_RESTRICT tx, const ek_real *EK_RESTRICT ty,
-                  const ek_real *EK_RESTRICT ax, const ek_real *EK_RESTRICT ay, const ek_real *EK_RESTRICT others,
-                  ek_real *EK_RESTRICT mx, ek_real *EK_RESTRICT my, ek_real *EK_RESTRICT distance,
-                  ek_real *EK_RESTRICT slack)
+/* Move points by a pose; compute distance to the target points and slack. The neighbour of a point cannot have changed
+ * while distance + distance moved since the search < lower bound on all other distances at the search. Both sides are
+ * squared, which saves a root. All pointers are parameters because compilers vectorise with `restrict` only on
+ * parameters. */
+static void move_points(size_t padded, ek_pose pose, ek_real limit, ek_real margin, const ek_real *EK_RESTRICT px,
+                        const ek_real *EK_RESTRICT py, const ek_real *EK_RESTRICT tx, const ek_real *EK_RESTRICT ty,
+                        const ek_real *EK_RESTRICT ax, const ek_real *EK_RESTRICT ay,
+                        const ek_real *EK_RESTRICT others, ek_real *EK_RESTRICT mx, ek_real *EK_RESTRICT my,
+                        ek_real *EK_RESTRICT distance, ek_real *EK_RESTRICT slack)
 {
     const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta), x0 = pose.x, y0 = pose.y;
     for (size_t i = 0; i < padded; i++) {
         const ek_real x = c * px[i] - s * py[i] + x0, y = s * px[i] + c * py[i] + y0;
         const ek_real dx = x - tx[i], dy = y - ty[i], wx = x - ax[i], wy = y - ay[i];
-        const ek_real to = EK_SQRT(dx * dx + dy * dy), moved = EK_SQRT(wx * wx + wy * wy);
+        const ek_real to = EK_SQRT(dx * dx + dy * dy), within = to < limit ? to : limit;
+        const ek_real left = others[i] - within - margin, room = left > EK_R(0.0) ? left : EK_R(0.0);
         mx[i] = x;
         my[i] = y;
         distance[i] = to;
-        slack[i] = others[i] - moved - (to < limit ? to : limit);
+        slack[i] = ROUNDED_DOWN * room * room - (wx * wx + wy * wy);
     }
 }
 
-/* Move the source by a pose; compute each point's distance to its last target point and its slack. The neighbour cannot
- * have changed while distance + distance moved since the search < lower bound on all other distances at the
- * search. */
-static void move_source(ek_icp *icp, size_t padded, ek_pose pose, ek_real limit)
+static void move_source(ek_icp *icp, size_t padded, ek_pose pose, ek_real limit, ek_real margin)
 {
-    move_points(padded, pose, limit, icp->px, icp->py, icp->tx, icp->ty, icp->ax, icp->ay, icp->others, icp->mx,
+    move_points(padded, pose, limit, margin, icp->px, icp->py, icp->tx, icp->ty, icp->ax, icp->ay, icp->others, icp->mx,
                 icp->my, icp->distance, icp->slack);
 }
 
 /* Search the neighbour of every point whose neighbour may have changed; returns the number of searches. */
-static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, size_t count, ek_real limit)
+static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t count,
+                                  ek_real limit)
 {
     uint32_t searches = 0u;
     for (uint32_t i = 0; i < count; i++) {
         icp->stale[searches] = i;
-        searches += icp->slack[i] > target->cells.margin ? 0u : 1u;
+        searches += icp->slack[i] > EK_R(0.0) ? 0u : 1u;
+    }
+    if (target->table) {
+        ek_table_locate(target->table, target, icp->mx, icp->my, icp->stale, searches, icp->pair_source);
     }
     for (uint32_t k = 0; k < searches; k++) {
         const uint32_t i = icp->stale[k];
         const ek_real x = icp->mx[i], y = icp->my[i];
         const ek_real known = icp->distance[i] + BEYOND * target->cells.cell;
         const ek_real radius = icp->distance[i] < limit ? known : FIRST_LOOK * target->cells.cell;
-        const ek_neighbour answer = ek_index_nearest(target, x, y, limit, radius);
+        const ek_neighbour answer = target->table ? ek_table_nearest(target->table, target, icp->pair_source[k], x, y, limit, radius)
+                                                  : ek_index_nearest(target, x, y, limit, radius);
         const int found = answer.slot != EK_NONE;
         icp->nearest[i] = found ? answer.slot : (uint32_t)icp->targets;
         icp->tx[i] = found ? target->xy[2u * answer.slot] : EK_FAR;
         icp->ty[i] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
         icp->distance[i] = found ? answer.distance : EK_FAR;
+        if (normals) {
+            icp->nx[i] = found ? normals[2u * target->id[answer.slot]] : EK_R(0.0);
+            icp->ny[i] = found ? normals[2u * target->id[answer.slot] + 1u] : EK_R(0.0);
+        }
         icp->ax[i] = x;
         icp->ay[i] = y;
         icp->others[i] = answer.others;
@@ -138,83 +165,58 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, size_t co
     return searches;
 }
 
+/* Find, for each target point, the closest of the source points that it is nearest to; of equals the first. The loops
+ * have no branch that a processor would have to predict. */
+static void find_owners(size_t count, const uint32_t *EK_RESTRICT nearest, const ek_real *EK_RESTRICT distance,
+                        uint32_t *EK_RESTRICT owner)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        owner[nearest[i]] = i; /* any of them: entries of earlier passes must not count */
+    }
+    for (uint32_t i = 0; i < count; i++) {
+        const uint32_t rival = owner[nearest[i]];
+        const int closer = (distance[i] < distance[rival]) | ((distance[i] == distance[rival]) & (i < rival));
+        owner[nearest[i]] = closer ? i : rival;
+    }
+}
+
 /* Set weight 1 for every pair that is used; returns their number (equation 2). */
-static int32_t select_pairs(ek_icp *icp, size_t count, ek_real limit, int one_to_one)
+static int32_t select_pairs(const ek_icp *icp, size_t count, ek_real limit, int one_to_one)
 {
     const ek_real *const EK_RESTRICT distance = icp->distance;
-    const uint32_t *const EK_RESTRICT nearest = icp->nearest;
+    const uint32_t *const EK_RESTRICT nearest = icp->nearest, *const EK_RESTRICT owner = icp->owner;
     ek_real *const EK_RESTRICT weight = icp->weight;
-    uint32_t *const EK_RESTRICT owner = icp->owner;
     int32_t pairs = 0;
+    if (one_to_one) {
+        find_owners(count, icp->nearest, icp->distance, icp->owner);
+    }
     for (uint32_t i = 0; i < count; i++) {
-        const uint32_t slot = nearest[i];
-        if (!(distance[i] < limit)) {
-            weight[i] = EK_R(0.0);
-            continue;
-        }
-        weight[i] = EK_R(1.0);
-        pairs++;
-        if (!one_to_one) {
-            continue;
-        }
-        /* owner is never cleared: an entry is valid in this pass if it points back to a point already processed */
-        const uint32_t rival = owner[slot];
-        if (rival < i && nearest[rival] == slot && weight[rival] > EK_R(0.0)) {
-            const int loses = distance[rival] <= distance[i];
-            weight[loses ? i : rival] = EK_R(0.0);
-            pairs--;
-            owner[slot] = loses ? rival : i;
-        } else {
-            owner[slot] = i;
-        }
+        const int used = (distance[i] < limit) & (!one_to_one | (owner[nearest[i]] == i));
+        weight[i] = used ? EK_R(1.0) : EK_R(0.0);
+        pairs += used;
     }
     return pairs;
 }
 
-/* Least-squares step of the pairs (equations 3 and 4, corrected: the angle cannot be a reflection). Sums run over
- * shifted points in fixed lanes, so that the result does not depend on how a compiler vectorises. */
-static ek_pose closed_form(const ek_icp *icp, size_t padded, ek_pose pose)
+/* Distances of the source points to the lines of their pairs. */
+static void measure_across(ek_icp *icp, size_t padded)
 {
-    const ek_real *const EK_RESTRICT mx = icp->mx, *const EK_RESTRICT my = icp->my;
-    const ek_real *const EK_RESTRICT tx = icp->tx, *const EK_RESTRICT ty = icp->ty;
-    const ek_real *const EK_RESTRICT weight = icp->weight;
-    const ek_real ox = pose.x, oy = pose.y;
-    ek_real sums[7][EK_LANES] = {{EK_R(0.0)}};
-    for (size_t i = 0; i < padded; i += EK_LANES) {
-        for (size_t k = 0; k < EK_LANES; k++) {
-            const ek_real w = weight[i + k];
-            const ek_real x = w * (mx[i + k] - ox), y = w * (my[i + k] - oy);
-            const ek_real u = tx[i + k] - ox, v = ty[i + k] - oy;
-            sums[0][k] += w;
-            sums[1][k] += x;
-            sums[2][k] += y;
-            sums[3][k] += w * u;
-            sums[4][k] += w * v;
-            sums[5][k] += x * v - y * u;
-            sums[6][k] += x * u + y * v;
-        }
+    for (size_t i = 0; i < padded; i++) {
+        const ek_real across = (icp->mx[i] - icp->tx[i]) * icp->nx[i] + (icp->my[i] - icp->ty[i]) * icp->ny[i];
+        icp->across[i] = EK_FABS(across);
     }
-    ek_real total[7];
-    for (size_t j = 0; j < 7u; j++) {
-        total[j] = EK_R(0.0);
-        for (size_t k = 0; k < EK_LANES; k++) {
-            total[j] += sums[j][k];
-        }
-    }
-    const ek_real pairs = total[0], px = total[1] / pairs, py = total[2] / pairs;
-    const ek_real qx = total[3] / pairs, qy = total[4] / pairs;
-    ek_pose step;
-    step.theta = EK_ATAN2(total[5] - pairs * (px * qy - py * qx), total[6] - pairs * (px * qx + py * qy));
-    const ek_real c = EK_COS(step.theta), s = EK_SIN(step.theta);
-    step.x = (qx + ox) - c * (px + ox) + s * (py + oy);
-    step.y = (qy + oy) - s * (px + ox) - c * (py + oy);
-    return step;
 }
 
 /* Error over the pairs (equation 5), in the unit of the stop rule. */
-static ek_real compute_error(const ek_icp *icp, size_t padded, int32_t pairs, ek_error_measure measure)
+static ek_real compute_error(ek_icp *icp, size_t padded, int32_t pairs, const ek_icp_parameters *parameters)
 {
-    const ek_real *const EK_RESTRICT distance = icp->distance, *const EK_RESTRICT weight = icp->weight;
+    const ek_error_measure measure = parameters->error;
+    const int lines = parameters->metric == EK_METRIC_LINE;
+    if (lines) {
+        measure_across(icp, padded);
+    }
+    const ek_real *const EK_RESTRICT distance = lines ? icp->across : icp->distance;
+    const ek_real *const EK_RESTRICT weight = icp->weight;
     ek_real sums[EK_LANES] = {EK_R(0.0)}, total = EK_R(0.0);
     if (measure == EK_ERROR_MEAN) {
         for (size_t i = 0; i < padded; i += EK_LANES) {
@@ -234,6 +236,14 @@ static ek_real compute_error(const ek_icp *icp, size_t padded, int32_t pairs, ek
     }
     total /= (ek_real)pairs;
     return measure == EK_ERROR_RMSE ? EK_SQRT(total) : total;
+}
+
+/* The step of the pairs at a pose, in the target's frame. */
+static ek_pose fit_step(const ek_icp *icp, size_t padded, ek_pose pose, const ek_icp_parameters *parameters)
+{
+    const ek_pairs pairs = {padded, icp->mx, icp->my, icp->tx, icp->ty, icp->nx, icp->ny, icp->weight};
+    return parameters->metric == EK_METRIC_LINE ? ek_fit_lines(&pairs, parameters->cauchy, pose.x, pose.y)
+                                                : ek_fit_points(&pairs, pose.x, pose.y);
 }
 
 static void call_trace(ek_icp *icp, const ek_index *target, size_t count, ek_icp_iteration *iteration,
@@ -269,7 +279,11 @@ static ek_status check(const ek_icp *icp, const ek_index *target, const ek_real 
     if (target->count > icp->targets || EK_FABS(guess.x) > EK_MAX_COORDINATE || EK_FABS(guess.y) > EK_MAX_COORDINATE) {
         return EK_OUT_OF_RANGE;
     }
-    return ek_icp_check(parameters);
+    const ek_status status = ek_icp_check(parameters);
+    if (status == EK_OK && parameters->metric == EK_METRIC_LINE && (!icp->across || (!target->normals && target->count))) {
+        return EK_NULL_POINTER;
+    }
+    return status;
 }
 
 static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_pose guess,
@@ -278,12 +292,16 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
     const size_t padded = EK_PADDED(count);
     const int limited = parameters->max_correspondence > EK_R(0.0) && parameters->max_correspondence < MAX_DISTANCE;
     const ek_real limit = limited ? parameters->max_correspondence : MAX_DISTANCE;
+    const ek_real *const normals = parameters->metric == EK_METRIC_LINE ? target->normals : NULL;
     ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
     ek_pose pose = guess;
     ek_real previous = (ek_real)INFINITY;
-    move_source(icp, padded, pose, limit);
+    if (target->table) {
+        ek_table_attach(target->table, target);
+    }
+    move_source(icp, padded, pose, limit, target->cells.margin);
     while (match.iterations < parameters->max_iterations && !match.converged) {
-        match.queries += update_neighbours(icp, target, count, limit);
+        match.queries += update_neighbours(icp, target, normals, count, limit);
         match.inliers = select_pairs(icp, count, limit, parameters->one_to_one);
         if (match.inliers < parameters->min_pairs) {
             match.error = (ek_real)NAN;
@@ -292,12 +310,12 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
         }
         ek_icp_iteration now = {++match.iterations, match.inliers, EK_R(0.0), {EK_R(0.0), EK_R(0.0), EK_R(0.0)},
                                 pose, NULL, NULL};
-        now.step = closed_form(icp, padded, pose);
-        now.error = parameters->error_before ? compute_error(icp, padded, match.inliers, parameters->error) : EK_R(0.0);
+        now.step = fit_step(icp, padded, pose, parameters);
+        now.error = parameters->error_before ? compute_error(icp, padded, match.inliers, parameters) : EK_R(0.0);
         pose = ek_se2_compose(now.step, pose); /* equation 9: the step is in the target's frame */
         now.target_from_source = pose;
-        move_source(icp, padded, pose, limit);
-        now.error = parameters->error_before ? now.error : compute_error(icp, padded, match.inliers, parameters->error);
+        move_source(icp, padded, pose, limit, target->cells.margin);
+        now.error = parameters->error_before ? now.error : compute_error(icp, padded, match.inliers, parameters);
         if (trace) {
             call_trace(icp, target, count, &now, trace, context);
         }

@@ -14,7 +14,7 @@ extern "C" {
 #endif
 
 typedef struct {
-    ek_icp_parameters scan_to_scan, scan_to_map;
+    ek_icp_parameters scan_to_scan, scan_to_map; /* with EK_METRIC_POINT */
     int32_t use_scan_to_scan, use_scan_to_map; /* 1 or 0 */
     int32_t min_inliers;                       /* with fewer pairs the result is rejected and the guess kept */
     uint32_t keyframes;                        /* number of keyframes in the local map; 1 or more */

@@ -1,4 +1,4 @@
-/* icp.h - point-to-point ICP in the plane: one-to-one pairs, closed-form step (paper, equations 2 to 9).
+/* icp.h - ICP in the plane: one-to-one pairs, closed-form step (paper, equations 2 to 9); or distances to lines.
  *
  * Computes the same as the NumPy reference evalkit_baselines/paper/icp.py. Nearest neighbours are exact. A neighbour is
  * searched again only if the point has moved so far that another target point may be nearer (triangle inequality).
@@ -16,6 +16,9 @@ extern "C" {
 /* Error of the stop rule: mean distance (m), mean squared distance (m^2), or its root (m). */
 typedef enum { EK_ERROR_MEAN = 0, EK_ERROR_MEAN_SQUARED = 1, EK_ERROR_RMSE = 2 } ek_error_measure;
 
+/* Distance that a step minimises: to the target point, or to the line through it. */
+typedef enum { EK_METRIC_POINT = 0, EK_METRIC_LINE = 1 } ek_metric;
+
 typedef struct {
     int32_t max_iterations;     /* 1 or more */
     int32_t min_pairs;          /* 2 or more; with fewer pairs the guess is returned */
@@ -24,6 +27,8 @@ typedef struct {
     ek_error_measure error;
     int32_t error_before;       /* 0: error of the pairs after the step; 1: before it */
     int32_t one_to_one;         /* 1: of several source points with the same target point only the closest is kept */
+    ek_metric metric;           /* EK_METRIC_LINE needs ek_icp_init_lines and the normals of the target */
+    ek_real cauchy;             /* scale of the Cauchy weight of EK_METRIC_LINE (m); 0: equal weights */
 } ek_icp_parameters;
 
 /* Result of a registration. Not converging is a result, not an error. */
@@ -59,15 +64,18 @@ typedef struct {
     ek_real *distance;      /* to the nearest target point */
     ek_real *slack;         /* not positive: search again */
     ek_real *weight;        /* 1: a pair, 0: not */
+    ek_real *nx, *ny;       /* normals of the nearest target points; NULL without ek_icp_init_lines */
+    ek_real *across;        /* distance to their lines */
     uint32_t *nearest;      /* slot in the index, or `targets` */
     uint32_t *stale;        /* points to search for */
-    uint32_t *owner;        /* slot -> source point paired with it, valid if nearest[owner] is that slot */
-    uint32_t *pair_source, *pair_target;
+    uint32_t *owner;        /* slot (and one for none) -> the closest source point */
+    uint32_t *pair_source, *pair_target; /* pairs of a trace; pair_source also: blocks of a table to search in */
 } ek_icp;
 
 #define ek_icp_default EK_NAME(icp_default)
 #define ek_icp_check EK_NAME(icp_check)
 #define ek_icp_init EK_NAME(icp_init)
+#define ek_icp_init_lines EK_NAME(icp_init_lines)
 #define ek_icp_register EK_NAME(icp_register)
 
 /* Default parameters: 40 iterations, epsilon 1e-4 on the mean distance after the step, one-to-one, 0.3 m, 3 pairs. */
@@ -80,10 +88,14 @@ ek_status ek_icp_check(const ek_icp_parameters *parameters);
  * EK_OUT_OF_RANGE: a capacity is 0 or above 2^30. */
 ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targets);
 
+/* Initialise the memory that EK_METRIC_LINE needs in addition. */
+ek_status ek_icp_init_lines(ek_icp *icp, ek_arena *arena);
+
 /* Compute target_from_source, starting from `guess`. source_xy holds count pairs x y (m); trace may be NULL.
  * Stateless: the same arguments give the same result. An empty index gives the guess, not converged, 0 pairs.
  * EK_NO_POINTS, EK_TOO_MANY_POINTS, EK_NOT_FINITE (points or guess), EK_OUT_OF_RANGE (parameters, a coordinate larger
- * than EK_MAX_COORDINATE, or an index larger than `targets`). An error leaves *match unchanged. */
+ * than EK_MAX_COORDINATE, or an index larger than `targets`), EK_NULL_POINTER (also: EK_METRIC_LINE without
+ * ek_icp_init_lines or without normals of the target). An error leaves *match unchanged. */
 ek_status ek_icp_register(ek_icp *icp, const ek_index *target, const ek_real *source_xy, size_t count, ek_pose guess,
                           const ek_icp_parameters *parameters, ek_icp_trace trace, void *context, ek_match *match);
 

@@ -20,6 +20,8 @@ extern "C" {
 #define EK_INDEX_SLOTS(capacity) ((size_t)(capacity) + 1u)
 #define EK_INDEX_BLOCK 32u /* entries of start */
 
+typedef struct ek_table ek_table;
+
 /* Read only. A slot is a position in the sorted order. */
 typedef struct {
     size_t capacity;      /* points */
@@ -31,6 +33,10 @@ typedef struct {
     uint32_t *id;         /* slot -> index in the cloud */
     uint32_t *start;      /* cell -> its first slot; cells + 1 entries */
     uint32_t *scratch;    /* point -> cell while building */
+    uint32_t version;     /* changes with the points */
+    const ek_real *normals; /* NULL, or a normal x y per point, in the order of the cloud; set after each change of the
+                               points (normals.h) */
+    ek_table *table;      /* NULL, or the table of its neighbours (table.h) */
 } ek_index;
 
 /* Result of a search. */

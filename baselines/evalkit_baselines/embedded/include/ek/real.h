@@ -53,8 +53,10 @@ typedef double ek_real;
 
 #if defined(__GNUC__) || defined(__clang__)
 #define EK_RESTRICT __restrict__
+#define EK_PREFETCH(address) __builtin_prefetch(address)
 #else
 #define EK_RESTRICT
+#define EK_PREFETCH(address) ((void)(address))
 #endif
 
 #endif

@@ -1,0 +1,122 @@
+#include "check.h"
+#include "ek/icp.h"
+#include "ek/table.h"
+
+#define POINTS 1500u
+#define PLACES 500u
+
+static ek_real cloud[2u * POINTS], place_x[PLACES], place_y[PLACES];
+static ek_index kept, plain;
+static ek_table table;
+
+static void fill(uint64_t *seed)
+{
+    for (size_t k = 0; k < POINTS; k++) { /* half on a wall, half anywhere, some twice, one far away */
+        cloud[2u * k] = uniform(seed, 0.0, 10.0);
+        cloud[2u * k + 1u] = k % 2u ? uniform(seed, -0.05, 0.05) : uniform(seed, 0.0, 5.0);
+    }
+    memcpy(cloud + 200, cloud + 100, 40u * sizeof(ek_real));
+    cloud[20] = EK_R(-40.0);
+}
+
+/* Search the same places again and again: before, while and after their blocks are made. */
+static void finds_what_the_index_finds(size_t count, double limit, uint64_t *seed)
+{
+    static uint32_t which[PLACES], at[PLACES];
+    CHECK(ek_index_build(&kept, cloud, count) == EK_OK && ek_index_build(&plain, cloud, count) == EK_OK);
+    ek_table_attach(&table, &kept);
+    for (uint32_t k = 0; k < PLACES; k++) {
+        which[k] = (k * 7u) % PLACES;
+        place_x[k] = k % 10u ? uniform(seed, -0.5, 10.5) : uniform(seed, -60.0, 60.0);
+        place_y[k] = k % 3u ? uniform(seed, -0.1, 0.1) : uniform(seed, -1.0, 6.0);
+        if (k % 5u == 0u) { /* exactly on a point: some are equally near */
+            place_x[k] = cloud[2u * (100u + k / 5u) % (2u * count)];
+            place_y[k] = cloud[(2u * (100u + k / 5u) + 1u) % (2u * count)];
+        }
+    }
+    for (int turn = 0; turn < 6; turn++) {
+        const ek_real now = EK_R(turn < 5 ? limit : 2.0 * limit);
+        ek_table_locate(&table, &kept, place_x, place_y, which, PLACES, at);
+        for (size_t k = 0; k < PLACES; k++) {
+            const ek_real x = place_x[which[k]], y = place_y[which[k]];
+            const ek_neighbour expected = ek_index_nearest(&plain, x, y, now, EK_R(0.2));
+            const ek_neighbour found = ek_table_nearest(&table, &kept, at[k], x, y, now, EK_R(0.2));
+            CHECK(found.slot == expected.slot);
+            CHECK(found.slot == EK_NONE || found.distance == expected.distance);
+            ek_real least = EK_FAR; /* distance to the nearest other point */
+            for (size_t i = 0; i < count; i++) {
+                const ek_real dx = kept.xy[2u * i] - x, dy = kept.xy[2u * i + 1u] - y;
+                const ek_real distance = EK_SQRT(dx * dx + dy * dy);
+                least = i != found.slot && distance < least ? distance : least;
+            }
+            CHECK(found.others <= least + kept.cells.margin);
+        }
+    }
+}
+
+static void the_table_is_used(void)
+{
+    CHECK(table.blocks > 100u && table.tiles > 100u);
+}
+
+static void a_registration_is_the_same_to_the_bit(uint64_t *seed)
+{
+    static ek_real source[2u * PLACES];
+    static ek_icp icp;
+    ek_icp_parameters parameters = ek_icp_default();
+    ek_arena arena = memory_of(200000u);
+    CHECK(ek_icp_init(&icp, &arena, PLACES, POINTS) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    CHECK(ek_index_build(&kept, cloud, POINTS) == EK_OK && ek_index_build(&plain, cloud, POINTS) == EK_OK);
+    for (size_t k = 0; k < 2u * PLACES; k++) {
+        source[k] = cloud[k] + uniform(seed, -0.02, 0.02);
+    }
+    parameters.epsilon = EK_R(0.0);
+    for (int turn = 0; turn < 12; turn++) {
+        const ek_pose guess = {uniform(seed, -0.1, 0.1), uniform(seed, -0.1, 0.1), uniform(seed, -0.03, 0.03)};
+        ek_match with, without;
+        parameters.one_to_one = turn % 2;
+        CHECK(ek_icp_register(&icp, &kept, source, PLACES, guess, &parameters, NULL, NULL, &with) == EK_OK);
+        CHECK(ek_icp_register(&icp, &plain, source, PLACES, guess, &parameters, NULL, NULL, &without) == EK_OK);
+        CHECK(memcmp(&with.target_from_source, &without.target_from_source, sizeof(ek_pose)) == 0);
+        CHECK(with.error == without.error && with.inliers == without.inliers && with.inliers > 100);
+        CHECK(with.iterations == without.iterations && with.converged == without.converged);
+    }
+    free(arena.memory);
+}
+
+static void bad_input_is_named(void)
+{
+    ek_arena none = ek_arena_make(NULL, 0u);
+    ek_table other;
+    CHECK(ek_table_init(&other, &none, &plain, 0u, 10u) == EK_OUT_OF_RANGE);
+    CHECK(ek_table_init(&other, &none, &plain, 10u, (size_t)1 << 27) == EK_OUT_OF_RANGE);
+    CHECK(ek_table_init(&other, &none, NULL, 10u, 10u) == EK_NULL_POINTER);
+    CHECK(ek_table_init(&other, &none, &plain, 1000u, 1000u) == EK_OK && plain.table == NULL);
+    ek_arena little = memory_of(none.used - 16u);
+    CHECK(ek_table_init(&other, &little, &plain, 1000u, 1000u) == EK_OK);
+    CHECK(ek_arena_check(&little) == EK_TOO_LITTLE_MEMORY && little.used == none.used && plain.table == NULL);
+    free(little.memory);
+}
+
+int main(void)
+{
+    uint64_t seed = 3u;
+    const size_t sizes[][2] = {{4000u, 20000u}, {4000u, 20u}, {20u, 20000u}};
+    fill(&seed);
+    for (size_t k = 0; k < 3u; k++) {
+        ek_arena arena = memory_of(4000000u);
+        CHECK(ek_index_init(&kept, &arena, POINTS, 4000u) == EK_OK && ek_index_init(&plain, &arena, POINTS, 4000u) == EK_OK);
+        CHECK(ek_table_init(&table, &arena, &kept, sizes[k][0], sizes[k][1]) == EK_OK);
+        CHECK(ek_arena_check(&arena) == EK_OK && kept.table == &table);
+        finds_what_the_index_finds(POINTS, 0.3, &seed);
+        finds_what_the_index_finds(POINTS, 1e9, &seed);
+        finds_what_the_index_finds(POINTS, 0.05, &seed);
+        k == 0u ? the_table_is_used() : (void)0;
+        finds_what_the_index_finds(2u, 1.0, &seed);
+        finds_what_the_index_finds(1u, 1e9, &seed);
+        a_registration_is_the_same_to_the_bit(&seed);
+        free(arena.memory);
+    }
+    bad_input_is_named();
+    return verdict();
+}
