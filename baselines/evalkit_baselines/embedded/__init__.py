@@ -41,6 +41,7 @@ MAP_LINE = replace(
     parameters=with_defaults(registration.PARAMETERS, **{p.name: p.default for p in paper.MAP_LINE.parameters}),
     frontend=paper.MAP_LINE.frontend,
     tuned_on=paper.MAP_LINE.tuned_on,
+    default=False,
 )
 
 PIPELINE = OdometrySpec(

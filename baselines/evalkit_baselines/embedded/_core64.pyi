@@ -37,7 +37,7 @@ def normals(points: Array, neighbours: int) -> Array:
     """Unit normals (N, 2) of points (N, 2) in metres from their nearest neighbours (ek/normals.h)."""
 
 class Icp:
-    """ICP (ek/icp.h); ``error``: 0 mean, 1 mean squared, 2 its root; ``lines``: distances to lines instead of points."""
+    """ICP (ek/icp.h); ``error``: 0 mean, 1 mean squared, 2 its root; ``lines``: distances to lines, not points."""
 
     def __init__(
         self,
