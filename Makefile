@@ -6,7 +6,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install report report-quick test check bench faults paper paper-quick metric-validation tune docs fuzz clean distclean
+.PHONY: help install report report-quick system test check bench faults paper paper-quick metric-validation tune docs fuzz clean distclean
 
 help:  ## print this list
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)

@@ -6,7 +6,7 @@ import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -15,14 +15,17 @@ from rich.progress import Progress
 from rich.table import Table
 
 from evalkit.core.errors import EvalkitError, UnknownName
+from evalkit.io.toml import load_toml
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.terminal import options, progress
 from evalkit_datasets import catalog, recorded
-from evalkit_datasets.fetch import fetch
+from evalkit_datasets.fetch import fetch, list_downloads, why_offline
+from evalkit_datasets.inspection.findings import format_count
 
 app = typer.Typer(help="List, download and generate recordings.", no_args_is_help=True, add_completion=False)
 out = Console(soft_wrap=True)
 err = Console(stderr=True, soft_wrap=True)
+PLAIN: dict[str, Any] = {"highlight": False, "markup": False}
 
 
 @app.command("list")
@@ -48,18 +51,42 @@ def list_(as_json: Annotated[bool, typer.Option("--json", help="Print the result
 
 @app.command("fetch")
 def fetch_(
-    names: Annotated[list[str], typer.Argument(help="Names of files or data sets.", show_default=False)],
+    names: Annotated[list[str] | None, typer.Argument(help="Names of files or data sets.", show_default=False)] = None,
+    experiment: Annotated[
+        Path | None,
+        typer.Option("--for", help="Fetch what an experiment file needs; what cannot be had is named, and no error."),
+    ] = None,
 ) -> None:
-    """Download files, or all files of a data set, into the cache and verify them."""
-    files = dict.fromkeys(file for name in names for file in recorded.FILES.get(name, (name,)))
+    """Download files, or all files of a data set, into the cache, build those that are built, and verify them.
+
+    EVALKIT_OFFLINE=1 keeps it from the network.
+    """
+    if not names and experiment is None:
+        raise typer.BadParameter("give names of data sets or files, or --for EXPERIMENT.toml")
+    datasets = [*(names or ()), *(_datasets_of(experiment) if experiment is not None else ())]
+    files = dict.fromkeys(file for name in datasets for file in recorded.files_of(name))
+    known = [name for name in files if name in catalog.load_catalog()]
+    downloads = list_downloads(known)
+    reason = why_offline(downloads[0].url) if downloads else ""
+    if experiment is not None and reason:
+        out.print(f"{reason}: not fetched: {', '.join(_lacking(datasets))}; their runs are listed as missing", **PLAIN)
+        files = dict.fromkeys(name for name in known if not list_downloads([name]))
+    elif downloads and not reason:
+        size = sum(card.bytes for card in downloads) / 1e6
+        out.print(f"downloading {format_count(len(downloads), 'file')}, {size:.1f} MB:", **PLAIN)
+        for card in downloads:
+            out.print(f"  {card.name}, {card.bytes / 1e6:.1f} MB, licence: {card.licence}", **PLAIN)
     failed = False
     for name in files:
         try:
-            out.print(str(_fetch_with_progress(name)), highlight=False)
+            path = _fetch_with_progress(name)
         except EvalkitError as error:
-            err.print(str(error), style="red", highlight=False, markup=False)
+            (out if experiment is not None else err).print(str(error), style=None if experiment else "red", **PLAIN)
             failed = True
-    if failed:
+        else:
+            if experiment is None:
+                out.print(path, **PLAIN)
+    if failed and experiment is None:
         raise typer.Exit(2)
 
 
@@ -83,6 +110,17 @@ def example_(
     summary = f"{example.bag}: {example.scans} scans, {example.duration_s:.1f} s, {example.path_m:.1f} m, simulated"
     out.print(summary, markup=False, highlight=False)
     out.print(f"{example.truth}: true poses", markup=False, highlight=False)
+
+
+def _datasets_of(experiment: Path) -> list[str]:
+    """Return the recorded data sets that an experiment file uses."""
+    tables = load_toml(experiment, "an experiment").get("sequence", [])
+    used = [str(table.get("use")) for table in tables if isinstance(table, dict)] if isinstance(tables, list) else []
+    return [name for name in dict.fromkeys(used) if name in recorded.FILES]
+
+
+def _lacking(datasets: list[str]) -> list[str]:
+    return [name for name in dict.fromkeys(datasets) if list_downloads(recorded.files_of(name))]
 
 
 def _fetch_with_progress(name: str) -> str:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
+from urllib.parse import urlsplit
 
 from evalkit.core.errors import BadData, DataMissing
 from evalkit_datasets import catalog
@@ -13,6 +16,12 @@ from evalkit_datasets.catalog import CatalogFile
 
 MAX_BYTES = 2**32
 """Limit for a file of unknown size."""
+
+OFFLINE = "EVALKIT_OFFLINE"
+"""Environment variable that keeps evalkit from the network."""
+
+ANSWER_S = 5.0
+"""A server that does not answer within this time is not waited for."""
 
 Progress = Callable[[int, int], None]
 """Called with the bytes received and the total (0: unknown)."""
@@ -38,12 +47,32 @@ def fetch(name: str, progress: Progress = _ignore_progress) -> Path:
         return _build(card, target, progress)
     if not card.url:
         raise DataMissing(name, f"it has no public URL ({card.derived})", catalog.suggest_replacement(card))
+    if os.environ.get(OFFLINE, "0") not in {"", "0"}:
+        raise DataMissing(name, f"not on this machine, and {OFFLINE} is set", f"unset {OFFLINE}")
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(target.name + ".part")
     _download(card, part, progress)
     _verify_or_delete(card, part)
     part.replace(target)
     return target
+
+
+def why_offline(url: str) -> str:
+    """Return why nothing can be downloaded, "" if the server answers within ``ANSWER_S``."""
+    if os.environ.get(OFFLINE, "0") not in {"", "0"}:
+        return f"offline ({OFFLINE} is set)"
+    answers: list[int] = []
+    thread = threading.Thread(target=_ask, args=(url, answers), daemon=True)
+    thread.start()
+    thread.join(ANSWER_S)
+    return "" if answers else f"no answer from {urlsplit(url).hostname} within {ANSWER_S:g} s"
+
+
+def _ask(url: str, answers: list[int]) -> None:
+    import requests  # noqa: PLC0415 - heavy, and used for downloads only
+
+    with contextlib.suppress(requests.RequestException):
+        answers.append(requests.head(url, timeout=ANSWER_S).status_code)
 
 
 def list_downloads(names: Iterable[str]) -> list[CatalogFile]:

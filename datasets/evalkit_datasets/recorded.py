@@ -83,6 +83,13 @@ def needed_files(name: str, drive: str = "") -> tuple[str, ...]:
     return (str(raw["path"]), *FILES[name][1:]) if raw else FILES[name]
 
 
+def files_of(name: str) -> tuple[str, ...]:
+    """Return the files to fetch for a data set, with all its drives, or for a file of the catalogue."""
+    if name not in DATASETS:
+        return (name,)
+    return FILES[name] if "drives" in DATASETS[name] else needed_files(name)
+
+
 def _open(name: str, drive: str = "", **selection: Value) -> Sequence:
     """Return the sequence of a data set; ``selection``: the parameters of its spec."""
     card, raw = DATASETS[name], find_raw(name)

@@ -2,6 +2,7 @@
 
 import hashlib
 import http.server
+import socket
 import threading
 from dataclasses import replace
 from types import MappingProxyType
@@ -10,8 +11,9 @@ import pytest
 
 from evalkit.core.errors import BadData, DataMissing
 from evalkit_datasets import catalog
+from evalkit_datasets import fetch as fetching
 from evalkit_datasets.catalog import CatalogFile
-from evalkit_datasets.fetch import fetch
+from evalkit_datasets.fetch import fetch, why_offline
 
 CONTENT = bytes(range(256)) * 2000
 
@@ -177,3 +179,19 @@ def test_the_path_of_a_catalogued_file_is_relative_to_the_data_folder(path):
     with pytest.raises(ValueError, match="path: expected a path relative to the data folder"):
         CatalogFile("a.log", path, "", "", "")
     assert {entry.path for entry in catalog.load_catalog().values()}
+
+
+def test_a_server_that_answers_is_online_whatever_it_answers(register_file, server):
+    register_file()
+    assert why_offline(f"http://127.0.0.1:{server.server_port}/file") == ""
+
+
+def test_a_server_that_does_not_answer_is_not_waited_for(register_file, monkeypatch):
+    register_file()
+    monkeypatch.setattr(fetching, "ANSWER_S", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        assert why_offline(f"http://127.0.0.1:{silent.getsockname()[1]}/") == "no answer from 127.0.0.1 within 0.2 s"
+    monkeypatch.setenv("EVALKIT_OFFLINE", "1")
+    assert why_offline("http://127.0.0.1/") == "offline (EVALKIT_OFFLINE is set)"
+    with pytest.raises(DataMissing, match="not on this machine, and EVALKIT_OFFLINE is set; unset"):
+        fetch("a.log")
