@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import sys
 from dataclasses import dataclass
@@ -82,6 +83,12 @@ def read_sizes(path: Path) -> Sizes | None:
         data=sum(size for kind, flags, size in kept if flags & WRITTEN and kind != NO_BITS),
         bss=sum(size for kind, flags, size in kept if flags & WRITTEN and kind == NO_BITS),
     )
+
+
+def read_compiler(content: bytes) -> str:
+    """Return the compilers that a compiled file names, and their options where they were recorded; "" without any."""
+    found = re.findall(rb"(?:GCC: \(|clang version |rustc version |GNU C\d+ )[\x20-\x7e]{1,300}", content)
+    return ", ".join(dict.fromkeys(one.decode() for one in found))[:600]
 
 
 def _header(path: Path) -> bytes:

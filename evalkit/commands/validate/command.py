@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import secrets
 import shlex
 import shutil
 import sys
@@ -36,6 +37,9 @@ if TYPE_CHECKING:
 
 MAX_LINES = 4
 """Checks of a level in the printed summary of a report with several levels; the page shows all."""
+
+SEED_FILE = "seed.txt"
+"""In the results folder: the seed of its drawn questions."""
 
 Group = Literal["rules", "registrations", "lockstep", "determinism"]
 ONLY: tuple[Group, ...] = get_args(Group)
@@ -103,6 +107,15 @@ def validate(
             autocompletion=options.complete("mappers"),
         ),
     ] = "",
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Seed of the drawn questions; printed.", show_default="drawn, kept in --out"),
+    ] = None,
+    waivers: Annotated[
+        list[str] | None,
+        typer.Option("--except", help="NAME=REASON: this rule or check may fail; the report says why (repeatable)."),
+    ] = None,
+    junit: Annotated[Path | None, typer.Option(help="Also write a JUnit XML file.", show_default=False)] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer questions: under a minute.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Discard earlier results, and measure times again.")] = False,
     rule: Annotated[
@@ -141,15 +154,17 @@ def validate(
     names = backends or []
     name = _single_name(names, group)
     effort = plan.QUICK if quick else plan.FULL
+    out_folder = folder or RESULTS / f"validate-{_file_name(name or 'determinism')}"
+    excepted = _parse_waivers(waivers or [])
     request = plan.ValidationRequest(
         backend=name, given=options.settings(setting or []), reference=reference,
         given_reference=options.settings(set_reference or [], "--set-reference"),
-        peers=tuple(peer or defaults.find_backends_with_role("peer")),
+        peers=tuple(filter(None, defaults.find_backends_with_role("peer") if peer is None else peer)),
         on=tuple(on or _default_sequences(quick=quick or group == "determinism", simulated=group == "determinism")),
         seeds=seeds or (1 if quick else 3), claim=_parse_claim(claim), margin=_parse_margin(margin), noise_share=share,
         mapper=mapper, effort=replace(effort, scans=scans or effort.scans), only=group, disturbed=disturb,
+        seed=_choose_seed(seed, out_folder, fresh), waivers=excepted,
     )  # fmt: skip
-    out_folder = folder or RESULTS / f"validate-{_file_name(name or 'determinism')}"
     if fresh:
         for part in ("tasks", "runs"):  # only what this command writes: the folder may contain other files
             shutil.rmtree(out_folder / part, ignore_errors=True)
@@ -163,12 +178,12 @@ def validate(
         _refuse_only(group, ("", "lockstep"), name, subject)
         report = run.report_mapper(request, out_folder, workers, display)
     elif group == "rules":
-        report = run.report_rules(name, request.given, tuple(rule or ()), limit)
+        report = run.report_rules(name, request.given, tuple(rule or ()), limit, request.seed, excepted)
     elif group == "determinism":
         report = run.report_determinism(names, request.given, request.on, threads, repetitions, _announce)
     else:
         report = _compare(request, out_folder, workers, display)
-    _finish(report, out_folder, as_json)
+    _finish(report, out_folder, as_json, junit)
 
 
 def _compare(request: ValidationRequest, folder: Path, workers: int, display: ProgressDisplay) -> AcceptanceReport:
@@ -181,9 +196,10 @@ def _compare(request: ValidationRequest, folder: Path, workers: int, display: Pr
     return run.ValidationRun(planned, folder, workers, display).report()
 
 
-def _finish(report: AcceptanceReport, folder: Path, as_json: bool) -> None:
+def _finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | None) -> None:
     """Writes the page and the JSON file, prints the report, and exits with code 1 if the claim does not hold."""
     from evalkit.commands.validate import page  # noqa: PLC0415 - imports matplotlib
+    from evalkit.commands.validate.acceptance import as_junit  # noqa: PLC0415 - as above
     from evalkit.io.output_files import write_texts  # noqa: PLC0415 - as above
 
     content = report.as_json()
@@ -192,11 +208,15 @@ def _finish(report: AcceptanceReport, folder: Path, as_json: bool) -> None:
         folder,
         {"acceptance.json": json.dumps(content, indent=1) + "\n", "index.html": page.render_page(report, command)},
     )
+    if junit is not None:
+        write_texts(junit.parent, {junit.name: as_junit(report)})
     if as_json:
         options.print_json(content)
     else:
         progress.print_table(out, _table(report))
         out.print(report.verdict, markup=False, emoji=False, highlight=False)
+        if (seed := report.settings.get("seed")) is not None:
+            out.print(f"{report.asked} checks, questions drawn with --seed {seed}", markup=False, highlight=False)
         out.print(str((folder / "index.html").resolve()), markup=False, highlight=False)
     if not report.passed:
         raise typer.Exit(1)
@@ -265,6 +285,28 @@ def _default_sequences(quick: bool, simulated: bool) -> list[str]:
     if not chosen:
         raise NotInstalled("sequence", "no installed data set declares an excerpt", "name one with --on")
     return [shlex.join([name, *(f"{key}={value}" for key, value in excerpts[name].items())]) for name in chosen]
+
+
+def _choose_seed(given: int | None, folder: Path, fresh: bool) -> int:
+    """The seed given, that of the folder so that its results count, or a new one; it is kept in the folder."""
+    from evalkit.io.output_files import write_texts  # noqa: PLC0415 - as above
+
+    file = folder / SEED_FILE
+    known = None if fresh or not file.exists() else file.read_text(encoding="utf-8").strip()
+    seed = given if given is not None else int(known) if known and known.isdecimal() else secrets.randbelow(1_000_000)
+    write_texts(folder, {SEED_FILE: f"{seed}\n"})
+    return seed
+
+
+def _parse_waivers(texts: list[str]) -> dict[str, str]:
+    """Reasons by the name of a check."""
+    waivers = {}
+    for text in texts:
+        name, equals, reason = text.partition("=")
+        if not (equals and name.strip() and reason.strip()):
+            raise BadParameter("validate", "except", text, "NAME=REASON, such as order='it samples its points'")
+        waivers[name.strip()] = reason.strip()
+    return waivers
 
 
 def _parse_only(text: str) -> Only:

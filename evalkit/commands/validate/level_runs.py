@@ -12,7 +12,7 @@ from scipy import stats
 from evalkit.commands.validate.acceptance import AcceptanceLevel, Check
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.equivalence.map_cells import GridPair
-from evalkit.commands.validate.level_answers import ComparisonTerms, mapper_check, unfinished_check
+from evalkit.commands.validate.level_answers import ComparisonTerms, judge_gap, mapper_check, unfinished_check, waive
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import ENDED
@@ -68,7 +68,8 @@ def trajectories_level(
         checks += [_no_larger_error(sequence, runs_here, terms, quantity) for quantity in TITLES]
         checks += [_error_beside_peer(sequence, runs_here, terms, peer) for peer in terms.peers]
     question = f"Does a whole run follow the path of {terms.reference}, and is it as close to the truth?"
-    return AcceptanceLevel(3, "trajectories", question, tuple(one for one in checks if one), {"records": records})
+    known = tuple(one for one in checks if one)
+    return waive(AcceptanceLevel(3, "trajectories", question, known, {"records": records}), terms.waivers)
 
 
 def maps_level(
@@ -93,7 +94,8 @@ def maps_level(
         observed = "the back end brings no mapper; name one with --mapper"
         checks.append(Check("mapper of the back end", "", "not applicable", "never", observed))
     question = f"Is the map along its path the map of {terms.reference}, cell by cell, and as accurate?"
-    return AcceptanceLevel(4, "maps", question, tuple(one for one in checks if one), {"records": records})
+    known = tuple(one for one in checks if one)
+    return waive(AcceptanceLevel(4, "maps", question, known, {"records": records}), terms.waivers)
 
 
 def compute_errors(record: RunRecord) -> RunErrors:
@@ -247,9 +249,11 @@ def _no_larger_error(
         f"{margin:.2g} m: {terms.noise_share:g} of half the 90 % interval of the error of {terms.reference}, "
         f"[{own.low:.3g}, {own.high:.3g}] m by blocks of {block} scans"
     )
-    passed = bool(np.array_equal(errors, reference)) or gap.high < margin
+    outcome, hint = judge_gap(gap.value, gap.low, gap.high, margin, len(errors))
+    if np.array_equal(errors, reference):
+        outcome, hint = "passed", "the errors are equal to the bit"
     name = f"{TITLES[quantity]} no larger than that of {terms.reference}"
-    return Check(name, sequence, "passed" if passed else "failed", "as-good", observed, reason)
+    return Check(name, sequence, outcome, "as-good", observed, reason, hint)
 
 
 def _error_beside_peer(
@@ -311,11 +315,16 @@ def _no_worse_walls(sequence: str, both: Records, terms: ComparisonTerms) -> Che
         observed += "; one run shows no variation: give more --seeds"
         return Check(name, sequence, "informative", "never", observed)
     margin = terms.noise_share * float(known[:, 1].std(ddof=1))
-    lost = float((known[:, 1] - known[:, 0]).mean())
+    losses = known[:, 1] - known[:, 0]
+    half = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, len(known) - 1) * losses.std(ddof=1) / math.sqrt(len(known)))
+    lost = float(losses.mean())
+    outcome, hint = judge_gap(lost, lost - half, lost + half, margin, len(known))
+    if (lost <= 0.0 and outcome == "not shown") or not losses.any():
+        outcome, hint = "passed", "no loss was observed"
     reason = (
         f"{margin:.2g}: {terms.noise_share:g} of the standard deviation of {terms.reference} over {len(known)} seeds"
     )
-    return Check(name, sequence, "passed" if lost <= margin else "failed", "as-good", observed, reason)
+    return Check(name, sequence, outcome, "as-good", observed, reason, hint)
 
 
 def _format_gap(gap: Interval) -> str:

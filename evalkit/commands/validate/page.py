@@ -23,7 +23,9 @@ from evalkit.report.html.blocks import (
     render,
 )
 
-TONES: Mapping[Outcome, Tone] = {"passed": "good", "failed": "bad", "informative": "", "not applicable": ""}
+TONES: Mapping[Outcome, Tone] = {
+    "passed": "good", "failed": "bad", "not shown": "warn", "waived": "warn", "informative": "", "not applicable": "",
+}  # fmt: skip
 
 MAX_CHECKS = 20
 """Checks of a level that are shown at once; if there are more, those that passed are folded."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from evalkit.commands.validate import probes, timing_probes
+from evalkit.commands.validate import probes, question_probes, timing_probes
 from evalkit.commands.validate.acceptance import Claim
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.probes import EXACT
@@ -37,7 +37,8 @@ class Effort:
     """The size of a validation.
 
     ``pairs``: pairs of scans; ``scans``: scans in lockstep; ``mapper_scans``: scans for the comparison of mappers;
-    ``timed``: scans timed; ``limit_s``, ``memory_mib``: limits of one task; ``map_scans``: scans in the map of a run.
+    ``timed``: scans timed; ``limit_s``, ``memory_mib``: limits of one task; ``map_scans``: scans in the map of a run;
+    ``quick``: fewer drawn questions.
     """
 
     pairs: int
@@ -47,10 +48,11 @@ class Effort:
     limit_s: float
     map_scans: int
     memory_mib: int = 2048
+    quick: bool = False
 
 
 FULL = Effort(pairs=40, scans=150, mapper_scans=40, timed=250, limit_s=240.0, map_scans=250)
-QUICK = Effort(pairs=16, scans=45, mapper_scans=12, timed=45, limit_s=60.0, map_scans=40)
+QUICK = Effort(pairs=16, scans=45, mapper_scans=12, timed=45, limit_s=60.0, map_scans=40, quick=True)
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,7 @@ class ValidationRequest:
     ``reference``: "" for the default one. ``peers``: other methods for context. ``on``: sequences such as
     "name laps=0.3". ``margin``: "auto" or a text for ``probes.parse_margin``. ``noise_share``: see ``ComparisonTerms``.
     ``mapper``: "" for the mapper in the module of the back end. ``disturbed``: include disturbed guesses in lockstep.
+    ``seed``: of drawn questions and rules. ``waivers``: reasons by the name of a check that is excepted.
     """
 
     backend: str
@@ -76,6 +79,8 @@ class ValidationRequest:
     effort: Effort
     only: Only = ""
     disturbed: bool = True
+    seed: int = 0
+    waivers: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def margins(self) -> list[str]:
@@ -134,7 +139,7 @@ class ValidationPlan:
         """The settings of the validation for the report."""
         return {
             "backend": dict(self.given), "reference": dict(self.given_reference), "on": list(self.request.on),
-            "seeds": self.request.seeds, "noise_share": self.request.noise_share,
+            "seed": self.request.seed, "seeds": self.request.seeds, "noise_share": self.request.noise_share,
             "effort": asdict(self.request.effort), "mappers": list(self.mappers),
         }  # fmt: skip
 
@@ -143,13 +148,23 @@ class ValidationPlan:
         spec = registry.backend(self.backend)
         own = {p.name for p in spec.parameters}
         given = {name: value for name, value in self.given.items() if name in own}
-        task = make_task("rules", probes.rules, name=self.backend, given=given, limit_s=30.0, digest=spec.digest)
+        task = make_task(
+            "rules", probes.rules, name=self.backend, given=given, limit_s=30.0, seed=self.request.seed,
+            digest=spec.digest,
+        )  # fmt: skip
         return task.depending_on(*self._modules(self.backend))
 
     def pair_tasks(self) -> Iterator[AnyTask]:
         """The tasks of level 1."""
         request, effort = self.request, self.request.effort
         a, b = self._plugin(self.reference), self._plugin(self.backend)
+        if {self.backend, self.reference} <= set(self.registrations):
+            drawn = make_task(
+                f"questions, drawn with seed {request.seed}", question_probes.compare_questions, a=a, b=b,
+                seed=request.seed, margins=request.margins, quick=effort.quick,
+            )  # fmt: skip
+            modules = self._modules(self.backend, self.reference)
+            yield sandbox.sandboxed(drawn.depending_on(*modules), effort.limit_s, effort.memory_mib)
         for place in seeded_sequences(self.experiment):
             exact = registry.dataset(place.sequence.dataset).seeded  # a simulated truth has no error
             yield self._sandboxed(

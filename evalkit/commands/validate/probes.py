@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -21,6 +21,7 @@ from evalkit.commands.validate.equivalence.margins import (
     radius_m,
 )
 from evalkit.commands.validate.rules import runner
+from evalkit.commands.validate.rules.state_rules import match_bits
 from evalkit.commands.validate.scan_pairs import ScanPair, TwoScans
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -31,7 +32,7 @@ from evalkit.execution.task import Result
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
-from evalkit.plugins.protocols import NoAnswer, Odometry, Sequence
+from evalkit.plugins.protocols import NoAnswer, Odometry, Registration, Sequence
 from evalkit.plugins.specs import RegistrationSpec
 
 Plugin = Mapping[str, Any]
@@ -47,9 +48,9 @@ START = Pose(0.0213, 0.0117, 0.3)
 NO_POSE = (np.nan, np.nan, np.nan)
 
 
-def rules(name: str, given: Mapping[str, Value], limit_s: float, digest: str = "") -> Result:  # noqa: ARG001
+def rules(name: str, given: Mapping[str, Value], limit_s: float, seed: int, digest: str = "") -> Result:  # noqa: ARG001
     """The results of all rules, which run in separate processes. ``digest``: of the build, for the task's key."""
-    report = runner.check(name, given, limit_s)
+    report = runner.check(name, given, limit_s, seed=seed)
     return {"rules": [asdict(one) for one in report.results]}
 
 
@@ -65,16 +66,28 @@ def compare_pairs(a: Plugin, b: Plugin, on: Data, count: int, exact: bool, margi
         note_place(f"{on['label']}, pair {question.scan} ({question.stage})")
         match = first.register(question.target, question.source, question.guess)
         answered.append(lockstep.answer(second, question, match))
+    unrepeated = _count_unrepeated(lambda: sides[1].registrations()["s2m"] if alone else TwoScans(sides[1]), answered)
     answers = [one.a.target_from_source for one in answered]
     residuals = [scan_pairs.residual_m(one.question, answer) for one, answer in zip(answered, answers, strict=True)]
     return {
         **_describe_questions(pairs),
         **_compare(sides, on["label"], answered, margins),
         "alone": alone,
+        "unrepeated": unrepeated,
         "a": _rows(answers),
         "b": _rows(None if one.b is None else one.b.target_from_source for one in answered),
         "residual_m": np.array(residuals),
     }
+
+
+def _count_unrepeated(make: Callable[[], Registration], answered: list[AnswerPair]) -> int:
+    """The number of answers that a new object does not give again to the bit, in the opposite order."""
+    registration = make()
+    again = [lockstep.answer(registration, one.question, one.a) for one in reversed(answered)]
+    return sum(
+        first.b is not None and (other.b is None or match_bits(first.b) != match_bits(other.b))
+        for first, other in zip(reversed(answered), again, strict=True)
+    )
 
 
 def answer_pairs(backend: Plugin, on: Data, count: int, exact: bool) -> Result:
@@ -241,7 +254,7 @@ def _compare(
 def _beyond_rounding(answered: AnswerPair, margin: Margin) -> bool:
     if answered.b is None:
         return True
-    divergence = first_divergence(answered, margin)
+    divergence = first_divergence(answered, margin, explain=False)
     apart = not margin.holds(answered.a.target_from_source, answered.b.target_from_source)
     return divergence is not None and divergence.kind not in ROUNDING and apart
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
@@ -34,6 +36,8 @@ from evalkit.execution.scheduler import Scheduler
 from evalkit.execution.task import AnyTask, Result, make_task
 from evalkit.execution.task_runner import OnDone, run_tasks
 from evalkit.execution.task_store import TaskStore
+from evalkit.external import elf
+from evalkit.external.declaration import split_words
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import Value
@@ -69,7 +73,7 @@ class ValidationRun:
         if only == "lockstep":
             return self._comparison_report(self._compute(plan.lockstep_tasks()))
         results = self._compute([plan.rules_task()], workers=1)["rules"]["rules"]
-        rules = level_answers.rules_level([RuleResult(**one) for one in results])
+        rules = level_answers.rules_level([RuleResult(**one) for one in results], waivers=plan.request.waivers)
         if any(check.outcome == "failed" and check.name in FATAL_RULES for check in rules.checks):
             return self._report(EXACT, "", (rules,))
         return self._full_report(rules)
@@ -85,7 +89,8 @@ class ValidationRun:
         pairs, scans = _of_kind("pairs", results), _of_kind("scans", results)
         answers = {name: _of_kind(f"answers of {name}", results) for name in self.plan.peers}
         peers = {name: own for name, own in answers.items() if own}
-        levels = [level_answers.registrations_level(pairs, peers, terms)] if pairs else []
+        drawn = _of_kind("questions", results)
+        levels = [level_answers.registrations_level(pairs, peers, terms, drawn)] if pairs else []
         return (*levels, *([level_answers.lockstep_level(scans, terms)] if scans else []))
 
     def _full_report(self, rules: AcceptanceLevel) -> AcceptanceReport:
@@ -134,25 +139,33 @@ class ValidationRun:
 
     def _terms(self, margin: str) -> ComparisonTerms:
         plan = self.plan
-        return ComparisonTerms(plan.backend, plan.reference_label, margin, plan.request.noise_share, plan.peers)
+        request = plan.request
+        return ComparisonTerms(
+            plan.backend, plan.reference_label, margin, request.noise_share, plan.peers, request.waivers
+        )
 
     def _report(self, margin: str, margin_text: str, levels: tuple[AcceptanceLevel, ...]) -> AcceptanceReport:
         plan = self.plan
         return AcceptanceReport(
             plan.backend, plan.reference_label, plan.why_reference, plan.peers, plan.unavailable, plan.request.claim,
-            margin, margin_text, levels, plan.settings(), environment.describe(jobs=self.workers),
+            margin, margin_text, levels, plan.settings(), environment.describe(jobs=self.workers), plan.request.waivers,
+            describe_binaries(plan.backend),
         )  # fmt: skip
 
 
-def report_rules(backend: str, given: Mapping[str, str], rules: Sequence[str], limit_s: float) -> AcceptanceReport:
+def report_rules(
+    backend: str, given: Mapping[str, str], rules: Sequence[str], limit_s: float, seed: int = 0,
+    waivers: Mapping[str, str] | None = None,
+) -> AcceptanceReport:  # fmt: skip
     """Level 0 of a back end alone; ``rules``: names of the rules to check, () for all; ``limit_s``: time of one rule.
 
     Raises UnknownName, BadParameter, NotInstalled or BackendFailed before anything runs.
     """
     values = from_text(backend, runner.spec_of(backend).parameters, given)
-    checked = runner.check(backend, values, limit_s=limit_s, only=rules)
-    level = level_answers.rules_level(checked.results)
-    return _report_alone(checked.label, level, {"backend": values})
+    checked = runner.check(backend, values, limit_s=limit_s, only=rules, seed=seed)
+    level = level_answers.rules_level(checked.results, waivers=waivers)
+    alone = _report_alone(checked.label, level, {"backend": values, "seed": seed})
+    return replace(alone, waivers=waivers or {}, binaries=describe_binaries(backend))
 
 
 def report_dataset(dataset: str, given: Mapping[str, str], frames: int) -> AcceptanceReport:
@@ -240,6 +253,22 @@ def _determinism_check(
     )
 
 
+def describe_binaries(backend: str) -> dict[str, str]:
+    """SHA-256, compiler and flags, where the file tells them, of the files of machine code of a back end, by name."""
+    files = compiled_files(backend)
+    if backend.startswith("exec:"):
+        files = [
+            Path(found) for word in split_words(backend, backend.partition(":")[2]) if (found := shutil.which(word))
+        ]
+    described = {}
+    for file in files:
+        if file.is_file():
+            content = file.read_bytes()
+            facts = (f"SHA-256 {hashlib.sha256(content).hexdigest()}", elf.read_compiler(content))
+            described[file.name] = "; ".join(filter(None, facts))
+    return described
+
+
 def _report_alone(subject: str, level: AcceptanceLevel, settings: Mapping[str, Any]) -> AcceptanceReport:
     """The report of one level that needs no reference."""
     return AcceptanceReport(subject, "", "", (), {}, "equal", "", "", (level,), settings, environment.describe(jobs=1))
@@ -247,7 +276,11 @@ def _report_alone(subject: str, level: AcceptanceLevel, settings: Mapping[str, A
 
 def _comparisons(results: Results) -> dict[str, Result]:
     """All comparisons with the reference, question by question."""
-    return {f"{kind}, {place}": one for kind in ("pairs", "scans") for place, one in _of_kind(kind, results).items()}
+    return {
+        f"{kind}, {place}": one
+        for kind in ("pairs", "questions", "scans")
+        for place, one in _of_kind(kind, results).items()
+    }
 
 
 def _of_kind(kind: str, results: Results) -> dict[str, Result]:

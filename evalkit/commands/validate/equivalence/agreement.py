@@ -26,7 +26,8 @@ class Equivalence:
     """The result of comparing implementations A and B.
 
     ``level``: the most detailed quantity that both provide. ``first``: the first divergence, None if there is none.
-    ``classes``: number of questions that first diverge, by class (mappers: scans that differ). ``n``: scans compared.
+    ``classes``: number of questions that first diverge, by class (mappers: scans that differ). ``fields``: number of
+    questions with an equal pose whose other field differs, by field. ``n``: scans compared.
     ``unanswered``: questions without an answer from B. ``strayed``: disturbed questions whose answers differ by more
     than the margin for another reason than rounding. One of either refutes equivalence. ``intervals`` of disturbed
     questions decide nothing else: far from the answer, a tie in the last bit may change the path.
@@ -42,6 +43,7 @@ class Equivalence:
     strayed: int
     first: Divergence | None
     classes: Mapping[str, int]
+    fields: Mapping[str, int]
     intervals: tuple[EquivalenceInterval, ...]
     margin: Margin
 
@@ -53,7 +55,7 @@ class Equivalence:
 
     def as_json(self) -> dict[str, Any]:
         """The result as JSON values; None for what is not finite."""
-        content: dict[str, Any] = _as_plain({"equivalent": self.equivalent, **asdict(self), "assumption": ASSUMPTION})
+        content: dict[str, Any] = as_plain({"equivalent": self.equivalent, **asdict(self), "assumption": ASSUMPTION})
         return content
 
     def __str__(self) -> str:
@@ -63,13 +65,18 @@ class Equivalence:
             f"compared: {self.level}; {self.questions} questions of {self.n} scans, {self.unanswered} unanswered by B,"
             f" {self.strayed} disturbed ones that differ for another reason than rounding",
             f"first divergence: {self.first or 'none'}",
-            f"classes: {', '.join(f'{kind} {count}' for kind, count in self.classes.items()) or 'none'}",
+            f"classes: {_format_counts(self.classes)}",
+            f"fields that differ where the pose does not: {_format_counts(self.fields)}",
             f"margin: {self.margin.metres:.3g} m, {self.margin.radians:.3g} rad, {self.margin.log_odds:.3g} log-odds"
             f" ({self.margin.origin})",
             *(_format_interval(one) for one in self.intervals),
             f"test: {ASSUMPTION}",
         ]
         return "\n".join(lines)
+
+
+def _format_counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
 
 
 def _format_interval(one: EquivalenceInterval) -> str:
@@ -81,9 +88,10 @@ def _format_interval(one: EquivalenceInterval) -> str:
     )
 
 
-def _as_plain(value: Any) -> Any:
+def as_plain(value: Any) -> Any:
+    """A value as JSON: lists, texts as keys, None for what is not finite."""
     if isinstance(value, Mapping):
-        return {str(key): _as_plain(one) for key, one in value.items()}
+        return {str(key): as_plain(one) for key, one in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_as_plain(one) for one in value]
+        return [as_plain(one) for one in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value

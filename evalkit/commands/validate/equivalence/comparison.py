@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import wraps
 from itertools import islice
 from typing import Literal, ParamSpec
@@ -13,7 +14,7 @@ import numpy as np
 from evalkit.commands.validate.equivalence import lockstep, map_cells
 from evalkit.commands.validate.equivalence.agreement import Depth, Equivalence
 from evalkit.commands.validate.equivalence.diagnosis import find_mistake, mistakes_in_answer
-from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence
+from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence, wrong_fields
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, PosePair
 from evalkit.commands.validate.equivalence.margins import (
     EquivalenceInterval,
@@ -42,6 +43,10 @@ FLOAT32: Literal["float32"] = "float32"
 
 ROUNDING = ("precision", "nearest-neighbour tie")
 """Classes of divergence that rounding alone explains."""
+
+
+EXPLAINED_QUESTIONS = 3
+"""Divergences of a comparison whose cause is searched for; the others are only classified."""
 
 
 class NotEquivalent(AssertionError):
@@ -120,7 +125,9 @@ def mapper_equivalence(
     largest = np.array(result.largest)[np.isfinite(result.largest)]
     number = np.arange(1, len(largest) + 1)
     intervals = (interval("largest cell", "log odds", largest, number, known.log_odds),) if len(largest) else ()
-    return Equivalence(label_a, label_b, name, "cells", n, n, unanswered, 0, result.first, classes, intervals, known)
+    return Equivalence(
+        label_a, label_b, name, "cells", n, n, unanswered, 0, result.first, classes, {}, intervals, known
+    )
 
 
 def _raise_if_different(compare: Callable[Arguments, Equivalence]) -> Callable[Arguments, Equivalence]:
@@ -152,7 +159,10 @@ def compare_answers(sides: Sides, name: str, answered: list[AnswerPair], margin:
     """The comparison of both sides' answers to the same questions."""
     questions = [one.question for one in answered]
     known = _compute_margin(margin, (Scale.of(one.target, one.source, one.guess) for one in questions))
-    diverged = [(one, divergence) for one in answered if (divergence := first_divergence(one, known))]
+    diverged: list[tuple[AnswerPair, Divergence]] = []
+    for one in answered:
+        if divergence := first_divergence(one, known, explain=len(diverged) < EXPLAINED_QUESTIONS):
+            diverged.append((one, divergence))
     divergences = [divergence for _, divergence in diverged]
     strayed = sum(one.disturbed and _is_strayed(one, divergence, known) for one, divergence in diverged)
     stages = dict.fromkeys(one.stage for one in questions)
@@ -161,8 +171,26 @@ def compare_answers(sides: Sides, name: str, answered: list[AnswerPair], margin:
     scans, unanswered = len({one.scan for one in questions}), sum(one.b is None for one in answered)
     return Equivalence(
         sides[0].label, sides[1].label, name, _depth(answered), scans, len(answered), unanswered, strayed,
-        divergences[0] if divergences else None, _count_kinds(divergences), tuple(intervals), known,
+        divergences[0] if divergences else None, _count_kinds(divergences),
+        count_fields([(one, known) for one in answered], margin), tuple(intervals), known,
     )  # fmt: skip
+
+
+def count_fields(answered: Iterable[tuple[AnswerPair, Margin]], margin: MarginChoice) -> dict[str, int]:
+    """The number of questions with an equal pose whose other field differs, by field.
+
+    A field that the second side never reports (an error that is always nan, no trace) is not compared. Under the
+    float32 margin rounding may decide a count: there a field differs from a tenth of the questions on.
+    """
+    known = [(one.a, one.b, limits) for one, limits in answered if one.b is not None]
+    traced = any(b.history for _, b, _ in known)
+    errors = any(not math.isnan(b.error) for _, b, _ in known)
+    counts = Counter(
+        name for a, b, limits in known for name in wrong_fields(a, b, limits)
+        if (traced or not name.startswith("trace")) and (errors or name != "error")
+    )  # fmt: skip
+    least = 0.1 * len(known) if margin == FLOAT32 else 0.0
+    return {name: count for name, count in counts.items() if count > least}
 
 
 def _is_strayed(answered: AnswerPair, divergence: Divergence, margin: Margin) -> bool:
@@ -194,7 +222,7 @@ def compare_poses(sides: Sides, name: str, poses: list[PosePair], margin: Margin
     unanswered = sum((one.a is None) != (one.b is None) for one in poses)
     return Equivalence(
         sides[0].label, sides[1].label, name, "trajectories", len(poses), len(poses), unanswered, 0,
-        divergences[0] if divergences else None, _count_kinds(divergences), intervals, margin,
+        divergences[0] if divergences else None, _count_kinds(divergences), {}, intervals, margin,
     )  # fmt: skip
 
 

@@ -13,21 +13,10 @@ from evalkit.core import se2
 from evalkit.core.se2 import Floats
 
 DivergenceKind = Literal[
-    "nearest-neighbour tie",
-    "precision",
-    "stop rule",
-    "iteration cap",
-    "outlier rule",
-    "cost",
-    "units",
-    "sign",
-    "different",
-    "traversal",
-    "endpoint rule",
-    "clamp",
-    "counting rule",
-    "increment",
-]
+    "nearest-neighbour tie", "precision", "stop rule", "iteration cap", "outlier rule", "neighbours", "stale pairs",
+    "step", "start", "cost", "field", "parameter", "units", "sign", "different", "traversal", "endpoint rule", "clamp",
+    "counting rule", "increment",
+]  # fmt: skip
 
 EXPLAINED = 0.01
 """A mistake explains a difference if less than this share of it remains."""

@@ -14,10 +14,10 @@ from evalkit.commands.validate.equivalence.diagnosis import (
     best_step,
     find_mistake,
     mistakes_in_answer,
-    mistakes_in_step,
     motion_distance_m,
     name_cost,
 )
+from evalkit.commands.validate.equivalence.hypotheses import ObservedStep
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale, float32_margin
 from evalkit.core.arrays import Ints
@@ -45,20 +45,58 @@ class Divergence:
         return f"scan {self.scan}, {self.stage}{at}, {self.quantity}: {self.kind}: {self.what}"
 
 
-def first_divergence(answered: AnswerPair, margin: Margin) -> Divergence | None:
-    """The first difference between two answers beyond the margin; None if there is none."""
+def first_divergence(answered: AnswerPair, margin: Margin, explain: bool = True) -> Divergence | None:
+    """The first difference between two answers beyond the margin; None if there is none.
+
+    ``explain``: search for the rule that causes it where pairs are not known, which takes some milliseconds.
+    """
     question, a, b = answered.question, answered.a, answered.b
     if b is None:
         return Divergence(question.scan, question.stage, None, "answer", "different", f"B {answered.failure}")
-    comparison = _AnswerComparison(question, a, b, margin)
+    wrong = wrong_fields(a, b, margin)
+    explained = (
+        {"pose"},
+        {"iterations", "trace length"},
+        {"error", "trace error"},
+    )  # by the first iteration that differs
+    if wrong and not any(each <= set(wrong) for each in explained):
+        what = f"the pose is equal, but not {', '.join(wrong)}: {_format_field(wrong[0], a, b)}"
+        return Divergence(question.scan, question.stage, None, "answer", "field", what)
+    comparison = _AnswerComparison(question, a, b, margin, explain)
     return comparison.in_iterations() or comparison.at_the_end()
+
+
+def wrong_fields(a: Match, b: Match, margin: Margin) -> list[str]:
+    """The fields of an answer that differ; without equal poses "pose" alone."""
+    if not margin.holds(a.target_from_source, b.target_from_source):
+        return ["pose"]
+    wrong = [name for name in ("converged", "iterations", "inliers") if getattr(a, name) != getattr(b, name)]
+    if not math.isnan(a.error) and not abs(a.error - b.error) <= margin.metres:
+        wrong.append("error")
+    if b.history or a.history:
+        if len(a.history) != len(b.history):
+            wrong.append("trace length")
+        entries = list(zip(a.history, b.history, strict=False))
+        if any(one.inliers != other.inliers for one, other in entries):
+            wrong.append("trace inliers")
+        if any(not _close(one.error, other.error, margin.metres) for one, other in entries):
+            wrong.append("trace error")
+        if any(not margin.holds(one.target_from_source, other.target_from_source) for one, other in entries):
+            wrong.append("trace pose")
+    return wrong
+
+
+def _format_field(name: str, a: Match, b: Match) -> str:
+    if name.startswith("trace"):
+        return f"{len(a.history)} entries against {len(b.history)}" if name == "trace length" else "in an iteration"
+    return f"{name} {getattr(a, name)} against {getattr(b, name)}"
 
 
 class _AnswerComparison:
     """Two answers to one question."""
 
-    def __init__(self, question: Question, a: Match, b: Match, margin: Margin) -> None:
-        self._question, self._a, self._b, self._margin = question, a, b, margin
+    def __init__(self, question: Question, a: Match, b: Match, margin: Margin, explain: bool) -> None:
+        self._question, self._a, self._b, self._margin, self._explain = question, a, b, margin, explain
         self._scale = Scale.of(question.target, question.source, question.guess)
         self._rounding = float32_margin(self._scale)
         self._lever_m = max(self._scale.radius_m, 0.1)
@@ -97,8 +135,13 @@ class _AnswerComparison:
         self, number: int, before_a: Pose, before_b: Pose, a: Iteration, b: Iteration
     ) -> Divergence | None:
         if a.pairs is None or b.pairs is None:
-            if a.inliers == b.inliers:
+            same = self._margin.holds(a.target_from_source, b.target_from_source)
+            if a.inliers == b.inliers or same:
                 return None
+            if mistake := self._hypothesis(number, before_a, a, b):
+                return self._divergence(number, "pairs", mistake.kind, mistake.what)
+            if self._rounding.holds(a.target_from_source, b.target_from_source):
+                return self._divergence(number, "pairs", "precision", "another number of pairs, within rounding")
             kind: DivergenceKind = "outlier rule"
             return self._divergence(
                 number, "pairs", kind, f"{a.inliers} pairs against {b.inliers}; not both report their pairs"
@@ -116,16 +159,12 @@ class _AnswerComparison:
         right, other = a.target_from_source, b.target_from_source
         if self._margin.holds(right, other):
             return None
-        mistake = find_mistake(
-            [*self._wrong_steps(before, a), *mistakes_in_answer(right.row, self._question.guess.row)],
-            right.row,
-            other.row,
-            self._lever_m,
-        )
-        if mistake:
-            return self._divergence(number, "pose", mistake.kind, mistake.what)
         if self._rounding.holds(right, other):
             return self._divergence(number, "pose", "precision", f"within rounding to float32 ({self._growth(number)})")
+        answers = mistakes_in_answer(right.row, self._question.guess.row)
+        mistake = find_mistake(answers, right.row, other.row, self._lever_m) or self._hypothesis(number, before, a, b)
+        if mistake:
+            return self._divergence(number, "pose", mistake.kind, mistake.what)
         return self._divergence(number, "pose", "different", self._least_squares_side(before, a, b))
 
     def _compare_costs(self, number: int, before: Pose, a: Iteration, b: Iteration) -> Divergence | None:
@@ -160,6 +199,14 @@ class _AnswerComparison:
 
     def _mistaken_answer(self) -> Divergence | None:
         right, other = self._a.target_from_source.row, self._b.target_from_source.row
+        guess = self._question.guess
+        if math.isnan(self._a.error) and not self._a.converged and self._a.target_from_source == guess:
+            what = f"with too few pairs A returns the guess, B another pose ({self._gap()})"
+            return self._divergence(None, "answer", "different", what)
+        if len(self._a.history) > 1 and self._margin.holds(
+            self._a.history[-2].target_from_source, self._b.target_from_source
+        ):
+            return self._divergence(None, "answer", "different", "the pose before the last step is returned")
         mistake = find_mistake(mistakes_in_answer(right, self._question.guess.row), right, other, self._lever_m)
         return self._divergence(None, "answer", mistake.kind, mistake.what) if mistake else None
 
@@ -179,11 +226,17 @@ class _AnswerComparison:
         what = f"{self._a.error:.6g} m against {self._b.error:.6g} m for the same answer"
         return self._divergence(None, "cost", kind, what)
 
-    def _wrong_steps(self, before: Pose, a: Iteration) -> list[Mistake]:
-        if a.pairs is None or not len(a.pairs):
-            return []
-        source, target = self._paired(before, a.pairs)
-        return mistakes_in_step(before.row, source, target, before.transform(self._question.source.points))
+    def _hypothesis(self, number: int, before: Pose, a: Iteration, b: Iteration) -> Mistake | None:
+        """The rule whose change leads from the reference's pairs to the other pose; None without pairs or cause."""
+        history = self._a.history[: number - 1]
+        if not self._explain or a.pairs is None or not len(a.pairs):
+            return None
+        observed = ObservedStep(
+            self._question.target.points, self._question.source.points, before.row, self._question.guess.row, a.pairs,
+            a.target_from_source.row, b.target_from_source.row, b.inliers, history[0].pairs if history else None,
+            history[-1].pairs if history else None, self._lever_m,
+        )  # fmt: skip
+        return observed.explain()
 
     def _least_squares_side(self, before: Pose, a: Iteration, b: Iteration) -> str:
         if a.pairs is None or not len(a.pairs):
@@ -191,7 +244,8 @@ class _AnswerComparison:
         best = Pose.of(best_step(*self._paired(before, a.pairs))) @ before
         right = [name for name, one in (("A", a), ("B", b)) if self._rounding.holds(best, one.target_from_source)]
         best_side = f"that of {right[0]}" if len(right) == 1 else "neither"
-        return f"different steps from the same pairs; {best_side} is the least-squares step ({self._gap_of(a, b)})"
+        pairs = "the same" if b.pairs is not None else "as many"
+        return f"different steps from {pairs} pairs; {best_side} is the least-squares step ({self._gap_of(a, b)})"
 
     def _name_cost(self, before: Pose, a: Iteration, error: float) -> str:
         if a.pairs is None or not len(a.pairs):

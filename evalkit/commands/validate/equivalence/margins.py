@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -99,6 +99,15 @@ def float32_margin(scale: Scale) -> Margin:
     )
     metres = max(gain * (step + scale.reach_m * turn), FLOAT32_ROUNDOFF)
     return Margin(metres, max(gain * turn, FLOAT32_ROUNDOFF), origin=origin)
+
+
+def float64_margin(scale: Scale, least: Margin) -> Margin:
+    """A margin, or the effect of rounding to double precision at a scale where that is larger: 16 times the formula."""
+    single = float32_margin(scale)
+    share = 16.0 * 2.0**-29
+    return replace(
+        least, metres=max(least.metres, share * single.metres), radians=max(least.radians, share * single.radians)
+    )
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+import time
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from evalkit.commands.validate.rules.memory_leak import check_memory_growth
+from evalkit.commands.validate.rules import resource_rules
 from evalkit.commands.validate.rules.registration_rules import UNIT_TOLERANCE, check_turn
+from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, Measured, in_another_thread
 from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, format_exception, rule_table
-from evalkit.commands.validate.rules.scenes import SimulatedDrive, distance_m, drive, format_pose, without_hits
+from evalkit.commands.validate.rules.scenes import (
+    BEAMS,
+    SimulatedDrive,
+    distance_m,
+    drive,
+    format_pose,
+    without_hits,
+)
+from evalkit.commands.validate.rules.state_rules import LATER_S, run_elsewhere
 from evalkit.core.errors import EvalkitError
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
@@ -29,18 +41,40 @@ MAX_REMAINING = 0.5
 BEAM_SHARE = 0.3
 """The share of a scan's duration by which answers may be late; without deskewing it is one half."""
 
-LEAK_BYTES = 100_000
-"""Per scan of a standing robot: half a gigabyte in 5,000 scans."""
-
 QUARTER_TURN = Pose(0.2, 0.1, math.pi / 2.0)
 
 
 class OdometryFixture:
-    """A back end under test; runs each drive with a new object."""
+    """A back end under test; runs each drive with a new object. ``elsewhere``: as for a ``RegistrationFixture``."""
 
-    def __init__(self, make: Callable[[], Odometry], role: Role = "") -> None:
-        self.make = make
-        self.role = role
+    def __init__(
+        self,
+        make: Callable[[], Odometry],
+        role: Role = "",
+        seed: int = 0,
+        elsewhere: Mapping[str, Any] = {},
+    ) -> None:
+        self.make, self.role, self.seed, self.elsewhere = make, role, seed, elsewhere
+        self.short = drive(8)
+        self.asked_s = math.inf
+
+    @cached_property
+    def first_answers(self) -> Floats:
+        """The answers (N, 3) to a short drive."""
+        answers = self.run(self.short.frames)
+        self.asked_s = time.monotonic()
+        return answers
+
+    @cached_property
+    def endurance(self) -> Measured:
+        """What many scans of a standing robot do to the process."""
+        frame = drive(1, standing=1).frames[0]
+
+        def calls(odometry: Odometry) -> Callable[[], object]:
+            stamps = iter(range(frame.scan.stamp_ns, 2**62, 100_000_000))
+            return lambda: answer_row(odometry, replace(frame, scan=replace(frame.scan, stamp_ns=next(stamps))))
+
+        return resource_rules.measure(self.make, calls)
 
     def run(self, frames: Iterable[Frame]) -> Floats:
         """The answers (N, 3) to the frames, nan if there is none."""
@@ -259,14 +293,67 @@ def check_read_only(fixture: OdometryFixture) -> str:
     return "all scans are unchanged after the call"
 
 
-def check_memory(fixture: OdometryFixture) -> str:
-    """Scans of a standing robot do not leak memory."""
-    frame = drive(1, standing=1).frames[0]
-    odometry = fixture.make()
-    stamps = iter(range(frame.scan.stamp_ns, 2**62, 100_000_000))
-    return check_memory_growth(
-        lambda: answer_row(odometry, replace(frame, scan=replace(frame.scan, stamp_ns=next(stamps)))), LEAK_BYTES
-    )
+def check_values(fixture: OdometryFixture) -> str:
+    """Scans with nan and inf among the ranges, with one beam and with 20,000 beams give an answer or an exception."""
+    simulated = drive(6)
+    rng = np.random.default_rng(fixture.seed)
+    for name, chosen in (("nan", np.nan), ("inf", np.inf)):
+        holed = tuple(
+            replace(
+                frame, scan=replace(frame.scan, ranges=np.where(rng.random(BEAMS) < 0.3, chosen, frame.scan.ranges))
+            )
+            for frame in simulated.frames
+        )
+        _on_track(fixture, replace(simulated, frames=holed), f"with 30 % of the ranges {name}", 0.5 * ON_TRACK_M + 0.4)
+    for rows in (np.arange(1), np.repeat(np.arange(BEAMS), 56)):
+        frames = tuple(
+            replace(frame, scan=replace(frame.scan, ranges=frame.scan.ranges[rows], angles=frame.scan.angles[rows],
+                                        time_increment_ns=0))
+            for frame in simulated.frames
+        )  # fmt: skip
+        try:
+            fixture.run(frames)
+        except RuleBroken:
+            raise
+        except Exception as error:  # noqa: BLE001 - a back end may refuse with any exception
+            return f"{len(rows)} beams: {format_exception(error)}"
+    return "it answers scans with holes, with one beam and with 20,160 beams"
+
+
+def check_thread(fixture: OdometryFixture) -> str:
+    """A second thread gets the same answers."""
+    return _same_answers(fixture, in_another_thread(lambda: fixture.run(fixture.short.frames)), "in a second thread")
+
+
+def check_process(fixture: OdometryFixture) -> str:
+    """Another process, with other addresses and other values in fresh memory, gets the same answers."""
+    if not fixture.elsewhere:
+        raise RuleNotApplicable("it has no address by which another process finds it")
+    found = run_elsewhere(answers_elsewhere, fixture.elsewhere)
+    return _same_answers(fixture, np.array(found["answers"], dtype=np.float64), "in another process")
+
+
+def check_later(fixture: OdometryFixture) -> str:
+    """The answers are the same seconds later."""
+    once = fixture.first_answers
+    time.sleep(max(0.37, LATER_S - time.monotonic() + fixture.asked_s))
+    del once
+    return _same_answers(fixture, fixture.run(fixture.short.frames), f"{LATER_S:g} s later")
+
+
+def answers_elsewhere(*, address: dict[str, str], parameters: dict[str, Any], seed: int) -> dict[str, Any]:
+    """The answers to a short drive, in this process."""
+    from evalkit.commands.validate.rules import runner  # noqa: PLC0415 - which imports the rules
+
+    return {"answers": runner.load_fixture(address, parameters, seed).first_answers}
+
+
+def _same_answers(fixture: OdometryFixture, found: Floats, when: str) -> str:
+    expected = fixture.first_answers
+    if not np.array_equal(expected, found, equal_nan=True):
+        scan = int(np.argmax((expected != found).any(axis=1)))
+        raise RuleBroken(f"{when} scan {scan + 1} has another answer: {found[scan]}, before {expected[scan]}")
+    return f"{len(expected)} answers are the same to the bit {when}"
 
 
 def end_pose(simulated: SimulatedDrive) -> Pose:
@@ -279,11 +366,11 @@ def _odometry_motion(simulated: SimulatedDrive) -> Pose:
     return begin.inverse() @ end if begin is not None and end is not None else Pose()
 
 
-def _on_track(fixture: OdometryFixture, simulated: SimulatedDrive, how: str) -> str:
+def _on_track(fixture: OdometryFixture, simulated: SimulatedDrive, how: str, within_m: float = ON_TRACK_M) -> str:
     answer, truth = last_pose(fixture.run(simulated.frames)), end_pose(simulated)
     left = truth.inverse() @ answer
     gap = f"{100 * math.hypot(left.x, left.y):.1f} cm and {math.degrees(abs(left.theta)):.1f} deg off after 0.6 m"
-    if distance_m(answer, truth) > ON_TRACK_M:
+    if distance_m(answer, truth) > within_m:
         raise RuleBroken(f"{how}: {gap}: {format_pose(answer)} instead of {format_pose(truth)}")
     return f"{how}: {gap}"
 
@@ -291,5 +378,6 @@ def _on_track(fixture: OdometryFixture, simulated: SimulatedDrive, how: str) -> 
 RULES = rule_table(
     check_starts, check_first, check_follows, check_moves, check_metres, check_radians, check_first_beam,
     check_mounting, check_without_odometry, check_odometry_gap, check_no_hits, check_no_hits_first, check_all_at_once,
-    check_equal_stamps, check_fresh, check_deterministic, check_read_only, check_memory,
+    check_equal_stamps, check_values, check_fresh, check_deterministic, check_read_only, *RESOURCE_RULES, check_thread,
+    check_process, check_later,
 )  # fmt: skip

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
-from dataclasses import astuple
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from evalkit.commands.validate.rules.memory_leak import check_memory_growth
+from evalkit.commands.validate.rules import resource_rules
+from evalkit.commands.validate.rules.range_rules import RANGE_RULES, validate_match
+from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, Measured
 from evalkit.commands.validate.rules.rule import RuleBroken, format_exception, rule_table
-from evalkit.commands.validate.rules.scenes import CloudPair, clear_pair, distance_m, format_pose, noisy_pair, wall_pair
+from evalkit.commands.validate.rules.scenes import (
+    CloudPair,
+    clear_pair,
+    distance_m,
+    drawn_pair,
+    format_pose,
+    noisy_pair,
+    wall_pair,
+)
+from evalkit.commands.validate.rules.state_rules import STATE_RULES, Bits, answer_bits, match_bits
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
+from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.protocols import Registration
 
 EXACT_M = 0.02
@@ -29,24 +43,80 @@ SHUFFLED_M = 0.01
 MAX_REMAINING = 0.75
 """The largest share of the error of the guess that may remain; a coarse stop rule may stop early."""
 
-LEAK_BYTES = 100_000
-"""Per call: half a gigabyte in 5,000 scans. Less cannot be distinguished from the memory an allocator keeps."""
-
 FAR = Pose(5.0, -3.0, 2.0)
 UNIT_TOLERANCE = 0.2
 """Error, as a share of a true length or in radians, beyond which the unit or sign of an answer is in doubt."""
 
 
 class RegistrationFixture:
-    """A back end under test, with valid questions."""
+    """A back end under test, with valid questions drawn from a seed.
 
-    def __init__(self, make: Callable[[], Registration]) -> None:
-        self.make = make
+    ``parameters``, ``given``: what it declares, and the complete values it is made with. ``elsewhere``: the arguments
+    of ``state_rules.answers_elsewhere``, by which another process finds the same back end; {} if none can.
+    """
+
+    def __init__(
+        self,
+        make: Callable[..., Registration],
+        seed: int = 0,
+        parameters: Sequence[Parameter] = (),
+        given: Mapping[str, Value] = {},
+        elsewhere: Mapping[str, Any] = {},
+    ) -> None:
+        self._make, self.seed, self.elsewhere = make, seed, elsewhere
+        self._parameters, self._given = parameters, given
+        self.asked_s = math.inf
+        self.worn: Registration | None = None  # the object of the endurance run
+
+    def make(self) -> Registration:
+        """A new object."""
+        return self._make(**self._given)
+
+    def make_with(self, **changes: Value) -> Registration:
+        """A new object with some parameters changed."""
+        return self._make(**{**self._given, **changes})
+
+    def variants(self) -> Iterator[dict[str, Value]]:
+        """One change of each numeric parameter of the method, within its bounds."""
+        for one in self._parameters:
+            value = self._given.get(one.name, one.default)
+            if isinstance(value, (int, float)) and not isinstance(value, bool) and not one.name.endswith("_timeout_s"):
+                changed = type(value)(min(max(2 * value, one.low), one.high))
+                if changed != value:
+                    yield {one.name: changed}
 
     @cached_property
     def shared(self) -> Registration:
         """The object that most rules share: a registration is stateless."""
         return self.make()
+
+    @cached_property
+    def questions(self) -> list[CloudPair]:
+        """Questions drawn from the seed: three of one size, others larger, smaller and without pairs."""
+        rng = np.random.default_rng([self.seed, 1])
+        sizes = [(60, 40)] * 3 + [(90, 70), (40, 60), (300, 200), (5, 3), (12, 1)]
+        pairs = [drawn_pair(rng, *size) for size in sizes]
+        far = pairs[0]
+        nothing = CloudPair(far.target, Cloud(far.source.points + 50.0), far.truth, far.guess)
+        return [*pairs, nothing]
+
+    @cached_property
+    def first_answers(self) -> list[Bits]:
+        """The answers of new objects to the questions."""
+        answers = [answer_bits(self.make(), pair) for pair in self.questions]
+        self.asked_s = time.monotonic()
+        return answers
+
+    @cached_property
+    def endurance(self) -> Measured:
+        """What many calls do to the process."""
+
+        def calls(one: Registration) -> Callable[[], object]:
+            cycle = itertools.cycle(self.questions)
+            self.worn = one
+            return lambda: answer_bits(one, next(cycle))
+
+        return resource_rules.measure(self.make, calls)
 
     def register(self, pair: CloudPair) -> Pose:
         """The answer to a pair."""
@@ -59,22 +129,6 @@ def check_starts(fixture: RegistrationFixture) -> str:
     match = fixture.make().register(pair.target, pair.source, pair.guess)
     validate_match(match)
     return f"a Match of {match.inliers} pairs"
-
-
-def validate_match(match: object) -> Match:
-    """The argument if it is a Match with valid values; raises RuleBroken otherwise."""
-    if not isinstance(match, Match):
-        raise RuleBroken(f"register() returns a {type(match).__name__}, expected an evalkit.Match")
-    pose = match.target_from_source
-    if not isinstance(pose, Pose) or not np.isfinite(pose.row).all():
-        raise RuleBroken(f"target_from_source is {pose!r}, expected a finite evalkit.Pose")
-    if not isinstance(match.converged, bool):
-        raise RuleBroken(f"converged is {match.converged!r}, expected True or False")
-    if match.iterations < 0 or match.inliers < 0 or match.error < 0.0:
-        raise RuleBroken(
-            f"iterations {match.iterations}, inliers {match.inliers}, error {match.error}: expected none below 0"
-        )
-    return match
 
 
 def check_identity(fixture: RegistrationFixture) -> str:
@@ -180,24 +234,6 @@ def check_duplicates(fixture: RegistrationFixture) -> str:
     return _near(fixture.register(doubled), fixture.register(pair), SAME_M, "the answer with every point once")
 
 
-def check_empty(fixture: RegistrationFixture) -> str:
-    """Empty clouds give an answer or an exception, not a crash."""
-    none, some = Cloud(np.zeros((0, 2))), clear_pair().target
-    return _survives(fixture, {"empty source": (some, none), "empty target": (none, some), "both empty": (none, none)})
-
-
-def check_few_points(fixture: RegistrationFixture) -> str:
-    """One, two or coinciding points give an answer or an exception, not a crash."""
-    some = clear_pair().target
-    one, two, same = (Cloud(some.points[rows]) for rows in ([0], [0, 1], [3] * 20))
-    return _survives(
-        fixture,
-        {"one point": (some, one), "one point as target": (one, some), "one point each": (one, one),
-         "two points": (some, two), "two points as target": (two, some), "20 times the same point": (some, same),
-         "20 times the same point as target": (same, some)},
-    )  # fmt: skip
-
-
 def check_wall(fixture: RegistrationFixture) -> str:
     """A single straight wall, which leaves one direction open, gives no distant answer."""
     pair = wall_pair()
@@ -270,16 +306,6 @@ def check_read_only(fixture: RegistrationFixture) -> str:
     return "both clouds are unchanged after the call"
 
 
-def check_memory(fixture: RegistrationFixture) -> str:
-    """Calls do not leak memory."""
-    pair = clear_pair()
-
-    def call() -> None:
-        fixture.shared.register(Cloud(pair.target.points), Cloud(pair.source.points), pair.guess)
-
-    return check_memory_growth(call, LEAK_BYTES)
-
-
 def _near(answer: Pose, wanted: Pose, tolerance_m: float, name: str) -> str:
     off = distance_m(answer, wanted)
     left = wanted.inverse() @ answer
@@ -290,41 +316,19 @@ def _near(answer: Pose, wanted: Pose, tolerance_m: float, name: str) -> str:
 
 
 def _same(first: Match, other: Match, when: str) -> str:
-    if _bits(first) != _bits(other):
+    if match_bits(first) != match_bits(other):
         before, after = format_pose(first.target_from_source), format_pose(other.target_from_source)
         off = distance_m(other.target_from_source, first.target_from_source)
         raise RuleBroken(f"the same question has another answer {when}: {after}, before {before}, {off:.1e} m apart")
     return f"the same to the bit {when}"
 
 
-def _bits(match: Match) -> tuple[object, ...]:
-    return (*astuple(match.target_from_source), match.converged, match.iterations, repr(match.error), match.inliers)
-
-
 def _twice(cloud: Cloud) -> Cloud:
     return Cloud(np.repeat(cloud.points, 2, axis=0))
 
 
-def _survives(fixture: RegistrationFixture, questions: dict[str, tuple[Cloud, Cloud]]) -> str:
-    """A valid answer or an exception passes; the runner detects a crash."""
-    guess = Pose(0.1, 0.2, 0.3)
-    refused = []
-    for name, (target, source) in questions.items():
-        try:
-            match = fixture.shared.register(target, source, guess)
-        except Exception as error:  # noqa: BLE001 - a back end may refuse with any exception
-            refused.append(f"{name}: {format_exception(error)}")
-            continue
-        try:
-            validate_match(match)
-        except RuleBroken as observation:
-            raise RuleBroken(f"{name}: {observation}") from observation
-    note = "; in a run, an exception ends the run" if refused else ""
-    return "; ".join(refused) + note if refused else f"answers: {', '.join(questions)}"
-
-
 RULES = rule_table(
     check_starts, check_identity, check_recovers, check_moves, check_metres, check_radians, check_direction,
-    check_inverse, check_equivariance, check_order, check_duplicates, check_empty, check_few_points, check_wall,
-    check_converged, check_inliers, check_stateless, check_deterministic, check_read_only, check_memory,
+    check_inverse, check_equivariance, check_order, check_duplicates, *RANGE_RULES, check_wall, check_converged,
+    check_inliers, check_stateless, check_deterministic, check_read_only, *RESOURCE_RULES, *STATE_RULES,
 )  # fmt: skip

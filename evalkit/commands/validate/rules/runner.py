@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -26,6 +26,9 @@ from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
 MAX_CRASHES = 3
 """Ends of the process after which the remaining rules are skipped."""
+
+BUSY = 3.0
+"""On a busy machine a rule may take this many times its limit by the wall clock while it uses less CPU time."""
 
 LOADING_S = 60.0
 """Time limit (s) until the first rule begins: Python and the plug-in's module."""
@@ -54,12 +57,13 @@ def check(
     limit_s: float = 30.0,
     memory_mib: int = 2048,
     only: Sequence[str] = (),
+    seed: int = 0,
 ) -> RuleReport:
     """The results of all rules for a back end: a registered name, "module:SPEC", or a spec.
 
     ``limit_s``: wall clock limit of one rule (s); ``memory_mib``: memory limit of the process; ``only``: names of the
-    rules, () for all. Raises NotInstalled if the back end cannot run here, BackendFailed if it is a file of results,
-    BadParameter or UnknownName for parameters and rules.
+    rules, () for all; ``seed``: of the drawn questions. Raises NotInstalled if the back end cannot run here,
+    BackendFailed if it is a file of results, BadParameter or UnknownName for parameters and rules.
     """
     address, spec = address_of(backend), spec_of(backend)
     if spec.recorded:
@@ -74,6 +78,7 @@ def check(
     request = {
         "address": asdict(address),
         "parameters": resolve_parameters(address.label, spec.parameters, parameters or {}),
+        "seed": seed,
         "path": [str(Path(entry or ".").resolve()) for entry in sys.path],
     }
     chosen = {name: rule for name, rule in rules.items() if name in only or not only}
@@ -133,12 +138,13 @@ class _RuleRunner:
 
     def _watch(self, child: ChildProcess, folder: Path) -> tuple[bool, str]:
         """Watches the process until it ends; whether it hangs, and the limit it exceeded or ""."""
-        count, since_s = 0, 0.0
+        count, since_s, since_cpu_s = 0, 0.0, 0.0
         for used in child.watch():
             if (size := len(_read_lines(folder))) > count:
-                count, since_s = size, used.wall_s
+                count, since_s, since_cpu_s = size, used.wall_s, used.cpu_s
             limit_s = self._limit_s if count else LOADING_S
-            if used.wall_s - since_s > limit_s:
+            wall_s, cpu_s = used.wall_s - since_s, used.cpu_s - since_cpu_s
+            if wall_s > limit_s and (cpu_s > 0.8 * limit_s or wall_s > BUSY * limit_s):
                 return True, f"no answer for {limit_s:g} s"
             if used.resident_bytes > self._memory_mib * 2**20:
                 return False, f"used more than {self._memory_mib} MiB"
@@ -172,13 +178,14 @@ def main() -> int:
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     sys.path.extend(entry for entry in request["path"] if entry not in sys.path)
-    spec = spec_at(Address(**request["address"]), BackendSpec, registry.backend)
-    fixture = make_fixture(spec, request["parameters"])
+    address = Address(**request["address"])
+    kind = spec_at(address, BackendSpec, registry.backend).kind
+    fixture = load_fixture(request["address"], request["parameters"], request["seed"])
     with (folder / RESULTS).open("a", encoding="utf-8", buffering=1) as file:
         for name in request["rules"]:
             file.write(json.dumps({"begun": name}) + "\n")
             try:
-                result: dict[str, Any] = asdict(check_rule(RULES[spec.kind][name], fixture))
+                result: dict[str, Any] = asdict(check_rule(RULES[kind][name], fixture))
             except NotInstalled as error:
                 result = {"outcome": NOT_INSTALLED, "observed": error.args}
             file.write(json.dumps(result) + "\n")
@@ -187,12 +194,13 @@ def main() -> int:
     return 0
 
 
-def make_fixture(spec: BackendSpec, parameters: Mapping[str, Value]) -> object:
-    """What the rules of a back end of this kind are checked on."""
-    make: Callable[[], Any] = partial(spec.make, **parameters)
+def load_fixture(address: Mapping[str, str], parameters: Mapping[str, Value], seed: int) -> Any:
+    """What the rules are checked on: the back end at an address, with its complete parameters."""
+    spec = spec_at(Address(**address), BackendSpec, registry.backend)
+    elsewhere = {"address": dict(address), "parameters": dict(parameters), "seed": seed}
     if isinstance(spec, RegistrationSpec):
-        return registration_rules.RegistrationFixture(make)
-    return odometry_rules.OdometryFixture(make, spec.role)
+        return registration_rules.RegistrationFixture(spec.make, seed, spec.parameters, parameters, elsewhere)
+    return odometry_rules.OdometryFixture(partial(spec.make, **parameters), spec.role, seed, elsewhere)
 
 
 if __name__ == "__main__":

@@ -51,6 +51,14 @@ def noisy_pair(truth: Pose = Pose(0.04, -0.03, 0.035)) -> CloudPair:  # noqa: B0
     return CloudPair(Cloud(target), Cloud(truth.inverse().transform(source)), truth, Pose())
 
 
+def drawn_pair(rng: np.random.Generator, targets: int, sources: int) -> CloudPair:
+    """Two drawn scans of the room with 3 cm of noise, a drawn motion, and a guess up to 8 cm and 3 degrees off."""
+    truth = Pose.of(rng.uniform(-1.0, 1.0, 3) * [2.0, 2.0, np.pi])
+    guess = truth @ Pose.of(rng.uniform(-1.0, 1.0, 3) * [0.06, 0.06, 0.05])
+    target, source = (_sampled(rng, count, 0.03) for count in (targets, sources))
+    return CloudPair(Cloud(target), Cloud(truth.inverse().transform(source)), truth, guess)
+
+
 def wall_pair() -> CloudPair:
     """Two scans of one straight wall, 5 cm apart across it; the motion along it is unobservable."""
     along = np.random.default_rng(3).uniform(-4.0, 4.0, 400)

@@ -67,7 +67,7 @@ def test_every_shipped_back_end_follows_every_rule(name):
         (faulty.Nan, "few-points", "one point: target_from_source is None"),
         (faulty.Matrix, "starts", "register.. returns a ndarray"),
         (faulty.Raises, "recovers", "raises RuntimeError: the licence has run out"),
-        (faulty.Leaks, "memory", "kB more per call, at most 100 kB"),
+        (faulty.Leaks, "memory", "bytes more per call, twice"),
         (faulty.StartsElsewhere, "first", "the first answer is .10.000 m, -5.000 m, 1.0000 rad"),
         (faulty.Stands, "follows", "with true wheel odometry: 59.1 cm and 34.4 deg off"),
         (faulty.Wheels, "moves", "are the scans used"),
@@ -86,7 +86,7 @@ def test_every_shipped_back_end_follows_every_rule(name):
         (faulty.Shared, "fresh", "they share state"),
         (faulty.Shared, "deterministic", "has another answer at scan 1"),
         (faulty.WritesScans, "read-only", "it writes to a scan .*read-only.*: use a copy"),
-        (faulty.LeaksScans, "memory", "kB more per call"),
+        (faulty.LeaksScans, "memory", "bytes more per call, twice"),
     ],
     ids=lambda value: getattr(value, "__name__", None),
 )  # fmt: skip
@@ -109,8 +109,9 @@ def test_point_to_plane_with_vertical_normals_breaks_the_rule_moves(make, librar
 
 
 def test_a_correct_back_end_breaks_no_rule():
-    broken = [rule for rule in registration_rules.RULES if result_of(faulty.Sound, rule).outcome != "passed"]
-    assert broken == []
+    outcome = {rule: result_of(faulty.Sound, rule).outcome for rule in registration_rules.RULES}
+    assert {rule for rule, one in outcome.items() if one != "passed"} == {"process"}  # this object has no address
+    assert outcome["process"] == "not applicable"
 
 
 def test_an_exception_for_too_few_points_is_allowed_and_observed():

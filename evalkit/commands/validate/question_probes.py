@@ -1,0 +1,236 @@
+"""Drawn questions to both back ends, run in a separate process: plain values in, JSON values out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from evalkit.commands.validate.equivalence import lockstep
+from evalkit.commands.validate.equivalence.agreement import as_plain
+from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING, MarginChoice, count_fields
+from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence, wrong_fields
+from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, Question
+from evalkit.commands.validate.equivalence.margins import (
+    FLOAT32_ROUNDOFF,
+    TIE_ROUNDINGS,
+    Margin,
+    Scale,
+    float32_margin,
+    float64_margin,
+)
+from evalkit.commands.validate.equivalence.questions import MAX_FLOAT32_REACH_M, DrawnQuestion, draw_questions
+from evalkit.commands.validate.probes import Plugin, load_backend, parse_margin
+from evalkit.commands.validate.rules.state_rules import match_bits
+from evalkit.core.match import Match
+from evalkit.core.scan import Cloud
+from evalkit.execution.sandbox import note_place
+from evalkit.execution.task import Result
+from evalkit.plugins.protocols import Registration
+from evalkit.plugins.specs import RegistrationSpec
+
+TIE_M = 1e-5
+"""How far (m, rad) the answers to the two sides of a tie may be from the answer to the tie itself."""
+
+COPIES = 4
+"""Copies of a question, perturbed by rounding, that show whether single precision decides its answer."""
+
+Key = tuple[tuple[str, Any], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A drawn question with both answers; ``repeats``: the second answer came again to the bit at the end."""
+
+    drawn: DrawnQuestion
+    answers: AnswerPair
+    others: tuple[Match, ...]
+    without_effect: str
+    repeats: bool
+    reference: Registration
+
+    def is_sensitive(self, margin: Margin) -> bool:
+        """Whether rounding to single precision can flip a pair or a stop: it does so in the reference's own answer."""
+        question, right, rng = self.drawn.question, self.answers.a, np.random.default_rng(0)
+        reach = TIE_ROUNDINGS * FLOAT32_ROUNDOFF * Scale.of(question.target, question.source, question.guess).reach_m
+        for _ in range(COPIES):
+            target, source = (Cloud(one.points + rng.uniform(-reach, reach, one.points.shape))
+                              for one in (question.target, question.source))  # fmt: skip
+            match = self.reference.register(target, source, question.guess)
+            counts = (match.inliers, match.iterations, match.converged)
+            if counts != (right.inliers, right.iterations, right.converged) or not margin.holds(
+                match.target_from_source, right.target_from_source
+            ):
+                return True
+        return False
+
+
+def compare_questions(a: Plugin, b: Plugin, seed: int, margins: list[str], quick: bool) -> Result:
+    """The comparison of the answers to all drawn questions under every margin, by family.
+
+    Back ends that are no registrations are not asked: ``families`` is empty.
+    """
+    sides = load_backend(a), load_backend(b)
+    if not all(isinstance(side.spec, RegistrationSpec) for side in sides):
+        return {name: _summary([], parse_margin(name)) for name in margins} | {"seed": seed, "unrepeated": 0}
+    asked = _ask_all(sides, list(draw_questions(seed, *sides, quick)))
+    unrepeated = sum(not one.repeats for one in asked)
+    return {name: _summary(asked, parse_margin(name)) for name in margins} | {"seed": seed, "unrepeated": unrepeated}
+
+
+def _ask_all(sides: tuple[ComparedBackend, ComparedBackend], drawn: list[DrawnQuestion]) -> list[Asked]:
+    @cache
+    def made(side: int, key: Key) -> Registration:
+        one = sides[side]
+        return replace(one, parameters={**one.parameters, **dict(key)}).registrations()["s2m"]
+
+    asked, bits = [], []
+    for one in drawn:
+        note_place(f"drawn questions, {one.family}: {one.what}")
+        key = tuple(sorted(one.changes.items()))
+        try:
+            first = made(0, key)
+            match = first.register(one.question.target, one.question.source, one.question.guess)
+            others = tuple(first.register(tie.target, tie.source, tie.guess) for tie in one.ties)
+        except Exception:  # noqa: BLE001 - what the reference refuses is no question
+            continue
+        answers = _answer(lambda key=key: made(1, key), one.question, match)
+        without = _without_effect(made, one, answers)
+        asked.append(Asked(one, answers, others, without, True, first))
+        bits.append(None if answers.b is None else match_bits(answers.b))
+    return _ask_again(asked, bits, made)
+
+
+def _ask_again(asked: list[Asked], bits: list[Any], made: Any) -> list[Asked]:
+    """The same, with whether each small question has the same answer again, in the opposite order."""
+    again = list(asked)
+    for number in reversed(range(len(asked))):
+        one = asked[number].drawn
+        if bits[number] is None or len(one.question.target) + len(one.question.source) > 5000:
+            continue
+        note_place(f"drawn questions again, {one.family}: {one.what}")
+        registration = made(1, tuple(sorted(one.changes.items())))
+        answers = lockstep.answer(registration, one.question, asked[number].answers.a)
+        repeats = answers.b is not None and match_bits(answers.b) == bits[number]
+        again[number] = replace(asked[number], repeats=repeats)
+    return again
+
+
+def _answer(make: Any, question: Question, match: Match) -> AnswerPair:
+    try:
+        registration: Registration = make()
+    except Exception as error:  # noqa: BLE001 - a third party's exception is a difference to report
+        return AnswerPair(question, match, None, f"cannot be created: {error}")
+    return lockstep.answer(registration, question, match)
+
+
+def _without_effect(made: Any, one: DrawnQuestion, answers: AnswerPair) -> str:
+    """The single parameter that changes the answer of the reference and not the other; "" if there is none."""
+    if len(one.changes) != 1 or answers.b is None or math.isnan(answers.b.error):
+        return ""
+    question = one.question
+    base_a, base_b = (made(side, ()).register(question.target, question.source, question.guess) for side in (0, 1))
+    changed = match_bits(base_a) != match_bits(answers.a)
+    return next(iter(one.changes)) if changed and match_bits(base_b) == match_bits(answers.b) else ""
+
+
+def _margin_of(question: Question, margin: MarginChoice) -> Margin | None:
+    """The margin of one question at its scale; None if single precision cannot hold its coordinates."""
+    scale = Scale.of(question.target, question.source, question.guess)
+    if margin == FLOAT32:
+        return float32_margin(scale) if scale.reach_m < MAX_FLOAT32_REACH_M else None
+    return float64_margin(scale, margin)
+
+
+def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
+    """The comparison of all questions, in the form of an ``Equivalence`` and by family."""
+    families: dict[str, dict[str, Any]] = {}
+    verdicts: list[tuple[Asked, bool]] = []
+    widest, beyond, unanswered, first = Margin(1e-300, 1e-300), 0, 0, None
+    for family in dict.fromkeys(one.drawn.family for one in asked):
+        members = [(one, known) for one in asked
+                   if one.drawn.family == family and (known := _margin_of(one.drawn.question, margin))]  # fmt: skip
+        wrong: list[tuple[Asked, Divergence]] = []
+        for one, known in members:
+            if divergence := _judge(one, known, margin, explain=not wrong):
+                wrong.append((one, divergence))
+            verdicts.append((one, divergence is not None))
+        plain = [(one, known) for one, known in members if not one.others]
+        fields = count_fields([(one.answers, known) for one, known in plain], margin)
+        examples = {
+            name: one.drawn.what for one, known in reversed(plain) if one.answers.b is not None
+            for name in wrong_fields(one.answers.a, one.answers.b, known)
+        }  # fmt: skip
+        widest = max([widest, *(known for _, known in members)], key=lambda known: known.metres)
+        missing = sum(one.answers.b is None for one, _ in members)
+        beyond, unanswered = beyond + len(wrong), unanswered + missing
+        families[family] = {
+            "asked": len(members), "wrong": len(wrong), "unanswered": missing, "fields": fields,
+            "examples": {name: examples[name] for name in fields},
+            "what": wrong[0][0].drawn.what if wrong else "", "first": as_plain(asdict(wrong[0][1])) if wrong else None,
+        }  # fmt: skip
+        first = first or families[family]["first"]
+    count = sum(one["asked"] for one in families.values())
+    return {
+        "equivalent": not beyond, "level": "answers", "n": count, "questions": count, "unanswered": unanswered,
+        "beyond_rounding": beyond, "first": first, "classes": {}, "intervals": [], "fields": {},
+        "margin": asdict(widest), "families": families,
+        "where": _describe_where(verdicts),
+    }  # fmt: skip
+
+
+FEATURES: Mapping[str, Callable[[Asked], float]] = {
+    "the heading of the guess (rad)": lambda one: one.drawn.question.guess.theta,
+    "the size of the guess's heading (rad)": lambda one: abs(one.drawn.question.guess.theta),
+    "the number of target points": lambda one: len(one.drawn.question.target),
+    "the number of source points": lambda one: len(one.drawn.question.source),
+    "the largest coordinate (m)": lambda one: float(np.abs(one.drawn.question.target.points).max(initial=0.0)),
+    "the smallest coordinate (m)": lambda one: float(one.drawn.question.target.points.min(initial=0.0)),
+    "the shift of the guess (m)": lambda one: math.hypot(one.drawn.question.guess.x, one.drawn.question.guess.y),
+    "the number of pairs": lambda one: one.answers.a.inliers,
+    "the number of iterations": lambda one: one.answers.a.iterations,
+}
+"""Quantities of a question that may decide whether an answer differs."""
+
+MIN_WRONG, MIN_RIGHT = 3, 10
+
+
+def _describe_where(verdicts: list[tuple[Asked, bool]]) -> str:
+    """The one quantity that separates the questions that differ from the others, in words; "" if there is none."""
+    plain = [(one, wrong) for one, wrong in verdicts
+             if not one.drawn.changes and not one.others and not math.isnan(one.answers.a.error)]  # fmt: skip
+    if 2 * sum(differs for _, differs in plain) > len(plain):
+        return ""
+    for name, quantity in FEATURES.items():
+        wrong = [quantity(one) for one, differs in plain if differs]
+        right = [quantity(one) for one, differs in plain if not differs]
+        if len(wrong) < MIN_WRONG or len(right) < MIN_RIGHT:
+            return ""
+        if min(wrong) > max(right):
+            return f"only where {name} is above {max(right):.4g}, from {min(wrong):.4g} on"
+        if max(wrong) < min(right):
+            return f"only where {name} is below {min(right):.4g}, up to {max(wrong):.4g}"
+        if not any(min(wrong) <= each <= max(wrong) for each in right):
+            return f"only where {name} is between {min(wrong):.4g} and {max(wrong):.4g}"
+    return ""
+
+
+def _judge(one: Asked, margin: Margin, choice: MarginChoice, explain: bool) -> Divergence | None:
+    """Why the second answer differs, None if it does not, or only by rounding under the float32 margin."""
+    answers = one.answers
+    if answers.b is not None:
+        near = replace(margin, metres=max(margin.metres, TIE_M), radians=max(margin.radians, TIE_M))
+        accepted = [(answers.a, margin), *((other, near) for other in one.others)]
+        if any(known.holds(a.target_from_source, answers.b.target_from_source) for a, known in accepted):
+            return None
+    divergence = first_divergence(answers, margin, explain)
+    if divergence is None or (choice == FLOAT32 and (divergence.kind in ROUNDING or one.is_sensitive(margin))):
+        return None
+    if one.without_effect and one.drawn.family.startswith("parameter"):
+        what = f"parameter {one.without_effect} has no effect"
+        return replace(divergence, quantity="answer", kind="parameter", what=what)
+    return divergence

@@ -1,0 +1,240 @@
+"""The rules on the state of a Registration: nothing but its arguments may decide an answer, here, later, elsewhere."""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evalkit.commands.validate.rules.resource_rules import BATCHES, in_another_thread
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, format_exception
+from evalkit.commands.validate.rules.scenes import CloudPair
+from evalkit.core.match import Match
+from evalkit.core.scan import Cloud
+from evalkit.core.se2 import Floats
+from evalkit.execution import sandbox
+from evalkit.execution.task import Result
+from evalkit.plugins.protocols import Registration
+
+if TYPE_CHECKING:
+    from evalkit.commands.validate.rules.registration_rules import RegistrationFixture
+
+Bits = tuple[object, ...]
+
+LATER_S = 3.0
+"""The shortest time (s) after which the first answers are asked for again: clocks count in whole seconds."""
+
+ELSEWHERE_S, ELSEWHERE_MIB = 60.0, 2048
+
+
+def answer_bits(registration: Registration, pair: CloudPair) -> Bits:
+    """All fields of an answer, to compare to the bit, or the exception."""
+    try:
+        match = registration.register(pair.target, pair.source, pair.guess)
+    except Exception as error:  # noqa: BLE001 - a back end may refuse with any exception
+        return (format_exception(error),)
+    return match_bits(match)
+
+
+def match_bits(match: Match) -> Bits:
+    """All fields of a match and of its trace, to compare to the bit."""
+    trace = [(*one.target_from_source.row.tolist(), repr(one.error), one.inliers) for one in match.history]
+    return (
+        *match.target_from_source.row.tolist(), match.converged, match.iterations, repr(match.error), match.inliers,
+        *trace,
+    )  # fmt: skip
+
+
+def check_call_order(fixture: RegistrationFixture) -> str:
+    """The order of calls does not matter."""
+    pairs, expected = fixture.questions, fixture.first_answers
+    one = fixture.make()
+    for count, number in enumerate(
+        np.random.default_rng(fixture.seed).permutation(np.repeat(np.arange(len(pairs)), 3))
+    ):
+        _require(expected[number], answer_bits(one, pairs[number]), f"as call {count + 1} in another order")
+    return f"{3 * len(pairs)} calls in a drawn order answer as new objects do"
+
+
+def check_many_calls(fixture: RegistrationFixture) -> str:
+    """After thousands of calls the answers are the same."""
+    expected, calls = fixture.first_answers, fixture.endurance.size * BATCHES
+    for number, pair in enumerate(fixture.questions):
+        _require(expected[number], answer_bits(fixture.worn or fixture.make(), pair), f"after {calls} calls")
+    return f"{len(expected)} answers are the same to the bit after {calls} calls"
+
+
+def check_buffers(fixture: RegistrationFixture) -> str:
+    """The same buffers with other content give the answer to the other content."""
+    one = fixture.make()
+    pairs = [pair for pair in fixture.questions if len(pair.target) == len(fixture.questions[0].target)]
+    with shared_memory() as target, shared_memory() as source:
+        for pair in pairs * 2:
+            inside = CloudPair(target.cloud(pair.target), source.cloud(pair.source), pair.truth, pair.guess)
+            expected = answer_bits(fixture.make(), pair)
+            _require(expected, answer_bits(one, inside), "from the buffers of the call before")
+    return f"{2 * len(pairs)} calls with the same buffers answer as new objects do"
+
+
+def check_bounds(fixture: RegistrationFixture) -> str:
+    """It reads its arguments within their bounds, does not write to them, and does not keep them."""
+    one = fixture.make()
+    for pair in fixture.questions[:3]:
+        for at_end in (True, False):
+            with shared_memory(at_end) as target, shared_memory(at_end) as source:
+                inside = CloudPair(target.cloud(pair.target), source.cloud(pair.source), pair.truth, pair.guess)
+                target.protect()
+                source.protect()
+                _require(answer_bits(fixture.make(), pair), answer_bits(one, inside), "beside protected memory")
+            # both regions are inaccessible from here on
+    return "no access beside the buffers, no write, none after the call"
+
+
+def check_instances(fixture: RegistrationFixture) -> str:
+    """Several instances, with other parameters, do not disturb each other."""
+    expected, pairs = fixture.first_answers, fixture.questions
+    one = fixture.make()
+    others = [fixture.make(), *(fixture.make_with(**changes) for changes in fixture.variants())]
+    for other in others:
+        answer_bits(other, pairs[-1])
+    for number, pair in enumerate(pairs):
+        _require(expected[number], answer_bits(one, pair), f"beside {len(others)} other instances")
+        answer_bits(others[number % len(others)], pairs[-1 - number])
+    del others
+    return f"{len(pairs)} answers unchanged beside other instances"
+
+
+def check_thread(fixture: RegistrationFixture) -> str:
+    """A second thread gets the same answers."""
+    one = fixture.make()
+    for number, pair in enumerate(fixture.questions):
+        found = in_another_thread(partial(answer_bits, one, pair))
+        _require(fixture.first_answers[number], found, "in a second thread")
+        _require(fixture.first_answers[number], answer_bits(one, pair), "in the first thread after a second one")
+    return f"{len(fixture.questions)} answers in a second thread are the same to the bit"
+
+
+def check_process(fixture: RegistrationFixture) -> str:
+    """Another process, with other addresses and other values in fresh memory, gets the same answers."""
+    if not fixture.elsewhere:
+        raise RuleNotApplicable("it has no address by which another process finds it")
+    found = run_elsewhere(answers_elsewhere, fixture.elsewhere)
+    for expected, other in zip(fixture.first_answers, found["answers"], strict=True):
+        _require(_plain(expected), other, "in another process")
+    return f"{len(found['answers'])} answers in another process are the same to the bit"
+
+
+def check_later(fixture: RegistrationFixture) -> str:
+    """The answers are the same seconds later."""
+    expected = fixture.first_answers
+    waited = time.monotonic() - fixture.asked_s
+    time.sleep(max(0.37, LATER_S - waited))
+    for number, pair in enumerate(fixture.questions):
+        _require(
+            expected[number], answer_bits(fixture.make(), pair), f"{time.monotonic() - fixture.asked_s:.1f} s later"
+        )
+    return f"{len(expected)} answers are the same {time.monotonic() - fixture.asked_s:.0f} s later"
+
+
+STATE_RULES = (
+    check_many_calls, check_call_order, check_buffers, check_bounds, check_instances, check_thread, check_process,
+    check_later,
+)  # fmt: skip
+
+
+def run_elsewhere(function: Callable[..., Result], arguments: Mapping[str, Any]) -> Result:
+    """The result of a function in another process whose fresh memory has other values; RuleBroken if it ends early."""
+    os.environ["MALLOC_PERTURB_"] = "165"  # of the child: glibc fills memory with it when it is allocated and freed
+    try:
+        found = sandbox.run(function, dict(arguments), ELSEWHERE_S, ELSEWHERE_MIB)
+    finally:
+        del os.environ["MALLOC_PERTURB_"]
+    if sandbox.ENDED in found:
+        raise RuleBroken(f"in another process with other values in fresh memory: {found[sandbox.ENDED]}")
+    return found
+
+
+def answers_elsewhere(*, address: dict[str, str], parameters: dict[str, Any], seed: int) -> dict[str, Any]:
+    """The answers to the questions of a seed, in this process."""
+    from evalkit.commands.validate.rules import runner  # noqa: PLC0415 - which imports the rules
+
+    fixture = runner.load_fixture(address, parameters, seed)
+    return {"answers": [_plain(one) for one in fixture.first_answers]}
+
+
+def _plain(bits: Bits) -> list[object]:
+    return [list(one) if isinstance(one, tuple) else one for one in bits]
+
+
+def _require(expected: Any, found: Any, when: str) -> None:
+    if expected == found:
+        return
+    if len(expected) < 3 or len(found) < 3:
+        raise RuleBroken(f"the same question has another outcome {when}: {found[0]}, before {expected[0]}")
+    names = ("x", "y", "theta", "converged", "iterations", "error", "inliers", *(["trace"] * 999))
+    name, before, after = next(
+        (name, a, b) for name, a, b in zip(names, [*expected, None], [*found, None], strict=False) if a != b
+    )
+    raise RuleBroken(f"the same question has another answer {when}: {name} {after}, before {before}")
+
+
+class Region:
+    """Two pages of memory, or more, between two inaccessible ones; clouds lie at its end or at its beginning."""
+
+    PAGES = 16
+
+    def __init__(self, at_end: bool) -> None:
+        self._size = self.PAGES * mmap.PAGESIZE
+        self._map = mmap.mmap(-1, self._size + 2 * mmap.PAGESIZE)
+        self._base = ctypes.addressof(ctypes.c_char.from_buffer(self._map))
+        self._at_end = at_end
+        self._set(self._base, mmap.PAGESIZE, 0)
+        self._set(self._base + mmap.PAGESIZE + self._size, mmap.PAGESIZE, 0)
+
+    def cloud(self, cloud: Cloud) -> Cloud:
+        """The same points in this memory."""
+        size = cloud.points.nbytes
+        if size > self._size:
+            raise ValueError(f"region: {size} bytes do not fit into {self._size}")
+        start = mmap.PAGESIZE + (self._size - size if self._at_end else 0)
+        points: Floats = np.frombuffer(self._map, dtype=np.float64, count=size // 8, offset=start).reshape(-1, 2)
+        points[:] = cloud.points
+        points.flags.writeable = False
+        moved = Cloud(np.zeros((0, 2)), cloud.frame)
+        object.__setattr__(moved, "points", points)  # a Cloud copies; here the memory is the question
+        return moved
+
+    def protect(self) -> None:
+        """Make the memory read-only."""
+        self._set(self._base + mmap.PAGESIZE, self._size, 1)
+
+    def close(self) -> None:
+        """Make the memory inaccessible; it is never returned to the system, so no later access finds other data."""
+        self._set(self._base + mmap.PAGESIZE, self._size, 0)
+
+    @staticmethod
+    def _set(address: int, size: int, protection: int) -> None:
+        libc = ctypes.CDLL(None, use_errno=True)
+        if libc.mprotect(ctypes.c_void_p(address), ctypes.c_size_t(size), protection):
+            raise OSError(ctypes.get_errno(), "mprotect")
+
+
+_KEPT: list[Region] = []
+
+
+@contextmanager
+def shared_memory(at_end: bool = True) -> Iterator[Region]:
+    """Memory for a cloud that becomes inaccessible at the end."""
+    region = Region(at_end)
+    _KEPT.append(region)
+    try:
+        yield region
+    finally:
+        region.close()
