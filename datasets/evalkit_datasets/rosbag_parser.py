@@ -253,7 +253,7 @@ def _select_laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: 
 
 def read_sweep(contents: Contents, message: Any, echoes: bool, recorded_ns: int) -> Sweep | None:
     """Return a laser message as a sweep, or None if it is damaged, which is counted in ``contents``."""
-    contents.unstamped += _parse_stamp_ns(message.header) == 0
+    contents.unstamped += parse_stamp_ns(message.header) == 0
     sweep = _parse_sweep(message, echoes, recorded_ns)
     contents.damaged += sweep is None
     return sweep
@@ -269,7 +269,7 @@ def _parse_sweep(message: Any, echoes: bool, recorded_ns: int) -> Sweep | None:
     if len(ranges) < 2 or not plausible or increment * len(ranges) > MAX_SWEEP_S:
         return None
     return Sweep(
-        _parse_stamp_ns(message.header) or int(recorded_ns),
+        parse_stamp_ns(message.header) or int(recorded_ns),
         _normalise_frame(message.header.frame_id),
         ranges,
         float(geometry[0]),
@@ -290,7 +290,7 @@ def add_odometry(contents: Contents, topic: str, message: Any) -> None:
     if matrix is not None:
         key = topic, _normalise_frame(message.header.frame_id), _normalise_frame(message.child_frame_id)
         contents.odometry.setdefault(key, PoseBuffer()).append(
-            _parse_stamp_ns(message.header), planar_pose_from_matrix(matrix).row
+            parse_stamp_ns(message.header), planar_pose_from_matrix(matrix).row
         )
 
 
@@ -300,7 +300,7 @@ def add_transforms(contents: Contents, message: Any, static: bool) -> None:
         matrix = _parse_matrix(contents, stamped.transform.translation, stamped.transform.rotation)
         if matrix is not None:
             parent, child = _normalise_frame(stamped.header.frame_id), _normalise_frame(stamped.child_frame_id)
-            contents.tree.add(Transform(_parse_stamp_ns(stamped.header), parent, child, matrix), static)
+            contents.tree.add(Transform(parse_stamp_ns(stamped.header), parent, child, matrix), static)
 
 
 def _parse_matrix(contents: Contents, position: Any, rotation: Any) -> Floats | None:
@@ -313,7 +313,8 @@ def _parse_matrix(contents: Contents, position: Any, rotation: Any) -> Floats | 
         return None
 
 
-def _parse_stamp_ns(header: Any) -> int:
+def parse_stamp_ns(header: Any) -> int:
+    """Return the time of a header in ns."""
     return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
 

@@ -20,15 +20,20 @@ from evalkit.io.input_files import read_text
 from evalkit.io.text_lines import iter_rows, parse_numbers
 from evalkit.io.timestamps import format_stamp, parse_stamp_ns
 from evalkit.io.toml import parse_toml
-from evalkit.io.tum import read_tum
 from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.result_files import read_trajectory
 
 TOLERANCE_NS = 100_000_000
 """Truth up to this far before the first or after the last scan is kept: the matching limit of the relations."""
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("relations", "", "", "path of Kuemmerle relations for this recording; empty: none"),
-    Parameter("ground_truth", "", "", "path of a true trajectory in TUM format, same clock; empty: none"),
+    Parameter(
+        "ground_truth",
+        "",
+        "",
+        "path of a true trajectory, same clock: TUM, or BAG?topic=/pose, BAG?tf=map,base; empty: none",
+    ),
     Parameter("spans", "", "", "path of distances measured with a tape (TOML), times by the same clock; empty: none"),
 )
 
@@ -65,7 +70,7 @@ def load_truth(paths: TruthPaths, taken_ns: Stamps, recording_ns: tuple[int, int
     if paths.relations:
         relations, counts["relations outside the scans"] = _load_relations(paths.relations, taken_ns, recording_ns)
     if paths.ground_truth:
-        file = read_tum(Path(paths.ground_truth))
+        file = read_trajectory(paths.ground_truth)
         poses = file.trajectory
         _check_times(Path(paths.ground_truth), "ground-truth trajectory", poses.stamps_ns[None], recording_ns)
         inside = _is_within(poses.stamps_ns, taken_ns)

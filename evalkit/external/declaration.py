@@ -146,11 +146,12 @@ def _unusable(name: str, why: str) -> BackendSpec:
 
 
 def compute_digest(*files: Path, words: str = "") -> str:
-    """Return a digest of the files' contents and of words; an unreadable file contributes its name."""
+    """Return a digest of words and of the contents of files and of the files in folders; else of their names."""
     digest = hashlib.sha256(words.encode())
-    for file in files:
+    for file in (each for path in files for each in (sorted(path.iterdir()) if path.is_dir() else [path])):
         try:
-            digest.update(hashlib.sha256(file.read_bytes()).digest())
+            with file.open("rb") as content:
+                digest.update(hashlib.file_digest(content, "sha256").digest())
         except OSError:
             digest.update(str(file).encode())
     return digest.hexdigest()

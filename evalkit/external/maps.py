@@ -14,6 +14,7 @@ from evalkit.external.declaration import NOT_DECLARED, compute_digest, override_
 from evalkit.io import map_server
 from evalkit.metrics.consistency import look_up_cells
 from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.result_files import read_grid
 from evalkit.plugins.specs import BackendSpec, MapSpec
 
 SUFFIXES = (".yaml", ".yml")
@@ -25,24 +26,25 @@ PARAMETERS = (
 )
 
 
-def map_spec(name: str, file: Path, words: list[str]) -> BackendSpec:
-    """Make the spec of a map_server file and its ``NAME=VALUE`` words."""
-    image = map_server.find_map_image(file)
+def map_spec(name: str, file: Path, topic: str, words: list[str]) -> BackendSpec:
+    """Make the spec of a map_server file, or of the map of a bag's ``topic``, and its ``NAME=VALUE`` words."""
+    image = None if topic else map_server.find_map_image(file)
     return MapSpec(
-        make=partial(load_map, file),
+        make=partial(load_map, file, topic),
         summary=f"a map made elsewhere, read from {file.name}: not drawn by the common mapper",
         citation=NOT_DECLARED,
         licence=NOT_DECLARED,
         guess="unknown: it was made elsewhere",
         parameters=override_defaults(name, PARAMETERS, words),
         missing=lambda: _missing_reason(file, image),
-        digest=compute_digest(file, *([image] if image else [])),
+        digest=compute_digest(file, *([image] if image else []), words=topic),
     )
 
 
-def load_map(file: Path, *, x_m: float, y_m: float, yaw_deg: float) -> OccupancyGrid:
+def load_map(file: Path, topic: str, *, x_m: float, y_m: float, yaw_deg: float) -> OccupancyGrid:
     """Load a map in the world's frame; raises BadData where it cannot be read."""
-    return transform_map(map_server.read_map(file), Pose(x_m, y_m, math.radians(yaw_deg)))
+    grid, map_from_grid = read_grid(f"{file}?map={topic}") if topic else map_server.read_rotated_map(file)
+    return transform_map(grid, Pose(x_m, y_m, math.radians(yaw_deg)) @ map_from_grid)
 
 
 def transform_map(grid: OccupancyGrid, world_from_map: Pose) -> OccupancyGrid:
@@ -64,5 +66,5 @@ def transform_map(grid: OccupancyGrid, world_from_map: Pose) -> OccupancyGrid:
 
 
 def _missing_reason(*files: Path | None) -> str:
-    gone = (file.name for file in files if file and not file.is_file())
+    gone = (file.name for file in files if file and not file.exists())
     return next((f"no such file: {name}; correct its path" for name in gone), "")

@@ -1,4 +1,4 @@
-"""Results computed elsewhere as methods: poses (``file:poses.tum``) or a map (``file:map.yaml``)."""
+"""Results computed elsewhere as methods: poses (``file:poses.tum``) or a map (``file:map.yaml``), also out of bags."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from evalkit.core.scan import Frame
 from evalkit.core.timing import Cost
 from evalkit.external import maps
 from evalkit.external.declaration import NOT_DECLARED, compute_digest, override_defaults, split_words
-from evalkit.io.tum import read_tum
 from evalkit.plugins.parameters import Parameter
 from evalkit.plugins.protocols import NoAnswer
+from evalkit.plugins.result_files import parse_address, read_trajectory
 from evalkit.plugins.specs import BackendSpec, RecordedOdometrySpec
 
 COMPUTED_ELSEWHERE = Cost(withheld=frozenset({"wall", "cpu"}))
@@ -29,21 +29,27 @@ PARAMETERS = (
 
 
 def scheme(rest: str) -> BackendSpec:
-    """Make the spec of ``file:PATH [NAME=VALUE ...]``: a map (*.yaml), else a trajectory in TUM format."""
+    """Make the spec of ``file:ADDRESS [NAME=VALUE ...]``: a map, else a trajectory.
+
+    ADDRESS: a TUM file, a map (*.yaml), or results in a bag: ``run.mcap?topic=/pose``, ``?tf=map,base_link``,
+    ``?map=/map``.
+    """
     name = f"file:{rest}"
     path, *words = split_words(name, rest)
-    file = Path(path).resolve()
-    if file.suffix in maps.SUFFIXES:
-        return maps.map_spec(name, file, words)
+    address = parse_address(path)
+    file = address.path.resolve()
+    if file.suffix in maps.SUFFIXES or address.is_map:
+        return maps.map_spec(name, file, address.query.get("map", ""), words)
+    query = "".join(f"?{key}={value}" for key, value in address.query.items())
     return RecordedOdometrySpec(
-        make=partial(PosesFromFile, file),
-        summary=f"poses computed elsewhere, read from {file.name}",
+        make=partial(PosesFromFile, f"{file}{query}"),
+        summary=f"poses computed elsewhere, read from {file.name}{query}",
         citation=NOT_DECLARED,
         licence=NOT_DECLARED,
         guess="unknown: it was computed elsewhere",
         parameters=override_defaults(name, PARAMETERS, words),
-        missing=lambda: "" if file.is_file() else f"no such file: {file.name}; correct its path",
-        digest=compute_digest(file),
+        missing=lambda: "" if file.exists() else f"no such file: {file.name}; correct its path",
+        digest=compute_digest(file, words=query),
     )
 
 
@@ -53,8 +59,8 @@ class PosesFromFile:
     A scan without a pose in the file raises NoAnswer: nothing is extrapolated.
     """
 
-    def __init__(self, file: Path, *, poses_of: str, max_gap_s: float, tolerance_s: float) -> None:
-        self._file, self._trajectory = file, read_tum(file).trajectory
+    def __init__(self, address: str, *, poses_of: str, max_gap_s: float, tolerance_s: float) -> None:
+        self._name, self._trajectory = Path(address).name, read_trajectory(address).trajectory
         self._of_sensor = poses_of == "sensor"
         self._max_gap_ns, self._tolerance_ns = round(max_gap_s * 1e9), round(tolerance_s * 1e9)
         self._world_from_start: Pose | None = None
@@ -81,5 +87,5 @@ class PosesFromFile:
             return Pose.of(self._trajectory.poses[nearest])
         first, last = stamps[0] * 1e-9, stamps[-1] * 1e-9
         raise NoAnswer(
-            f"{self._file.name} has no pose near {stamp_ns * 1e-9:.3f} s; it reaches from {first:.3f} s to {last:.3f} s"
+            f"{self._name} has no pose near {stamp_ns * 1e-9:.3f} s; it reaches from {first:.3f} s to {last:.3f} s"
         )

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from evalkit.core.errors import BadData, DataMissing, brief
 from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
 from evalkit.io.input_files import read_bytes
 from evalkit.io.output_files import write_bytes, write_text
 
@@ -28,27 +29,60 @@ MAX_PIXELS = 2**26
 
 MAX_YAML_BYTES = 4096
 
+MODES = ("trinary", "scale", "raw")
+
 _GAP = rb"(?:\s|#[^\n]*\n)+"
 _HEADER = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d{1,10})") + rb"(?:#[^\n]*\n)?\s")
 
 
 def read_map(path: Path) -> OccupancyGrid:
-    """Return the grid of a map's YAML file; the image is looked up relative to it. Only mode trinary is supported.
+    """Return the grid of a map's YAML file, see ``read_rotated_map``; raises BadData also for a rotated map."""
+    grid, map_from_grid = read_rotated_map(path)
+    if map_from_grid.theta != 0.0:
+        raise BadData(str(path), "origin", f"the map is rotated by {map_from_grid.theta:g} rad", "save it with yaw 0")
+    return grid
 
-    Row 0 of the image is the top, row 0 of the grid the lowest y. A pixel of 205 is unknown even if ``free_thresh``
+
+def read_rotated_map(path: Path) -> tuple[OccupancyGrid, Pose]:
+    """Return the grid of a map's YAML file and ``map_from_grid``; the image is looked up relative to the file.
+
+    ``map_from_grid`` is the identity, unless the origin is rotated: then the grid's corner is at 0 and the motion is
+    the origin. Row 0 of the image is the top, row 0 of the grid the lowest y.
+
+    Modes trinary, scale and raw as in map_server. In mode trinary a pixel of 205 is unknown even if ``free_thresh``
     makes it free: older versions of map_saver wrote 0.25, and 205 means 0.196. Raises DataMissing or BadData.
     """
     settings = _read_settings(path)
     grey, maximum = _read_grey(path.parent / settings["image"])
-    shades = np.arange(maximum + 1)  # each grey value is classified once
-    occupancy = shades / maximum if settings["negate"] else (maximum - shades) / maximum
-    unknown = (shades == UNKNOWN) & (maximum == 255)
-    occupied = (occupancy > settings["occupied_thresh"]) & ~unknown
-    free = (occupancy < settings["free_thresh"]) & ~unknown
-    log_odds = np.where(occupied, LOG_ODDS, np.where(free, -LOG_ODDS, 0.0)).astype(np.float32)
-    x, y, _ = settings["origin"]
+    log_odds, observed = _classify(settings, maximum)  # each grey value once
     below = np.flipud(grey)
-    return OccupancyGrid(log_odds[below], (occupied | free)[below], settings["resolution"], x, y)
+    x, y, yaw = settings["origin"]
+    turned = abs(yaw) > 1e-9
+    corner, map_from_grid = ((0.0, 0.0), Pose(x, y, yaw)) if turned else ((x, y), Pose())
+    return OccupancyGrid(log_odds[below], observed[below], settings["resolution"], *corner), map_from_grid
+
+
+def log_odds_of_percent(percent: ArrayLike) -> NDArray[np.float32]:
+    """Return the log-odds of probabilities in percent, limited to those of map_server's walls and free cells."""
+    limit = 1.0 / (1.0 + np.exp(LOG_ODDS))
+    share = np.clip(np.asarray(percent, dtype=np.float64) / 100.0, limit, 1.0 - limit)
+    return np.log(share / (1.0 - share)).astype(np.float32)
+
+
+def _classify(settings: dict[str, Any], maximum: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return log-odds and whether a cell is observed, by grey value 0 to ``maximum``."""
+    shades = np.arange(maximum + 1)
+    if settings["mode"] == "raw":  # the pixel is the value of the cell in percent; above 100 it is unknown
+        return np.where(shades <= 100, log_odds_of_percent(shades), np.float32(0.0)), shades <= 100
+    occupancy = shades / maximum if settings["negate"] else (maximum - shades) / maximum
+    low, high = settings["free_thresh"], settings["occupied_thresh"]
+    if settings["mode"] == "scale":  # linear between the thresholds
+        inner = 100.0 * (occupancy - low) / max(high - low, 1e-9)
+        percent = np.where(occupancy > high, 100.0, np.where(occupancy < low, 0.0, inner))
+        return log_odds_of_percent(percent), np.ones(maximum + 1, dtype=np.bool_)
+    unknown = (shades == UNKNOWN) & (maximum == 255)
+    occupied, free = (occupancy > high) & ~unknown, (occupancy < low) & ~unknown
+    return np.where(occupied, LOG_ODDS, np.where(free, -LOG_ODDS, 0.0)).astype(np.float32), occupied | free
 
 
 def write_map(stem: Path, grid: OccupancyGrid, root: Path | None = None) -> None:
@@ -106,8 +140,8 @@ def _read_settings(path: Path) -> dict[str, Any]:
     for key in ("image", "mode"):
         if not isinstance(known[key], str):  # value not shown: nested aliases can be arbitrarily long
             raise BadData(str(path), key, "not a string", "give the YAML file of a map")
-    if known["mode"] != "trinary":
-        raise BadData(str(path), "mode", f"{brief(known['mode'])} is not supported", "save the map in mode trinary")
+    if known["mode"] not in MODES:
+        raise BadData(str(path), "mode", f"{brief(known['mode'])} is no mode", f"expected one of {', '.join(MODES)}")
     return known | _check_geometry(path, known)
 
 
@@ -119,10 +153,8 @@ def _check_geometry(path: Path, known: dict[str, Any]) -> dict[str, Any]:
         x, y, yaw = (float(value) for value in known["origin"])
     except (TypeError, ValueError):
         raise BadData(str(path), "", "a value is not a number", "expected numbers, and origin: [x, y, yaw]") from None
-    if not (checked["resolution"] > 0.0 and np.isfinite([checked["resolution"], x, y]).all()):
+    if not (checked["resolution"] > 0.0 and np.isfinite([checked["resolution"], x, y, yaw]).all()):
         raise BadData(str(path), "resolution", f"{checked['resolution']}", "expected metres per cell, more than 0")
-    if abs(yaw) > 1e-9:
-        raise BadData(str(path), "origin", f"the map is rotated by {yaw} rad", "save it with yaw 0")
     return checked | {"origin": (x, y, yaw)}
 
 

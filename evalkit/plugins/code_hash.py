@@ -31,6 +31,8 @@ def read_file_state(value: str) -> list[object]:
     """Return the text, and size and modification time of the file it names; for a folder, also of the files in it."""
     path = Path(value)
     try:
+        if not path.exists():
+            path = Path(value.partition("?")[0])  # an address such as run.bag?topic=/pose
         inside = sorted(path.iterdir()) if path.is_dir() else []
         states = [(file.name, file.stat()) for file in (path, *inside)]
     except (OSError, ValueError):  # a text that is not the path of a file

@@ -36,7 +36,7 @@ LOADING_S = 60.0
 """Time limit for importing a third-party plug-in."""
 
 
-KINDS = ("backends", "mappers", "datasets", "metrics", "commands", "schemes")
+KINDS = ("backends", "mappers", "datasets", "metrics", "commands", "schemes", "result_readers")
 """Kinds of plug-ins; the entry points of each are in the group ``evalkit.KIND``."""
 
 

@@ -25,6 +25,7 @@ def save_map(tmp_path):
     """Save a map in the format of map_server; returns its method name."""
 
     def save(grid):
+        (tmp_path / "elsewhere").mkdir(exist_ok=True)
         write_map(tmp_path / "elsewhere" / "map", grid)
         return f"file:{tmp_path / 'elsewhere' / 'map.yaml'}"
 

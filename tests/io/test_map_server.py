@@ -41,6 +41,27 @@ def test_unknown_stays_unknown_with_the_old_free_threshold(tmp_path):
     assert grid.observed.tolist() == [[False, True]]
 
 
+def test_scale_is_linear_between_the_thresholds_and_raw_is_percent(tmp_path):
+    greys = b"P5 4 1 255\n" + bytes([0, 102, 153, 255])  # occupancy 1, 0.6, 0.4, 0
+    thresholds = YAML.replace("occupied_thresh: 0.65", "occupied_thresh: 0.7") + "free_thresh: 0.3\n"
+    scaled = map_server.read_map(write_map(tmp_path, greys, thresholds.replace("trinary", "scale")))
+    assert scaled.probability().tolist()[0][1:3] == pytest.approx([0.75, 0.25])
+    assert (scaled.occupied().tolist(), scaled.free().tolist()) == (
+        [[True, True, False, False]], [[False, False, False, True]],
+    )  # fmt: skip
+    percent = YAML.replace("trinary", "raw") + "free_thresh: 0.2\n"
+    raw = map_server.read_map(write_map(tmp_path, b"P5 4 1 255\n" + bytes([0, 40, 100, 101]), percent))
+    assert raw.observed.tolist() == [[True, True, True, False]]
+    assert raw.probability()[0, 1] == pytest.approx(0.4)
+
+
+def test_a_rotated_map_comes_with_its_origin(tmp_path):
+    path = write_map(tmp_path, b"P5 1 1 255\n\0", YAML.replace("0]", "0.5]") + "free_thresh: 0.2\n")
+    grid, map_from_grid = map_server.read_rotated_map(path)
+    assert (grid.origin_x, grid.origin_y) == (0.0, 0.0)
+    assert map_from_grid.row.tolist() == [-1.5, 2.0, 0.5]
+
+
 def test_negate_swaps_black_and_white(tmp_path):
     grid = map_server.read_map(
         write_map(tmp_path, b"P5 2 1 255\n" + bytes([0, 255]), YAML.replace("negate: 0", "negate: 1"))
@@ -78,7 +99,7 @@ LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}, *a{k - 1}]\n" 
         (b"P2 2 1 255\n0 x", YAML, "damaged pixels"),
         (b"", YAML, "empty"),
         (b"P5 1 1 255\n\0", "image: map.pgm\norigin: [0, 0, 0]\n", "missing key 'resolution'"),
-        (b"P5 1 1 255\n\0", YAML.replace("trinary", "scale"), "'scale'"),
+        (b"P5 1 1 255\n\0", YAML.replace("trinary", "grey"), "'grey' is no mode; expected one of trinary, scale, raw"),
         (b"P5 1 1 255\n\0", YAML.replace("2.0, 0]", "2.0, 0.3]"), "rotated by 0.3"),
         (b"P5 1 1 255\n\0", YAML.replace("0.05", "-1"), "expected metres per cell"),
         (b"P5 1 1 255\n\0", YAML.replace("[-1.5, 2.0, 0]", "nowhere"), "not a number"),

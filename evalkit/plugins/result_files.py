@@ -1,0 +1,101 @@
+"""Results of other programs by address: a file, or what is meant in it (``run.mcap?topic=/pose``).
+
+TUM trajectories are read here; readers of other files are plug-ins, found by the suffix of the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import parse_qsl
+
+from evalkit.core.errors import BadData
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.io.tum import TumFile, read_tum
+from evalkit.plugins import registry
+
+KEYS = ("topic", "tf", "map")
+
+
+@dataclass(frozen=True, slots=True)
+class ResultReader:
+    """A reader of files with results, registered under ``evalkit.result_readers``.
+
+    ``trajectory(path, query)`` returns the poses that a query means: its ``topic`` or its chain of frames ``tf``
+    ("map,base_link"). ``grid(path, topic)`` returns a grid with its corner at its own origin, and ``map_from_grid``.
+    Both raise BadData with what the file holds.
+    """
+
+    suffixes: tuple[str, ...]
+    trajectory: Callable[[Path, Mapping[str, str]], TumFile]
+    grid: Callable[[Path, str], tuple[OccupancyGrid, Pose]]
+
+
+@dataclass(frozen=True, slots=True)
+class ResultAddress:
+    """A path, and what is meant in the file: ``topic``, ``tf`` or ``map``; empty for the file itself."""
+
+    path: Path
+    query: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def is_map(self) -> bool:
+        """Whether a map is meant."""
+        return "map" in self.query
+
+
+def parse_address(text: str) -> ResultAddress:
+    """Parse ``PATH`` or ``PATH?topic=...``, ``PATH?tf=PARENT,CHILD``, ``PATH?map=TOPIC``. Raises BadData."""
+    name, mark, words = text.partition("?")
+    if not mark or Path(text).exists():  # a file may have a question mark in its name
+        return ResultAddress(Path(text))
+    try:
+        pairs = parse_qsl(words, keep_blank_values=True, strict_parsing=True, max_num_fields=1)
+    except ValueError:
+        pairs = []
+    if not pairs or pairs[0][0] not in KEYS or not pairs[0][1]:
+        raise BadData(
+            name, "", f"'?{words[:80]}' behind its name", "write ?topic=/pose, ?tf=map,base_link or ?map=/map"
+        )
+    return ResultAddress(Path(name), dict(pairs))
+
+
+def read_trajectory(text: str) -> TumFile:
+    """Read the trajectory at an address: a TUM file, or the poses of a topic or of a chain of frames.
+
+    Raises DataMissing if there is no such file, BadData if it does not hold what is meant.
+    """
+    address = parse_address(text)
+    reader = find_reader(address.path)
+    if reader is None and not address.query:
+        return read_tum(address.path)
+    return _require_reader(address, reader).trajectory(address.path, address.query)
+
+
+def read_grid(text: str) -> tuple[OccupancyGrid, Pose]:
+    """Read the map at an address ``PATH?map=TOPIC``: the grid with its corner at its origin, and ``map_from_grid``."""
+    address = parse_address(text)
+    return _require_reader(address, find_reader(address.path)).grid(address.path, address.query.get("map", ""))
+
+
+def find_reader(path: Path) -> ResultReader | None:
+    """Return the reader of a file by its suffix, or by those of the files in a folder; None if there is none."""
+    names = [path.name.lower()]
+    if path.is_dir():
+        names += [file.name.lower() for file in path.iterdir()]
+    for name in registry.names("result_readers"):
+        reader = registry.load("result_readers", name, ResultReader)
+        if any(each.endswith(reader.suffixes) for each in names):
+            return reader
+    return None
+
+
+def _require_reader(address: ResultAddress, reader: ResultReader | None) -> ResultReader:
+    if reader is None:
+        what = (
+            f"'?{'&'.join(f'{key}={value}' for key, value in address.query.items())}' behind the name of a plain file"
+        )
+        raise BadData(str(address.path), "", what, "give a bag, or a TUM file without a question mark")
+    return reader
