@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -103,7 +104,8 @@ def _option(parameter: str) -> str:
 
 def _name_backends(text: str, everything: bool) -> list[str]:
     """Return the named back ends, all, or those that declare themselves a default."""
-    names = [name for word in text.split(",") if (name := word.strip())]
+    words = re.findall(r"(?:\?tf=[^,]*,|[^,])+", text)  # the comma of "?tf=map,base_link" separates no names
+    names = [name for word in words if (name := word.strip())]
     if names and everything:
         raise typer.BadParameter("--all: contradicts --backends")
     return names or (registry.names("backends") if everything else defaults.find_default_backends())
