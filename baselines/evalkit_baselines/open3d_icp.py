@@ -5,7 +5,8 @@ What the adapters change, and why (Open3D is a 3D library, and z = 0 silently br
 * Points get z = 0. Point-to-point then stays exactly in the plane.
 * Open3D's ``estimate_normals`` makes every normal of such a cloud the z axis: the point-to-plane residual is zero, and
   the result is the guess with a perfect fitness. With its own covariances, generalised ICP is the same as
-  point-to-point. Normals and covariances are therefore computed in the plane by ``evalkit.odometry.planar3d``.
+  point-to-point. Normals are therefore computed in the plane by the compiled core, covariances from them; the time is
+  reported apart (``preparation_ns``). A cloud's are computed once, for both stages and for the next scan.
 * The legacy pipeline is used, not the tensor one: the tensor point-to-plane rejects planar input as a singular system.
 * In 3D, a rotation by half a turn about a wall mirrors it: near single walls the point-to-point result may be turned
   over (Open3D does so for half of all rough, short walls). Such a result is rejected: the guess is kept, not converged.
@@ -26,25 +27,24 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
-from weakref import WeakKeyDictionary
 
 from evalkit.core.errors import NotInstalled
-from evalkit.core.match import Match
-from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit.core.timing import Cost, Stopwatch
+from evalkit.core.se2 import Floats
 from evalkit.odometry import planar3d
 from evalkit.plugins.parameters import declared_parameters, parameter
 from evalkit.plugins.specs import RegistrationSpec
+from evalkit_baselines.embedded.compiled import compiled_missing
+from evalkit_baselines.embedded.normals import MAX_NEIGHBOURS, normals_2d
+from evalkit_baselines.planar_registration import AdapterClocks, LibraryAnswer, PlanarRegistration, Prepare, prepared
 
 INSTALL = "pip install 'evalkit[open3d]'"
 SYSTEM_LIBRARIES = ("libGL.so.1", "libEGL.so.1", "libX11.so.6", "libusb-1.0.so.0")
 INSTALL_SYSTEM = "apt-get install -y --no-install-recommends libgl1 libegl1 libx11-6 libusb-1.0-0"
 OLDEST = (0, 20)
-MIN_PAIRS = 3  # two pairs always fit a planar pose exactly
 
-Describe = Callable[[Any, Any, Cloud, Stopwatch], None]
-"""Adds normals or covariances to an Open3D cloud; arguments: library, its cloud, evalkit's cloud, conversion time."""
+Describe = Callable[[Any, Cloud, AdapterClocks], None]
+"""Adds normals or covariances to an Open3D cloud made of evalkit's cloud."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,9 @@ class Open3DPointSettings:
 class Open3DPlaneSettings(Open3DPointSettings):
     """Parameters of point-to-plane ICP."""
 
-    normal_neighbours: int = parameter(20, "", "points that define a wall, the point itself included", low=3)
+    normal_neighbours: int = parameter(
+        20, "", "points that define a wall, the point itself included", low=3, high=MAX_NEIGHBOURS
+    )
     normal_radius_m: float = parameter(0.5, "m", "largest distance of these points", low=1e-3)
     kernel: str = parameter("none", "", "robust loss on the residual", choices=("none", "tukey", "huber", "cauchy"))
     kernel_width_m: float = parameter(0.15, "m", "width of the robust loss", low=1e-4)
@@ -74,109 +76,79 @@ class GeneralizedSettings(Open3DPlaneSettings):
     epsilon: float = parameter(1e-3, "", "variance across a wall, 1 along it", low=1e-9, high=1.0)
 
 
-class Open3DRegistration:
-    """A Registration by one of Open3D's legacy methods; the Open3D cloud of a target lives as long as the target."""
-
-    def __init__(
-        self,
-        open3d: Any,
-        method: Callable[..., Any],
-        estimation: Any,
-        describe_target: Describe,
-        describe_source: Describe,
-        settings: Open3DPointSettings,
-    ) -> None:
-        self._open3d = open3d
-        self._method = method
-        self._estimation = estimation
-        self._describe_target = describe_target
-        self._describe_source = describe_source
-        self._max_correspondence_m = settings.max_correspondence_m
-        self._criteria = open3d.pipelines.registration.ICPConvergenceCriteria(
-            relative_fitness=settings.relative_fitness,
-            relative_rmse=settings.relative_rmse,
-            max_iteration=settings.max_iterations,
-        )
-        # by identity: clouds are frozen, so the normals of a local map stay valid
-        self._targets: WeakKeyDictionary[Cloud, Any] = WeakKeyDictionary()
-
-    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
-        """Return the motion ``target_from_source``; ``error`` is the root mean square distance (m) of the final pairs.
-
-        Not converged, with the guess as the answer, where fewer than three points have a partner or where the result
-        left the plane: pairs on one line let a rotation by half a turn about that line fit as well.
-        """
-        conversion = Stopwatch()
-        if min(len(target), len(source)) < MIN_PAIRS:
-            return Match.not_converged(guess, 0, Cost(conversion.cpu_ns))
-        fixed = self._targets.get(target)
-        if fixed is None:
-            fixed = self._targets[target] = self._to_open3d(target, self._describe_target, conversion)
-        moving = self._to_open3d(source, self._describe_source, conversion)
-        with conversion:
-            initial = planar3d.matrix_4x4(guess)
-        result = self._method(moving, fixed, self._max_correspondence_m, initial, self._estimation, self._criteria)
-        with conversion:
-            pairs = len(result.correspondence_set)
-        if pairs < MIN_PAIRS:
-            return Match.not_converged(guess, pairs, Cost(conversion.cpu_ns))
-        try:
-            with conversion:
-                answer = planar3d.pose_2d(result.transformation)
-        except ValueError:  # turned over
-            return Match.not_converged(guess, 0, Cost(conversion.cpu_ns))
-        cost = Cost(conversion.cpu_ns)
-        return Match(answer, converged=True, iterations=0, error=float(result.inlier_rmse), inliers=pairs, cost=cost)
-
-    def _to_open3d(self, cloud: Cloud, describe: Describe, conversion: Stopwatch) -> Any:
-        with conversion:
-            space = self._open3d.geometry.PointCloud(
-                self._open3d.utility.Vector3dVector(planar3d.points_3d(cloud.points))
-            )
-        describe(self._open3d, space, cloud, conversion)
-        return space
-
-
-def point_to_point(**parameters: Any) -> Open3DRegistration:
-    """Make Open3D's point-to-point ICP with the parameters of ``PointSettings``."""
+def point_to_point(**parameters: Any) -> PlanarRegistration:
+    """Make Open3D's point-to-point ICP with the parameters of ``Open3DPointSettings``."""
     settings = Open3DPointSettings(**parameters)
     open3d = _import_open3d()
     methods = open3d.pipelines.registration
-    estimation = methods.TransformationEstimationPointToPoint()
-    return Open3DRegistration(open3d, methods.registration_icp, estimation, _add_nothing, _add_nothing, settings)
+    plain = _to_open3d(open3d)
+    align = _make_align(methods, methods.registration_icp, methods.TransformationEstimationPointToPoint(), settings)
+    return PlanarRegistration(plain, plain, align)
 
 
-def point_to_plane(**parameters: Any) -> Open3DRegistration:
-    """Make Open3D's point-to-plane ICP on normals computed in the plane, with the parameters of ``PlaneSettings``."""
+def point_to_plane(**parameters: Any) -> PlanarRegistration:
+    """Make Open3D's point-to-plane ICP on normals computed in the plane (``Open3DPlaneSettings``)."""
     settings = Open3DPlaneSettings(**parameters)
     open3d = _import_open3d()
     methods = open3d.pipelines.registration
 
-    def with_normals(library: Any, space: Any, cloud: Cloud, conversion: Stopwatch) -> None:
-        normals = planar3d.normals(cloud.points, settings.normal_neighbours, settings.normal_radius_m)
-        with conversion:
-            space.normals = library.utility.Vector3dVector(planar3d.points_3d(normals))
+    def add_normals(space: Any, cloud: Cloud, clocks: AdapterClocks) -> None:
+        with clocks.preparation:
+            normals = normals_2d(cloud.points, settings.normal_neighbours, settings.normal_radius_m)
+        with clocks.conversion:
+            space.normals = open3d.utility.Vector3dVector(planar3d.points_3d(normals))
 
+    with_normals = _to_open3d(open3d, add_normals, (settings.normal_neighbours, settings.normal_radius_m))
     estimation = methods.TransformationEstimationPointToPlane(_make_loss(methods, settings))
-    return Open3DRegistration(open3d, methods.registration_icp, estimation, with_normals, _add_nothing, settings)
+    align = _make_align(methods, methods.registration_icp, estimation, settings)
+    return PlanarRegistration(with_normals, _to_open3d(open3d), align)
 
 
-def generalized(**parameters: Any) -> Open3DRegistration:
+def generalized(**parameters: Any) -> PlanarRegistration:
     """Make Open3D's generalised ICP on covariances computed in the plane; parameters as in ``GeneralizedSettings``."""
     settings = GeneralizedSettings(**parameters)
     open3d = _import_open3d()
     methods = open3d.pipelines.registration
 
-    def with_covariances(library: Any, space: Any, cloud: Cloud, conversion: Stopwatch) -> None:
-        normals = planar3d.normals(cloud.points, settings.normal_neighbours, settings.normal_radius_m)
-        covariances = planar3d.covariances_3d(normals, settings.epsilon)
-        with conversion:
-            space.covariances = library.utility.Matrix3dVector(covariances)
+    def add_covariances(space: Any, cloud: Cloud, clocks: AdapterClocks) -> None:
+        with clocks.preparation:
+            normals = normals_2d(cloud.points, settings.normal_neighbours, settings.normal_radius_m)
+            covariances = planar3d.covariances_3d(normals, settings.epsilon)
+        with clocks.conversion:
+            space.covariances = open3d.utility.Matrix3dVector(covariances)
 
+    key = (settings.normal_neighbours, settings.normal_radius_m, settings.epsilon)
+    with_covariances = _to_open3d(open3d, add_covariances, key)
     estimation = methods.TransformationEstimationForGeneralizedICP(settings.epsilon, _make_loss(methods, settings))
-    return Open3DRegistration(
-        open3d, methods.registration_generalized_icp, estimation, with_covariances, with_covariances, settings
+    align = _make_align(methods, methods.registration_generalized_icp, estimation, settings)
+    return PlanarRegistration(with_covariances, with_covariances, align)
+
+
+def _to_open3d(open3d: Any, describe: Describe | None = None, key: tuple[float, ...] = ()) -> Prepare:
+    """The conversion of a cloud to an Open3D cloud; ``key``: the settings of ``describe``."""
+
+    def convert(cloud: Cloud, clocks: AdapterClocks) -> Any:
+        with clocks.conversion:
+            space = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(planar3d.points_3d(cloud.points)))
+        if describe is not None:
+            describe(space, cloud, clocks)
+        return space
+
+    return prepared(("open3d", *key), convert)
+
+
+def _make_align(methods: Any, method: Callable[..., Any], estimation: Any, settings: Open3DPointSettings) -> Any:
+    criteria = methods.ICPConvergenceCriteria(
+        relative_fitness=settings.relative_fitness,
+        relative_rmse=settings.relative_rmse,
+        max_iteration=settings.max_iterations,
     )
+
+    def align(fixed: Any, moving: Any, initial: Floats) -> LibraryAnswer:
+        found = method(moving, fixed, settings.max_correspondence_m, initial, estimation, criteria)
+        return LibraryAnswer(found.transformation, len(found.correspondence_set), float(found.inlier_rmse))
+
+    return align
 
 
 def open3d_missing() -> str:
@@ -191,8 +163,9 @@ def open3d_missing() -> str:
     return f"open3d needs missing system libraries ({', '.join(absent)}): {INSTALL_SYSTEM}" if absent else ""
 
 
-def _add_nothing(_library: Any, _space: Any, _cloud: Cloud, _conversion: Stopwatch) -> None:
-    """Add nothing: point-to-point needs only points."""
+def plane_missing() -> str:
+    """Return what is missing for the methods with normals: Open3D, or the compiled core."""
+    return open3d_missing() or compiled_missing()
 
 
 def _make_loss(methods: Any, settings: Open3DPlaneSettings) -> Any:
@@ -252,6 +225,7 @@ POINT_TO_PLANE = replace(
     role="",
     parameters=declared_parameters(Open3DPlaneSettings),
     default=True,
+    missing=plane_missing,
 )
 
 GENERALIZED = replace(

@@ -23,28 +23,20 @@ from __future__ import annotations
 
 import importlib.util
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from evalkit.core.errors import NotInstalled
-from evalkit.core.match import Match
-from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
-from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import planar3d
 from evalkit.plugins.parameters import declared_parameters, parameter
 from evalkit.plugins.specs import RegistrationSpec
+from evalkit_baselines.planar_registration import AdapterClocks, LibraryAnswer, PlanarRegistration, Prepare, prepared
 
 INSTALL = "pip install 'evalkit[small-gicp]'"
-MIN_PAIRS = 3  # two pairs always fit a planar pose exactly
-
-Prepare = Callable[[Any, Cloud, Stopwatch], tuple[Any, Any]]
-"""Builds the library's cloud and tree of a target; arguments: library, target, conversion time."""
 
 
 @dataclass(frozen=True)
@@ -65,65 +57,51 @@ class SmallGicpPlaneSettings(SmallGicpPointSettings):
     layer_m: float = parameter(0.12, "m", "height of a layer above the one below", low=1e-3)
 
 
-class SmallGicpRegistration:
-    """A Registration by one of small_gicp's methods."""
+def point_to_point(**parameters: Any) -> PlanarRegistration:
+    """Make small_gicp's point-to-point ICP with the parameters of ``SmallGicpPointSettings``."""
+    library = _import_small_gicp()
 
-    def __init__(self, method: str, prepare: Prepare, settings: SmallGicpPointSettings) -> None:
-        self._library = _import_small_gicp()
-        self._prepare = prepare
-        self._settings = {
-            "registration_type": method,
-            "max_correspondence_distance": settings.max_correspondence_m,
-            "max_iterations": settings.max_iterations,
-            "translation_epsilon": settings.translation_epsilon_m,
-            "rotation_epsilon": math.radians(settings.rotation_epsilon_deg),
-            "num_threads": 1,
-        }
-        # by identity: clouds are frozen, so a tree stays valid
-        self._targets: WeakKeyDictionary[Cloud, tuple[Any, Any]] = WeakKeyDictionary()
+    def make_flat(cloud: Cloud, clocks: AdapterClocks) -> tuple[Any, Any]:
+        with clocks.conversion:
+            space = library.PointCloud(planar3d.points_3d(cloud.points))
+        return space, library.KdTree(space, num_threads=1)
 
-    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
-        """Return the motion ``target_from_source``; the guess, not converged, with fewer than three pairs."""
-        conversion = Stopwatch()
-        if min(len(target), len(source)) < MIN_PAIRS:
-            return Match.not_converged(guess, 0, Cost(conversion.cpu_ns))
-        if target not in self._targets:
-            self._targets[target] = self._prepare(self._library, target, conversion)
-        cloud, tree = self._targets[target]
-        with conversion:
-            moving = self._library.PointCloud(planar3d.points_3d(source.points))
-            initial = planar3d.matrix_4x4(guess)
-        result = self._library.align(cloud, moving, tree, init_T_target_source=initial, **self._settings)
-        pairs = int(result.num_inliers)
-        if pairs < MIN_PAIRS:
-            return Match.not_converged(guess, pairs, Cost(conversion.cpu_ns))
-        try:
-            with conversion:
-                answer = planar3d.pose_2d(result.T_target_source)
-        except ValueError:  # left the plane
-            return Match.not_converged(guess, 0, Cost(conversion.cpu_ns))
-        error = math.sqrt(2.0 * max(float(result.error), 0.0) / pairs)
-        cost = Cost(conversion.cpu_ns)
-        return Match(answer, bool(result.converged), int(result.iterations), error, pairs, cost=cost)
+    return _make(library, "ICP", prepared("small_gicp flat", make_flat), SmallGicpPointSettings(**parameters))
 
 
-def point_to_point(**parameters: Any) -> SmallGicpRegistration:
-    """Make small_gicp's point-to-point ICP with the parameters of ``PointSettings``."""
-    return SmallGicpRegistration("ICP", _prepare_flat, SmallGicpPointSettings(**parameters))
+def point_to_plane(**parameters: Any) -> PlanarRegistration:
+    """Make small_gicp's point-to-plane ICP on a target extruded to three layers (``SmallGicpPlaneSettings``)."""
+    library, settings = _import_small_gicp(), SmallGicpPlaneSettings(**parameters)
+
+    def extrude(cloud: Cloud, clocks: AdapterClocks) -> tuple[Any, Any]:
+        with clocks.conversion:
+            space = library.PointCloud(extrude_layers(cloud.points, settings.layer_m))
+        tree = library.KdTree(space, num_threads=1)
+        library.estimate_normals_covariances(space, tree, num_neighbors=settings.normal_neighbours, num_threads=1)
+        return space, tree
+
+    key = ("small_gicp layers", settings.layer_m, settings.normal_neighbours)
+    return _make(library, "PLANE_ICP", prepared(key, extrude), settings)
 
 
-def point_to_plane(**parameters: Any) -> SmallGicpRegistration:
-    """Make small_gicp's point-to-plane ICP on a target extruded to three layers (``PlaneSettings``)."""
-    settings = SmallGicpPlaneSettings(**parameters)
+def _make(library: Any, method: str, target: Prepare, settings: SmallGicpPointSettings) -> PlanarRegistration:
+    def convert(cloud: Cloud, clocks: AdapterClocks) -> Any:
+        with clocks.conversion:
+            return library.PointCloud(planar3d.points_3d(cloud.points))
 
-    def extruded(library: Any, target: Cloud, conversion: Stopwatch) -> tuple[Any, Any]:
-        with conversion:
-            cloud = library.PointCloud(extrude_layers(target.points, settings.layer_m))
-        tree = library.KdTree(cloud, num_threads=1)
-        library.estimate_normals_covariances(cloud, tree, num_neighbors=settings.normal_neighbours, num_threads=1)
-        return cloud, tree
+    def align(fixed: tuple[Any, Any], moving: Any, initial: Floats) -> LibraryAnswer:
+        cloud, tree = fixed
+        found = library.align(
+            cloud, moving, tree, init_T_target_source=initial, registration_type=method,
+            max_correspondence_distance=settings.max_correspondence_m, max_iterations=settings.max_iterations,
+            translation_epsilon=settings.translation_epsilon_m,
+            rotation_epsilon=math.radians(settings.rotation_epsilon_deg), num_threads=1,
+        )  # fmt: skip
+        pairs = int(found.num_inliers)
+        error = math.sqrt(2.0 * max(float(found.error), 0.0) / max(pairs, 1))
+        return LibraryAnswer(found.T_target_source, pairs, error, bool(found.converged), int(found.iterations))
 
-    return SmallGicpRegistration("PLANE_ICP", extruded, settings)
+    return PlanarRegistration(target, prepared("small_gicp source", convert), align)
 
 
 def extrude_layers(points: Floats, height_m: float) -> Floats:
@@ -136,12 +114,6 @@ def extrude_layers(points: Floats, height_m: float) -> Floats:
 def small_gicp_missing() -> str:
     """Return why small_gicp cannot be imported and how to install it, or ""; does not import it."""
     return "" if importlib.util.find_spec("small_gicp") else f"not installed: {INSTALL}"
-
-
-def _prepare_flat(library: Any, target: Cloud, conversion: Stopwatch) -> tuple[Any, Any]:
-    with conversion:
-        cloud = library.PointCloud(planar3d.points_3d(target.points))
-    return cloud, library.KdTree(cloud, num_threads=1)
 
 
 def _import_small_gicp() -> Any:

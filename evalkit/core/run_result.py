@@ -88,6 +88,7 @@ STEP = np.dtype(
     [
         ("stamp_ns", "i8"), ("x", "f8"), ("y", "f8"), ("theta", "f8"),
         ("wall_ns", "i8"), ("cpu_ns", "i8"), ("conversion_ns", "i8"), ("harness_ns", "i8"), ("device_ns", "i8"),
+        ("preparation_ns", "i8"),
         ("s2s_error", "f8"), ("s2s_iterations", "i4"), ("s2s_inliers", "i4"),
         ("s2m_error", "f8"), ("s2m_iterations", "i4"), ("s2m_inliers", "i4"),
         ("s2s_accepted", "i1"), ("s2s_converged", "i1"), ("s2m_accepted", "i1"), ("s2m_converged", "i1"),

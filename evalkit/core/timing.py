@@ -23,12 +23,14 @@ class Cost:
     ``conversion_ns``: CPU time spent on converting evalkit's values to a library's types and back (see ``Stopwatch``).
     ``program_cpu_ns``: CPU time of another process of this machine. ``device_ns``: time that the implementation itself
     measured where it runs. ``withheld``: clocks whose reading has no meaning because the answer was computed elsewhere.
+    ``preparation_ns``: CPU time in which an adapter computes what its library needs (normals, covariances).
     """
 
     conversion_ns: int = 0
     program_cpu_ns: int = 0
     device_ns: int = 0
     withheld: frozenset[Clock] = frozenset()
+    preparation_ns: int = 0
 
     def __add__(self, other: Cost) -> Cost:
         return Cost(
@@ -36,6 +38,7 @@ class Cost:
             self.program_cpu_ns + other.program_cpu_ns,
             self.device_ns + other.device_ns,
             self.withheld | other.withheld,
+            self.preparation_ns + other.preparation_ns,
         )
 
 
@@ -46,13 +49,14 @@ NO_COST = Cost()
 class CallTiming:
     """Time of one call in nanoseconds; 0 where not measured.
 
-    ``conversion_ns`` is a part of ``cpu_ns``. ``device_ns``: time reported by the back end itself.
+    ``conversion_ns`` and ``preparation_ns`` are parts of ``cpu_ns``. ``device_ns``: time that the back end reports.
     """
 
     wall_ns: int
     cpu_ns: int
     conversion_ns: int = 0
     device_ns: int = 0
+    preparation_ns: int = 0
 
     def including(self, cost: Cost) -> CallTiming:
         """Return this timing with the cost that the back end reports."""
@@ -61,6 +65,7 @@ class CallTiming:
             0 if "cpu" in cost.withheld else self.cpu_ns + cost.program_cpu_ns,
             cost.conversion_ns,
             cost.device_ns,
+            cost.preparation_ns,
         )
 
 

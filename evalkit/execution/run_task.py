@@ -29,7 +29,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.specs import MapSpec
 from evalkit.results.store import Store
 
-COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns")
+COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns", "preparation_ns")
 MAX_ATTEMPTS = 2
 """A run that killed this many processes is quarantined."""
 

@@ -169,6 +169,7 @@ def _record_step(frame: Frame, estimate: OdometryEstimate, timing: CallTiming, a
     record["x"], record["y"], record["theta"] = estimate.pose.row
     record["wall_ns"], record["cpu_ns"], record["conversion_ns"] = timing.wall_ns, timing.cpu_ns, timing.conversion_ns
     record["harness_ns"], record["device_ns"] = around_ns, timing.device_ns
+    record["preparation_ns"] = timing.preparation_ns
     for name in ("s2s", "s2m"):
         stage = estimate.stages.get(name)
         record[f"{name}_error"] = np.nan if stage is None else stage.residual_m

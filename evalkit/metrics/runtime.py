@@ -46,12 +46,12 @@ def _score_milliseconds(field: str, statistic: Callable[[Floats], np.floating], 
     return make_score(statistic(steps[field] * 1e-6), len(steps))
 
 
-def _score_conversion(evidence: Evidence) -> Score:
+def _score_share(field: str, evidence: Evidence) -> Score:
     steps = evidence.run.steps
     total = steps["cpu_ns"].sum()
     if total == 0:
         return Score(None, len(steps), NOT_MEASURED["cpu_ns"])
-    return make_score(100.0 * steps["conversion_ns"].sum() / total, len(steps))
+    return make_score(100.0 * steps[field].sum() / total, len(steps))
 
 
 def _score_real_time_factor(evidence: Evidence) -> Score:
@@ -110,7 +110,8 @@ METRICS = make_metrics(
             for name, statistic in _STATISTICS.items()
         },
         "device_median_ms": partial(_score_milliseconds, "device_ns", np.median),
-        "conversion_percent": _score_conversion,
+        "conversion_percent": partial(_score_share, "conversion_ns"),
+        "preparation_percent": partial(_score_share, "preparation_ns"),
         "real_time_factor": _score_real_time_factor,
         "late_percent": _score_late,
         "late_wall_percent": _score_late_wall,

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame, Scan
-from evalkit.odometry import frontend
+from evalkit.odometry import frontend, planar3d
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import embedded, paper
@@ -181,6 +181,20 @@ def test_compiled_normals_equal_those_of_numpy_and_scipy(k):
     clear = spreads[:, 0] < 0.9 * spreads[:, 1]  # elsewhere the direction is rounding
     assert clear.mean() > 0.9
     np.testing.assert_allclose(found[clear], expected[clear], rtol=0.0, atol=1e-12)
+
+
+@needs_core
+@pytest.mark.parametrize(("k", "radius_m"), [(20, 0.5), (8, 0.2), (5, 0.05)])
+def test_compiled_normals_within_a_radius_equal_those_of_the_harness(k, radius_m):
+    points = room(1500, np.random.default_rng(k))
+    points = np.vstack([points, [[30.0, 30.0], [30.1, 30.0]]])  # two points far from all
+    expected, found = planar3d.normals(points, k, radius_m), embedded.normals_2d(points, k, radius_m)
+    np.testing.assert_array_equal(found.any(axis=1), expected.any(axis=1))
+    assert not found[-2:].any()
+    assert np.abs(np.sum(found * expected, axis=1))[expected.any(axis=1)] == pytest.approx(1.0, abs=1e-9)
+    assert not embedded.normals_2d(np.ones((6, 2)), k, radius_m).any()  # coincident points
+    with pytest.raises(ValueError, match="neighbours: a parameter is outside its range"):
+        embedded.normals_2d(points, k, 0.0)
 
 
 @needs_core

@@ -10,7 +10,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.odometry import planar3d
 from evalkit.plugins.parameters import resolve_parameters
-from evalkit_baselines import open3d_icp
+from evalkit_baselines import open3d_icp, planar_registration
 
 METHODS = {
     "point-to-point": open3d_icp.POINT_TO_POINT,
@@ -19,7 +19,7 @@ METHODS = {
 }
 TRUTH = Pose(0.06, -0.04, np.radians(2.0))
 
-needs_open3d = pytest.mark.skipif(bool(why := open3d_icp.open3d_missing()), reason=why or "open3d is here")
+needs_open3d = pytest.mark.skipif(bool(why := open3d_icp.plane_missing()), reason=why or "open3d is here")
 
 
 def backend(method, **parameters):
@@ -114,18 +114,26 @@ def test_the_same_input_gives_identical_results_independent_of_earlier_calls(met
 
 
 @needs_open3d
-def test_the_normals_of_a_target_are_computed_once_and_released_with_it(monkeypatch):
-    made = []
-    normals = planar3d.normals
-    monkeypatch.setattr(planar3d, "normals", lambda *a: made.append(len(a[0])) or normals(*a))
-    used, source = backend("point-to-plane"), Cloud(room(200))
-    target = Cloud(room(700))
-    used.register(target, source, Pose())
-    used.register(target, source, Pose())
-    assert made == [700]
-    assert len(used._targets) == 1
-    del target
-    assert len(used._targets) == 0
+def test_the_normals_of_a_cloud_are_computed_once_for_both_stages_and_released_with_it(monkeypatch):
+    made, normals, kept = [], open3d_icp.normals_2d, len(planar_registration._prepared)
+    monkeypatch.setattr(open3d_icp, "normals_2d", lambda *a: made.append(len(a[0])) or normals(*a))
+    first, second = backend("generalized"), backend("generalized")
+    last, source, target = Cloud(room(700)), Cloud(room(200)), Cloud(room(900))
+    for stage, against in ((first, last), (second, target), (first, last)):
+        stage.register(against, source, Pose())
+    assert made == [700, 200, 900]  # each cloud once
+    backend("generalized", normal_neighbours=7).register(target, source, Pose())
+    assert made == [700, 200, 900, 900, 200]  # other settings, other normals
+    del last, source, target, against
+    assert len(planar_registration._prepared) == kept
+
+
+@needs_open3d
+def test_the_time_of_the_normals_is_reported_apart_from_the_conversion():
+    target, source = Cloud(room(3000)), Cloud(room(300))
+    cost = backend("point-to-plane").register(target, source, Pose()).cost
+    assert cost.preparation_ns > 0
+    assert backend("point-to-point").register(target, source, Pose()).cost.preparation_ns == 0
 
 
 @needs_open3d

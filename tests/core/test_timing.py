@@ -67,6 +67,7 @@ def test_a_stopwatch_counts_a_failing_block_and_propagates_its_error(hands):
     [
         (Cost(), CallTiming(500, 300)),
         (Cost(conversion_ns=30), CallTiming(500, 300, 30)),
+        (Cost(preparation_ns=40), CallTiming(500, 300, preparation_ns=40)),
         (Cost(30, program_cpu_ns=200, device_ns=80), CallTiming(500, 500, 30, 80)),
         (Cost(30, device_ns=80, withheld=frozenset({"cpu"})), CallTiming(500, 0, 30, 80)),
         (Cost(withheld=frozenset({"wall", "cpu"})), CallTiming(0, 0)),

@@ -21,7 +21,7 @@ from evalkit.execution.executors import DaskExecutor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.results.store import Store
 
-COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns")
+COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns", "preparation_ns")
 
 
 class RecordedProgress:
@@ -100,7 +100,11 @@ def test_a_cluster_gives_the_same_records_as_this_machine_to_the_bit(workers, tm
         assert ours.alignment == theirs.alignment
         assert ours.by_metric.keys() == theirs.by_metric.keys()
         timed = {name for name in ours.by_metric if name.startswith(("cpu_", "wall_", "harness_", "device_"))}
-        for name in ours.by_metric.keys() - timed - {"conversion_percent", "real_time_factor", "peak_memory_mib"}:
+        for name in (
+            ours.by_metric.keys()
+            - timed
+            - {"conversion_percent", "preparation_percent", "real_time_factor", "peak_memory_mib"}
+        ):
             assert ours.by_metric[name] == theirs.by_metric[name], name
         assert (ours.grid is None) == (theirs.grid is None)
         if ours.grid is not None:

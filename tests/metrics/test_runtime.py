@@ -18,6 +18,7 @@ def scores(cpu_ms: list[float], wall_ms: list[float], memory_bytes: int = 0, shi
     steps["cpu_ns"] = np.array(cpu_ms) * 1e6
     steps["wall_ns"] = np.array(wall_ms) * 1e6
     steps["conversion_ns"] = steps["cpu_ns"] // 10
+    steps["preparation_ns"] = steps["cpu_ns"] // 4
     steps["harness_ns"] = 2_000_000
     run = RunResult(steps, len(steps), peak_memory_bytes=memory_bytes)
     evidence = Evidence(run, Truth("exact"))
@@ -31,6 +32,7 @@ def test_times_equal_a_hand_calculation() -> None:
     assert found["cpu_p95_ms"].value == pytest.approx(128.0)  # four fifths of the way from 40 to 150
     assert found["wall_median_ms"].value == 32.0
     assert found["conversion_percent"].value == pytest.approx(10.0)
+    assert found["preparation_percent"].value == pytest.approx(25.0)
     assert found["real_time_factor"].value == pytest.approx(2.0)  # 100 ms over a mean of 50 ms
     assert found["late_percent"].value == 20.0  # 150 ms of CPU time; 100 ms at 10 Hz is exactly real time
     assert found["late_wall_percent"].value == 20.0  # 101 ms on the wall clock

@@ -33,8 +33,8 @@ class Index:
     def __init__(self, points: Array, neighbours: int = 0) -> None: ...
     def __len__(self) -> int: ...
 
-def normals(points: Array, neighbours: int) -> Array:
-    """Unit normals (N, 2) of points (N, 2) in metres from their nearest neighbours (ek/normals.h)."""
+def normals(points: Array, neighbours: int, radius: float) -> Array:
+    """Unit normals (N, 2) of points (N, 2) in metres from their neighbours within a radius (m; ek/normals.h)."""
 
 class Icp:
     """ICP (ek/icp.h); ``error``: 0 mean, 1 mean squared, 2 its root; ``lines``: distances to lines, not points."""

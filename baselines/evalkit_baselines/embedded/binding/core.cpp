@@ -18,7 +18,7 @@ NB_MODULE(CORE, module)
         .def(nb::init<const Points &, int64_t>(), "points"_a.noconvert(), "neighbours"_a = 0)
         .def("__len__", [](const Index &index) { return index.index().count; });
 
-    module.def("normals", &normals, "points"_a.noconvert(), "neighbours"_a);
+    module.def("normals", &normals, "points"_a.noconvert(), "neighbours"_a, "radius"_a);
 
     nb::class_<Icp>(module, "Icp")
         .def(nb::init<double, int64_t, int64_t, bool, bool, double, int64_t, bool, double>(), nb::kw_only(), "epsilon"_a,

@@ -11,8 +11,8 @@ namespace EK_NAME(binding) {
 
 class Index {
 public:
-    // With neighbours (2 or more) also the normals of the points.
-    Index(const Points &points, int64_t neighbours)
+    // With neighbours (2 or more) also the normals of the points, from neighbours within the radius.
+    Index(const Points &points, int64_t neighbours, double radius = EK_FAR)
     {
         constexpr std::size_t cells_per_point = 16, max_cells = std::size_t{1} << 18; // as in the core's front end
         const nb::gil_scoped_release others_may_run;
@@ -23,7 +23,8 @@ public:
         require(ek_index_build(&index_, start_of(points), points.shape(0)), "target");
         if (neighbours != 0) {
             normals_.resize(2 * room);
-            require(ek_normals_compute(&index_, natural(neighbours), normals_.data()), "neighbours");
+            const auto limit = ek_real(std::min(radius, double(EK_FAR)));
+            require(ek_normals_compute(&index_, natural(neighbours), limit, normals_.data()), "neighbours");
             index_.normals = normals_.data();
         }
     }
@@ -38,10 +39,10 @@ private:
     std::vector<ek_real> normals_;
 };
 
-// Normals (N, 2) of points from their nearest neighbours.
-inline nb::object normals(const Points &points, int64_t neighbours)
+// Normals (N, 2) of points from their nearest neighbours within a radius.
+inline nb::object normals(const Points &points, int64_t neighbours, double radius)
 {
-    const Index index(points, std::max<int64_t>(neighbours, 1));
+    const Index index(points, std::max<int64_t>(neighbours, 1), radius);
     return array_of(std::vector<ek_real>(index.normals()), {points.shape(0), 2});
 }
 

@@ -2,6 +2,7 @@
 
 #define WIDER EK_R(1.2) /* first search: as wide as the last point's neighbours, and this much wider */
 #define BLOCK 32u      /* points compared at once */
+#define LEAST_WALL 3u  /* points within the radius that define a wall */
 
 /* The nearest points found so far, nearest first. */
 typedef struct {
@@ -59,15 +60,17 @@ static void search_box(const ek_index *index, const ek_cell_box *box, ek_real x,
     }
 }
 
-/* Find the nearest points of (x, y); returns the distance (m) of the farthest of them. */
-static ek_real find_nearest(const ek_index *index, ek_real x, ek_real y, ek_real radius, nearest_points *found)
+/* Find the nearest points of (x, y) within `limit` (m); returns the distance (m) of the farthest of them. */
+static ek_real find_nearest(const ek_index *index, ek_real x, ek_real y, ek_real radius, ek_real limit,
+                            nearest_points *found)
 {
     for (;;) {
+        const int widest = radius - index->cells.margin >= limit;
         const ek_cell_box box = ek_cell_grid_box(&index->cells, x, y, radius);
         const int all = ek_cell_grid_is_all(&index->cells, &box);
-        search_box(index, &box, x, y, all ? EK_FAR : radius - index->cells.margin, found);
-        if (found->count == found->wanted) {
-            return EK_SQRT(found->squared[found->wanted - 1u]);
+        search_box(index, &box, x, y, all || widest ? limit : radius - index->cells.margin, found);
+        if (found->count == found->wanted || all || widest) {
+            return found->count > 0u ? EK_SQRT(found->squared[found->count - 1u]) : EK_R(0.0);
         }
         radius *= EK_R(2.0);
     }
@@ -103,24 +106,29 @@ static void normal_of(const ek_index *index, const nearest_points *found, ek_rea
     }
 }
 
-ek_status ek_normals_compute(const ek_index *index, size_t neighbours, ek_real *normals)
+ek_status ek_normals_compute(const ek_index *index, size_t neighbours, ek_real radius, ek_real *normals)
 {
     nearest_points found;
     if (!index || (!normals && index->count)) {
         return EK_NULL_POINTER;
     }
-    if (neighbours < 2u || neighbours > EK_MAX_NEIGHBOURS) {
+    if (neighbours < 2u || neighbours > EK_MAX_NEIGHBOURS || !(radius > EK_R(0.0))) {
         return EK_OUT_OF_RANGE;
     }
     found.wanted = neighbours < index->count ? neighbours : index->count;
     const ek_real widest = index->cells.cell * (EK_R(1.0) + (ek_real)neighbours / EK_R(3.0)); /* 3 points per cell */
-    ek_real radius = index->cells.cell;
+    ek_real first = index->cells.cell;
     for (uint32_t k = 0; k < index->count; k++) {
         const ek_real x = index->xy[2u * k], y = index->xy[2u * k + 1u];
-        const ek_real farthest = WIDER * find_nearest(index, x, y, radius, &found);
-        normal_of(index, &found, x, y, normals + 2u * index->id[k]);
-        radius = farthest < widest ? farthest : widest;
-        radius = radius > EK_R(0.25) * index->cells.cell ? radius : EK_R(0.25) * index->cells.cell;
+        const ek_real farthest = WIDER * find_nearest(index, x, y, first, radius, &found);
+        ek_real *const normal = normals + 2u * index->id[k];
+        if (radius < EK_FAR && (found.count < LEAST_WALL || farthest == EK_R(0.0))) {
+            normal[0] = normal[1] = EK_R(0.0);
+        } else {
+            normal_of(index, &found, x, y, normal);
+        }
+        first = farthest < widest ? farthest : widest;
+        first = first > EK_R(0.25) * index->cells.cell ? first : EK_R(0.25) * index->cells.cell;
     }
     return EK_OK;
 }

@@ -40,7 +40,7 @@ static void normal_by_sorting(size_t count, size_t i, size_t neighbours, double 
 static void normals_are_those_of_a_sort_of_all_points(size_t count, size_t neighbours)
 {
     CHECK(ek_index_build(&reference, cloud, count) == EK_OK);
-    CHECK(ek_normals_compute(&reference, neighbours, normals) == EK_OK);
+    CHECK(ek_normals_compute(&reference, neighbours, EK_FAR, normals) == EK_OK);
     for (size_t i = 0; i < count; i++) {
         double expected[2];
         normal_by_sorting(count, i, neighbours, expected);
@@ -54,7 +54,7 @@ static void normals_are_those_of_a_sort_of_all_points(size_t count, size_t neigh
 static void normals_of(const ek_real *xy, size_t count, size_t neighbours)
 {
     CHECK(ek_index_build(&reference, xy, count) == EK_OK);
-    CHECK(ek_normals_compute(&reference, neighbours, normals) == EK_OK);
+    CHECK(ek_normals_compute(&reference, neighbours, EK_FAR, normals) == EK_OK);
 }
 
 static void a_line_has_the_normal_across_it(void)
@@ -82,13 +82,25 @@ static void without_a_direction_the_normal_is_y(void)
     normals_of(same, 0u, 3u);
 }
 
+static void points_beyond_the_radius_are_no_neighbours(void)
+{
+    const ek_real wall[] = {0, 0, 1, 0, 2, 0, 1, 5, 3, 4, 3, 4, 3, 4};
+    CHECK(ek_index_build(&reference, wall, 7u) == EK_OK);
+    CHECK(ek_normals_compute(&reference, 4u, EK_R(1.5), normals) == EK_OK);
+    CHECK(normals[2] == EK_R(0.0) && normals[3] == EK_R(1.0)); /* three on a wall, the others too far */
+    for (size_t k = 0; k < 7u; k++) {
+        CHECK(k == 1u || (normals[2u * k] == EK_R(0.0) && normals[2u * k + 1u] == EK_R(0.0)));
+    }
+    CHECK(ek_normals_compute(&reference, 4u, EK_R(0.0), normals) == EK_OUT_OF_RANGE);
+}
+
 static void bad_input_is_named(void)
 {
-    CHECK(ek_normals_compute(&reference, 1u, normals) == EK_OUT_OF_RANGE);
-    CHECK(ek_normals_compute(&reference, EK_MAX_NEIGHBOURS + 1u, normals) == EK_OUT_OF_RANGE);
-    CHECK(ek_normals_compute(NULL, 8u, normals) == EK_NULL_POINTER);
+    CHECK(ek_normals_compute(&reference, 1u, EK_FAR, normals) == EK_OUT_OF_RANGE);
+    CHECK(ek_normals_compute(&reference, EK_MAX_NEIGHBOURS + 1u, EK_FAR, normals) == EK_OUT_OF_RANGE);
+    CHECK(ek_normals_compute(NULL, 8u, EK_FAR, normals) == EK_NULL_POINTER);
     CHECK(ek_index_build(&reference, cloud, 3u) == EK_OK);
-    CHECK(ek_normals_compute(&reference, 8u, NULL) == EK_NULL_POINTER);
+    CHECK(ek_normals_compute(&reference, 8u, EK_FAR, NULL) == EK_NULL_POINTER);
 }
 
 int main(void)
@@ -107,6 +119,7 @@ int main(void)
     normals_are_those_of_a_sort_of_all_points(POINTS, 3u);
     a_line_has_the_normal_across_it();
     without_a_direction_the_normal_is_y();
+    points_beyond_the_radius_are_no_neighbours();
     bad_input_is_named();
     free(arena.memory);
     return verdict();
