@@ -23,6 +23,7 @@ WIDTH = 80
 BARS = (18, 8)
 """Widest and narrowest bar, in columns; a table without room for the narrowest has none."""
 
+CPU = "CPU/scan"
 LINEAR_RATIO = 8.0
 """Bars are on a logarithmic scale if the largest value exceeds the smallest more than this."""
 
@@ -49,9 +50,9 @@ class RankedRow:
 def print_answer(console: Console, analysis: Analysis) -> None:
     """Print the title, what it costs, the ranked table, and what limits the answer."""
     answer = analysis.answer
-    console.print(Text(answer.title, style="bold"), highlight=False)
+    _print(console, answer.title, "bold")
     if answer.subtitle:
-        console.print(Text(answer.subtitle), highlight=False)
+        _print(console, answer.subtitle)
     head, rows = build_rows(analysis)
     if rows:
         console.print()
@@ -61,7 +62,11 @@ def print_answer(console: Console, analysis: Analysis) -> None:
         console.print()
     for pill in answer.pills:
         if pill.tone == "warn":
-            console.print(Text(pill.text, style="yellow"), highlight=False)
+            _print(console, pill.text, "yellow")
+
+
+def _print(console: Console, text: str, style: str = "") -> None:
+    console.print(text.replace("\u00a0", " "), style=style, markup=False, highlight=False)
 
 
 def build_rows(analysis: Analysis) -> tuple[str, list[RankedRow]]:
@@ -131,10 +136,13 @@ def format_rows(head: str, rows: Sequence[RankedRow], width: int) -> Iterator[Te
     shown = rows if len(rows) < MAX_LINES else rows[: MAX_LINES - 2]
     cells = [(row.method, row.error, row.against, row.cost, row.note) for row in shown]
     sizes = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    sizes[3] = max(sizes[3], len(CPU)) if sizes[3] else 0
     room = width - sum(size + 2 for size in sizes if size) - 2
     bar = min(room, BARS[0]) if room >= BARS[1] else 0
     scale = _Scale([value for row in shown for value in (row.low, row.value, row.high) if value is not None], bar)
-    yield Text(f"  {head}", style="dim")
+    left = sum(size + 2 for size in (*sizes[:2], bar, sizes[2]) if size)
+    over = f"{f'  {head}':<{left}}  {CPU:>{sizes[3]}}" if sizes[3] and len(head) + 2 <= left else f"  {head}"
+    yield Text(over, style="dim")
     for row, own in zip(shown, cells, strict=True):
         method, error, against, cost, note = (
             text.ljust(size) if at in (0, 4) else text.rjust(size)
@@ -142,7 +150,8 @@ def format_rows(head: str, rows: Sequence[RankedRow], width: int) -> Iterator[Te
         )
         parts = (method, error, scale.draw(row) if bar else "", against, cost, note)
         style = next((style for word, style in STYLES.items() if row.note.startswith(word)), "")
-        yield Text(f"  {'  '.join(part for part in parts if part)}".rstrip(), style=style)
+        line = f"  {'  '.join(part for part in parts if part)}".rstrip()
+        yield Text(line.replace("\u00a0", " "), style=style)
     if len(rows) > len(shown):
         yield Text(f"  and {len(rows) - len(shown)} more on the page", style="dim")
 

@@ -14,12 +14,12 @@ def make_row(method, value, low=None, high=None, note="", against=""):
 
 def test_a_bar_runs_from_the_lower_to_the_upper_bound_with_a_dot_at_the_value():
     rows = [make_row("a", 2.0, 1.0, 3.0, "best"), make_row("bb", 5.0, 5.0, 5.0)]
-    lines = [line.plain for line in format_rows("error, lab", rows, 39)]
-    # 39 columns: 2 + "bb" 2 + 2 + "2 mm" 4 + 2 + bar + 2 + "1.0 ms" 6 + 2 + "best" 4, so the bar has 13: 1 mm is 3
-    assert lines[0] == "  error, lab"
-    assert lines[1] == "  a   2 mm  ───●───        1.0 ms  best"
-    assert lines[2] == "  bb  5 mm              ●  1.0 ms"
-    assert all(len(line) <= 39 for line in lines)
+    lines = [line.plain for line in format_rows("error, lab", rows, 41)]
+    # 41 columns: 2 + "bb" 2 + 2 + "2 mm" 4 + 2 + bar + 2 + "CPU/scan" 8 + 2 + "best" 4, so the bar has 13: 1 mm is 3
+    assert lines[0] == "  error, lab               CPU/scan"
+    assert lines[1] == "  a   2 mm  ───●───          1.0 ms  best"
+    assert lines[2] == "  bb  5 mm              ●    1.0 ms"
+    assert all(len(line) <= 41 for line in lines)
 
 
 def test_values_far_apart_are_on_a_logarithmic_scale():
