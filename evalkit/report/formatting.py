@@ -30,11 +30,21 @@ def format_amount(metric: Metric, value: float) -> str:
 
 def format_quantity(metric: Metric, value: float) -> str:
     """Format a value for a title or a cell: metres below 1 m in millimetres, "8.4 mm", "376 mm", "6.77 m"."""
-    if metric.unit != "m":
-        return format_amount(metric, value)
+    return format_length(value) if metric.unit == "m" else format_amount(metric, value)
+
+
+def format_length(value: float) -> str:
+    """Format metres; below 1 m in millimetres: "8.4 mm", "376 mm", "6.77 m"."""
     if abs(value) >= 1.0:
         return f"{format_number(value, 2 if abs(value) < 100.0 else 0)}\u00a0m"
     return f"{format_number(1000.0 * value, 1 if abs(value) < 0.00995 else 0)}\u00a0mm"
+
+
+def format_tick(value: float) -> str:
+    """Format round metres of an axis: "0", "20 mm", "1 m"."""
+    if value == 0.0:
+        return "0"
+    return f"{value:g}\u00a0m" if abs(value) >= 1.0 else f"{1000.0 * value:g}\u00a0mm"
 
 
 def format_milliseconds(value: float) -> str:

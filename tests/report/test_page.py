@@ -13,17 +13,17 @@ from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
 from evalkit.metrics.validated import load_validation
 from evalkit.report import MethodCard, SequenceCard, write_report
-from evalkit.report.analysis.sequence import analyse_sequence
+from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_number
 from evalkit.report.html.maps import Window, compute_greys, find_window, render_map
 from evalkit.report.html.palette import assign_strokes
-from evalkit.report.html.view_models import build_headline
+from evalkit.report.html.report_tables import by_rank, headline_table
 
 
 class Tags(HTMLParser):
     """Parser that collects (tag, attributes) and checks that every element is closed."""
 
-    VOID = ("meta", "img", "br", "line", "link", "input")
+    VOID = ("meta", "img", "br", "link", "input")
 
     def __init__(self):
         super().__init__()
@@ -39,6 +39,7 @@ class Tags(HTMLParser):
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
+        self.text += " " if tag in ("td", "th", "dt", "span") else ""
 
     def handle_data(self, data):
         self.text += data
@@ -115,7 +116,7 @@ def test_the_content_policy_forbids_loading(tags):
 def test_links_within_the_page_have_targets(tags):
     anchors = [attributes["id"] for _, attributes in tags.found if "id" in attributes]
     assert len(anchors) == len(set(anchors))
-    targets = {a["href"][1:] for _, a in tags.found if a.get("href", "").startswith("#")}
+    targets = {a["href"][1:].partition("?")[0] for _, a in tags.found if a.get("href", "").startswith("#")}
     assert targets <= set(anchors)
 
 
@@ -128,12 +129,19 @@ def test_every_run_has_its_command_and_its_files(tags, demo):
 
 
 def test_every_number_links_to_its_runs(tags, demo):
-    numbers = [a["href"] for tag, a in tags.found if tag == "a" and a.get("class") in ("run", "none")]
-    assert {"#sequence-1-runs-1", "#sequence-2-runs-1"} <= set(numbers)
+    links = [a["href"] for tag, a in tags.found if tag == "a" and "-runs-" in a.get("href", "")]
+    assert {"#sequence-1-runs-1", "#sequence-2-runs-1"} <= set(links)
     rows = [a["id"] for tag, a in tags.found if tag == "tr" and "-runs-" in a.get("id", "")]
     pairs = {(record.method, record.sequence) for record in demo.records}
     assert len(rows) == len(pairs)
-    assert {href[1:] for href in numbers} <= set(rows)
+    assert {href[1:] for href in links} <= set(rows)
+
+
+def test_rows_and_not_cells_are_tab_stops(tags):
+    stops = [a for tag, a in tags.found if tag == "a" and "-runs-" in a.get("href", "") and "tabindex" not in a]
+    cells = [a for tag, a in tags.found if tag == "a" and "-runs-" in a.get("href", "") and a.get("tabindex") == "-1"]
+    assert len(stops) == 11  # one per row: six methods on room, four on fr079, one on intel
+    assert len(cells) > 3 * len(stops)
 
 
 def test_failed_runs_are_counted_and_shown_with_their_reason(tags):
@@ -159,7 +167,7 @@ def test_arrows_point_to_the_better_direction(html):
 
 
 def test_a_score_without_a_value_is_a_dash_with_its_reason(tags):
-    reasons = [a["title"] for tag, a in tags.found if tag in ("a", "span") and a.get("class") == "none"]
+    reasons = {a["title"] for tag, a in tags.found if tag == "td" and "title" in a}
     assert "failed: no odometry was recorded" in reasons
     assert "not installed: no module named 'absent'; pip install absent" in reasons
 
@@ -169,49 +177,70 @@ def test_metrics_without_any_value_are_listed_with_the_reason(tags):
     assert "Not shown, because no method has a value: relation error, mean (no relations_mean_m here)." in text
 
 
+def headings(table):
+    return [column.label for column in table.headings()]
+
+
+def table_of(comparison, label):
+    analysis = analyse(comparison)
+    sequence = next(one for one in analysis.sequences if one.label == label)
+    return headline_table(analysis, sequence, 1, {})
+
+
 def test_only_methods_that_completed_every_run_can_be_best(demo):
-    table = build_headline(analyse_sequence(demo, "room"))
-    best = {m.name: [r.method for r in table.rows if r.numbers[i].best] for i, m in enumerate(table.metrics)}
-    assert best["ate_rmse_m"] == ["plane"]
-    assert best["map_f1"] == ["plane"]
-    assert best["cpu_median_ms"] == ["paper"]
+    table = table_of(demo, "room")
+    rows = table.cells()
+    best = {name: [row[0].text for row in rows if row[at].tone == "good"] for at, name in enumerate(headings(table))}
+    assert best["ATE RMSE"] == ["plane"]
+    assert best["Map F1 at 10 cm"] == ["plane"]
+    assert best["CPU time per scan, median"] == ["paper"]
+
+
+def test_methods_are_in_the_order_of_their_ranks(demo):
+    names = [row[0].text for row in table_of(demo, "room").cells()]
+    assert names == ["plane", "paper", "wheel", "lost", "<script>alert(1)</script>", "absent"]
+    assert names == by_rank(analyse(demo).sequences[0])
 
 
 def test_the_deciding_metrics_and_the_costs_come_first(demo):
-    names = [
-        [metric.name for metric in build_headline(analyse_sequence(demo, label)).metrics] for label in ("room", "fr079")
-    ]
-    assert names[0][:2] == ["ate_rmse_m", "cpu_median_ms"]
-    assert names[1][:2] == ["relations_mean_m", "cpu_median_ms"]
+    names = [headings(table_of(demo, label)) for label in ("room", "fr079")]
+    assert names[0][2:4] == ["ATE RMSE", "CPU time per scan, median"]
+    assert names[1][2:4] == ["Relation error, mean", "CPU time per scan, median"]
+
+
+def test_single_complete_runs_have_no_column_of_counts(record, build):
+    once = [record(name, "room", {"ate_rmse_m": 0.1}, seed=None) for name in "ab"]
+    assert headings(table_of(build(once), "room")) == ["Method", "ATE RMSE"]
+    twice = [record(name, "room", {"ate_rmse_m": 0.1}, seed=seed) for name in "ab" for seed in (0, 1)]
+    assert headings(table_of(build(twice), "room")) == ["Method", "Runs complete", "ATE RMSE"]
 
 
 def test_with_a_true_map_consistency_is_not_in_the_first_table(record, build):
     def shown(truth):
         runs = [record(who, "room", {"map_f1": 0.9, "split_distance_m": 0.1}, truth=truth) for who in "ab"]
-        return {metric.name for metric in build_headline(analyse_sequence(build(runs), "room")).metrics}
+        return headings(table_of(build(runs), "room"))[1:]
 
-    assert shown(True) == {"map_f1"}
-    assert shown(False) == {"map_f1", "split_distance_m"}
+    assert shown(True) == ["Map F1 at 10 cm"]
+    assert shown(False) == ["Map F1 at 10 cm", "Halves of the run apart"]
 
 
 def test_the_driven_path_is_shown_with_the_description_of_the_data_set(tags):
     text = " ".join(tags.text.split())
-    assert "The data set: A sequence called room." in text
-    assert "Scans answered31 of 60 to 60 of 60, by run" in text
+    assert "The data set A sequence called room." in text
+    assert "Scans answered 31 of 60 to 60 of 60, by run" in text
 
 
 def test_methods_worse_than_the_baseline_are_marked(demo):
-    assert [row.method for row in build_headline(analyse_sequence(demo, "room")).rows if row.behind_baseline] == [
-        "lost"
-    ]
+    rows = table_of(demo, "room").cells()
+    assert [row[0].text for row in rows if ("worse than the baseline", "warn") in row[0].chips] == ["lost"]
 
 
 def test_published_results_are_sorted_among_the_measured_ones(tags):
     text = " ".join(tags.text.split())
     table = text[text.index("Comparison with published results") :]
-    places = [table.index(f"{name} {value}") for name, value in (("plane", "0.051"), ("graph mapping", "0.056"))]
+    places = [table.index(f"{name} {value}") for name, value in (("plane", "51 mm"), ("graph mapping", "56 mm"))]
     assert places == sorted(places)
-    assert table.index("scan matching 0.258") < table.index("paper 0.270")
+    assert table.index("scan matching 258 mm") < table.index("paper reference 270 mm")
 
 
 def test_counted_data_defects_are_printed(tags):
@@ -250,6 +279,12 @@ def test_nine_methods_have_nine_line_styles():
     assert len(set(chosen.values())) == 9
 
 
+def test_a_method_keeps_its_colour_in_every_report():
+    few, many = assign_strokes(["paper", "plane"]), assign_strokes(["a", "plane", "b", "c", "paper", "d"])
+    assert {few[name].colour for name in few} == {many[name].colour for name in few}
+    assert assign_strokes(["plane", "paper"]) == few
+
+
 def test_the_rank_agreement_of_map_metrics_is_shown_with_them(html):
     shown = html[html.index('id="rank-agreement"') : html.index('id="metric-map_entropy"')]
     assert "evalkit.commands.metric_validation validate" in shown
@@ -258,3 +293,16 @@ def test_the_rank_agreement_of_map_metrics_is_shown_with_them(html):
         assert f'href="#metric-{name}"' in shown
         assert format_number(validation.agreement_of(name).overall.value, 2) in shown
     assert all(world in shown for world in validation.worlds)
+
+
+def test_the_first_picture_comes_after_few_words(html, record_property):
+    answer = html[html.index('id="answer"') :]
+    before = re.sub(r"<[^>]+>", " ", answer[: answer.index("<img")]).split()
+    record_property("words before the first picture", len(before))
+    assert len(before) <= 150
+
+
+def test_every_image_has_its_size(tags):
+    images = [a for tag, a in tags.found if tag == "img" and "src" in a]
+    assert images
+    assert all(int(a["width"]) > 0 and int(a["height"]) > 0 for a in images)

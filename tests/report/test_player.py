@@ -213,9 +213,9 @@ class Noisy:
             yield Frame(Scan(index * 100_000_000, ranges, angles, 0.1, 12.0))
 
 
-def test_twenty_runs_on_twenty_sequences_stay_within_fifteen_megabytes(record):
+def test_twenty_runs_on_twenty_sequences_stay_within_eight_megabytes(record):
     run = record("a", "room", {}, answered=3000, expected=3000)
     made = build_player([run], Noisy, WINDOW, lines([run]), ranges_per_sequence(20))
-    assert len(made.content) * 20 < 12e6  # the rest is for drawings, maps and tables
+    assert len(made.content) * 20 < 6e6  # the rest is for drawings, maps and tables
     assert made.remarks.startswith("2,000 of 3,000 scans")
-    assert "One beam in 4 is shown." in made.remarks
+    assert "One beam in 5 is shown." in made.remarks

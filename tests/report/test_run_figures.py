@@ -32,12 +32,3 @@ def test_runs_without_answers_have_no_figure(record):
 
 def test_wheel_odometry_has_no_residuals(record):
     assert draw_residuals([record("wheel", "room", {})], assign_strokes(["wheel"])) is None
-
-
-def test_drawn_elements_carry_the_name_of_their_method_for_the_filter(record):
-    runs = [record(name, "room", {}) for name in ("a", "<b>")]
-    for draw in (draw_trajectories, draw_errors, draw_residuals, draw_runtimes):
-        svg = draw(runs, assign_strokes(["a", "<b>"])).svg.decode()
-        assert svg.count('id="of:a"') >= 2  # a line and a legend entry, or a box and its name
-        assert svg.count('id="of:a"') == svg.count('id="of:&lt;b&gt;"')
-        assert "of:truth" not in svg

@@ -148,6 +148,8 @@ def _describe_not_counted(
 def _describe_missing(runs: Sequence[RunRecord]) -> Pill | None:
     """Return the data sets and methods that are not on this machine."""
     data = dict.fromkeys(run.sequence for run in runs if run.result.status == RunStatus.DATA_MISSING)
+    for sequence in {run.sequence for run in runs if run.result.status != RunStatus.DATA_MISSING}:
+        data.pop(sequence, None)  # a method without its input there; the recording itself exists
     methods = dict.fromkeys(run.method for run in runs if run.result.status == RunStatus.NOT_INSTALLED)
     return Pill(f"missing here: {join_words([*data, *methods])}", "") if data or methods else None
 

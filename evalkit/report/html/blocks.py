@@ -9,8 +9,13 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from markupsafe import Markup
 
-Tone = Literal["", "good", "bad", "warn"]
+from evalkit.report.html.palette import Stroke
+
+Tone = Literal["", "good", "bad", "warn", "tied"]
+Chips = Sequence[tuple[str, Tone]]
+"""Words with a background and their tone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,19 +37,26 @@ class Bullets:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table; ``number``: aligned to the right; ``tip``: explanation on hover."""
+    """A column of a table; ``number``: aligned to the right; ``tip``: explanation on hover.
+
+    ``better``: the direction of better values, for the arrow and the first click. ``of``: the method of the column.
+    """
 
     label: str
     unit: str = ""
     number: bool = False
     tip: str = ""
+    better: Literal["lower", "higher", ""] = ""
+    of: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
     """A cell of a table: text, sort key (None: the text), colour, explanation on hover, and link.
 
-    Raises ValueError for a link other than an anchor of the page or a web address.
+    ``extent``: small print below the text. ``stroke``: the text is the label of a method, drawn with this stroke.
+    ``chips``: words with a background after the text. Raises ValueError for a link other than an anchor of the page, a
+    file beside it or a web address.
     """
 
     text: str
@@ -52,20 +64,29 @@ class Cell:
     tone: Tone = ""
     tip: str = ""
     link: str = ""
+    extent: str = ""
+    stroke: Stroke | None = None
+    chips: Chips = ()
 
     def __post_init__(self) -> None:
-        if self.link and not self.link.startswith(("#", "https://", "http://")):
+        if self.link and not self.link.startswith(("#", "https://", "http://", "trajectories/", "maps/")):
             raise ValueError(f"link: expected an anchor or a web address, got {self.link!r}")
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of texts and cells; the first cell of a row is its heading. Raises ValueError for a row of wrong length."""
+    """Rows of texts and cells; the first cell of a row is its heading.
+
+    ``anchors``: one per row, "" for none. ``label``: name of the table for a screen reader, without a caption.
+    Raises ValueError for a row of wrong length.
+    """
 
     columns: Sequence[Column | str]
     rows: Sequence[Sequence[Cell | str]]
     caption: str = ""
     sortable: bool = True
+    anchors: Sequence[str] = ()
+    label: str = ""
     kind: Literal["table"] = "table"
 
     def __post_init__(self) -> None:
@@ -84,12 +105,20 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """An image with its title (also the alternative text) and its caption; ``svg``: the file, of type ``media``."""
+    """An image with its title (also the alternative text) and its caption; ``svg``: the file, of type ``media``.
+
+    ``size``: width and height in pixels, so that nothing moves when it is shown. ``stroke``: the title is the label of
+    a method. ``scale``: length and label of a scale bar, in percent of the width.
+    """
 
     svg: bytes
     title: str
     caption: str = ""
     media: Literal["svg+xml", "png"] = "svg+xml"
+    size: tuple[int, int] | None = None
+    alt: str = ""
+    stroke: Stroke | None = None
+    scale: tuple[float, str] | None = None
     kind: Literal["figure"] = "figure"
 
     @property
@@ -100,10 +129,11 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Figures side by side; ``small``: more of them in a row."""
+    """Figures side by side; ``small``: more of them in a row; ``maps``: small, and the player shows them too."""
 
     figures: Sequence[Figure]
     small: bool = False
+    maps: bool = False
     kind: Literal["figures"] = "figures"
 
 
@@ -117,27 +147,74 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """Blocks that are hidden until the reader opens them."""
+    """Blocks that are hidden until the reader opens them.
+
+    ``heading``: the title is a heading of the page. ``lazy``: the blocks are built when opened. ``note``: small print
+    beside the title.
+    """
 
     title: str
     blocks: Sequence[Block]
+    anchor: str = ""
+    note: str = ""
+    heading: bool = False
+    lazy: bool = False
+    is_open: bool = False
     kind: Literal["fold"] = "fold"
 
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """A heading within a section."""
+    """A heading within a section; ``target``: its anchor, else from the text; ``level`` 3 or 4."""
 
     text: str
+    target: str = ""
+    level: Literal[3, 4] = 3
     kind: Literal["heading"] = "heading"
 
     @property
     def anchor(self) -> str:
         """The anchor of the heading."""
-        return slug(self.text)
+        return self.target or slug(self.text)
 
 
-Block = Text | Bullets | Table | Figure | Figures | Command | Fold | Heading
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Pairs of name and text, one below the other; web addresses become links."""
+
+    pairs: Sequence[tuple[str, str]]
+    kind: Literal["facts"] = "facts"
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """Blocks with a border and a title; ``stroke``: the title is the label of a method."""
+
+    title: str
+    blocks: Sequence[Block]
+    anchor: str = ""
+    stroke: Stroke | None = None
+    chips: Chips = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Cards:
+    """Cards side by side; ``wide``: fewer of them in a row."""
+
+    cards: Sequence[Card]
+    wide: bool = False
+    kind: Literal["cards"] = "cards"
+
+
+@dataclass(frozen=True, slots=True)
+class Html:
+    """Markup that is already escaped."""
+
+    markup: Markup
+    kind: Literal["html"] = "html"
+
+
+Block = Text | Bullets | Table | Figure | Figures | Command | Fold | Heading | Facts | Cards | Html
 
 
 @dataclass(frozen=True, slots=True)

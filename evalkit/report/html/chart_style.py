@@ -96,7 +96,7 @@ class _LayoutOnceFigure(Figure):
 
 
 def _draw_legend(figure: Figure, panels: Sequence[Axes], min_entries: int) -> None:
-    """Draw one legend below all panels; its entries keep the identifiers of what they name."""
+    """Draw one legend below all panels."""
     handles: dict[str, Any] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -105,11 +105,4 @@ def _draw_legend(figure: Figure, panels: Sequence[Axes], min_entries: int) -> No
         return
     longest = max(map(len, handles), default=0)
     columns = next((count for length, count in ((14, 5), (20, 4), (30, 3)) if longest < length), 2)
-    legend = figure.legend(
-        handles.values(), handles.keys(), loc="outside lower center", ncols=columns, handlelength=2.4
-    )
-    for shown, text in zip(legend.legend_handles, legend.get_texts(), strict=True):
-        identifier = getattr(handles[text.get_text()], "get_gid", lambda: None)()
-        text.set_gid(identifier)
-        if shown is not None:
-            shown.set_gid(identifier)
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns, handlelength=2.4)

@@ -80,6 +80,13 @@ def compute_greys(grid: OccupancyGrid, shown: Window) -> Greys:
     return np.round(15.0 * _darkest(white, per_pixel)).astype(np.uint8)
 
 
+def measure_image(grid: OccupancyGrid, shown: Window) -> tuple[int, int]:
+    """Return the width and height of a map's image in pixels."""
+    per_pixel, step = _sampling(grid, shown)
+    width, height = (max(1, round(side / step / per_pixel)) for side in shown.size_m)
+    return width, height
+
+
 def pixel_m(grid: OccupancyGrid, shown: Window) -> float:
     """Return the size of a pixel of the map's image in metres."""
     per_pixel, step = _sampling(grid, shown)

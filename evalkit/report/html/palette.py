@@ -1,14 +1,17 @@
-"""Colour and dashes of each method, the same in every table and figure."""
+"""Colour and dashes of each method: the colour follows from its name, so it is the same in every report."""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-# Okabe and Ito, "Color Universal Design" (2008): black is kept for the ground truth, yellow is darkened for white
-# paper, and a dark brown is added, which differs from all others in lightness.
-HUES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#a89400", "#5b3a29")
-DASHES: tuple[tuple[float, ...], ...] = ((), (6.0, 2.0), (1.5, 1.5), (6.0, 2.0, 1.5, 2.0))
+# Okabe and Ito, "Color Universal Design" (2008), and a brown that differs from them in lightness: the largest distance
+# between any two under simulated deuteranopia, protanopia and tritanopia. Black is kept for the ground truth.
+HUES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#5b3a29")
+DASHES: tuple[tuple[float, ...], ...] = (
+    (), (6.0, 2.0), (1.5, 1.5), (6.0, 2.0, 1.5, 2.0), (10.0, 3.0), (3.0, 3.0), (10.0, 2.0, 2.0, 2.0), (1.5, 4.0),
+)  # fmt: skip
 TRUTH = "#000000"
 BAR = "#7a7a7a"
 
@@ -20,11 +23,22 @@ class Stroke:
     colour: str
     dash: tuple[float, ...] = ()
 
+    @property
+    def css(self) -> str:
+        """The colour on a page, which has lighter ones in the dark."""
+        return f"var(--hue-{HUES.index(self.colour)})" if self.colour in HUES else "var(--grey)"
+
 
 def assign_strokes(methods: Iterable[str], baselines: Iterable[str] = ()) -> Mapping[str, Stroke]:
-    """Return a stroke for every method: hues first, then dashes; baselines are grey and dashed."""
+    """Return a stroke for every method: the colour by its name, dashes for methods that share one; baselines are grey.
+
+    Names in alphabetical order get the dashes, so that they do not depend on the order of the methods.
+    """
     grey = set(baselines)
     chosen: dict[str, Stroke] = {}
-    for index, label in enumerate(label for label in methods if label not in grey):
-        chosen[label] = Stroke(HUES[index % len(HUES)], DASHES[index // len(HUES) % len(DASHES)])
+    shared = dict.fromkeys(HUES, 0)
+    for label in sorted(set(methods) - grey):
+        colour = HUES[zlib.crc32(label.encode()) % len(HUES)]
+        chosen[label] = Stroke(colour, DASHES[shared[colour] % len(DASHES)])
+        shared[colour] += 1
     return chosen | {label: Stroke(BAR, (4.0, 2.0)) for label in grey}

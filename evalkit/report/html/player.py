@@ -29,10 +29,10 @@ from evalkit.results.run_record import RunRecord
 METRE, RADIAN, RESIDUAL, MILLISECOND = 1e-3, 1e-5, 1e-4, 1_000_000
 """Steps of positions and ranges (m), of angles (rad), of residuals and errors (m), of times (ns)."""
 MAX_SCANS = 2000
-MAX_RANGES = 400_000
-MAX_ON_PAGE = 4_000_000
-"""Ranges in a sequence and on the page: at about 1.5 bytes each the page stays below 15 MB."""
-MAX_CELLS = 8000
+MAX_RANGES = 300_000
+MAX_ON_PAGE = 3_000_000
+"""Ranges in a sequence and on the page: at about 1.5 bytes each the page stays below 8 MB."""
+MAX_CELLS = 3000
 QUANTITIES = (("error", "error"), ("s2s", "S2S residual"), ("s2m", "S2M residual"))
 FARTHEST_M = 1e6
 """Poses beyond this distance are not drawn."""
@@ -281,7 +281,7 @@ def _run(record: RunRecord, stamps: Stamps, beams: Beams | None, lines: Mapping[
     stroke = lines[record.method]
     return {
         "label": record.method,
-        "colour": stroke.colour,
+        "colour": stroke.css,
         "dash": list(stroke.dash),
         "poses": pack_array(steps),
         "s2s": series(record.result.steps["s2s_error"]),

@@ -1,159 +1,184 @@
-"""The page of a report: figures, tables and sentences in one HTML file that loads nothing else."""
+"""The page of a report: the answer, the sequences and the appendix in one HTML file that loads nothing else."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from markupsafe import Markup
+
 from evalkit.core.grid import OccupancyGrid
 from evalkit.metrics.table import Metric
-from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.analysis import Analysis
-from evalkit.report.analysis.comparison import Comparison, SequenceCard
-from evalkit.report.analysis.ranking import PairwiseTable
+from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.verdict import SequenceVerdict
-from evalkit.report.formatting import capitalise, format_bounds, format_number
-from evalkit.report.html import run_figures, view_models
-from evalkit.report.html.blocks import Document, Figure, NavigationLink, load_template
-from evalkit.report.html.maps import Window, find_window, render_map
+from evalkit.report.formatting import capitalise, format_quantity
+from evalkit.report.html import appendix, first_screen, report_tables, run_charts
+from evalkit.report.html.blocks import (
+    Block,
+    Bullets,
+    Document,
+    Facts,
+    Figure,
+    Figures,
+    Fold,
+    Heading,
+    Html,
+    Text,
+    load_template,
+)
+from evalkit.report.html.maps import Window, find_window, measure_image, render_map
 from evalkit.report.html.palette import Stroke, assign_strokes
-from evalkit.report.html.player import Player, build_player, ranges_per_sequence
+from evalkit.report.html.player import build_player, ranges_per_sequence
 from evalkit.results.run_record import RunRecord
 
 MAP_CAPTION_GROUPS = ("map against truth", "map consistency")
+BADGES = {
+    "winner": "winner", "tied": "tied", "single": "one ranked method", "degenerate": "degenerate geometry",
+    "disagreement": "no ground truth: map metrics disagree", "unranked": "no ranking",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
-class SequenceSection:
-    """Everything that the page shows of one sequence."""
+class SequenceMaps:
+    """The maps of each method's first run over a sequence, in a common window; ``window`` is None without any."""
 
-    label: str
-    anchor: str
-    card: SequenceCard
-    verdict: SequenceVerdict
-    table: view_models.HeadlineTable
-    pairs: PairwiseTable | None
-    drawn: str
-    pictures: tuple[Figure, ...]
-    player: Player | None
-    maps: tuple[Figure, ...]
-    map_window: Window | None
-    everything: Mapping[str, tuple[view_models.MetricRow, ...]]
-    absent: Mapping[str, tuple[str, ...]]
-    methods: tuple[str, ...]
-    published: tuple[Metric, tuple[view_models.PublishedRow, ...]] | None
-    failures: tuple[view_models.FailedRuns, ...]
-    notes: Mapping[str, int]
-    driven: tuple[tuple[str, str], ...]
-    alignments: tuple[str, ...]
-    runs: tuple[RunRecord, ...]
+    figures: Mapping[str, Figure]
+    window: Window | None
 
 
 def render_report(analysis: Analysis) -> str:
     """Return the HTML of a report."""
     comparison = analysis.comparison
-    lines = assign_strokes(comparison.method_labels, comparison.methods_with_role("baseline"))
-    sections = [
-        build_section(comparison, sequence, verdict, number, lines)
-        for number, (sequence, verdict) in enumerate(zip(analysis.sequences, analysis.verdicts, strict=True), 1)
+    strokes = assign_strokes(comparison.method_labels, comparison.methods_with_role("baseline"))
+    maps = [draw_maps(comparison, sequence, strokes) for sequence in analysis.sequences]
+    hardest = first_screen.find_hardest(analysis)
+    tiles = [] if hardest is None else first_screen.build_tiles(analysis, hardest, strokes)
+    folds = [
+        build_sequence(analysis, number, maps[number], strokes, is_open=number == (hardest or 0))
+        for number in range(len(analysis.sequences))
     ]
-    finished = sum(record.result.is_complete for record in comparison.records)
-    facts = (
-        ("Methods", str(len(comparison.method_labels))),
-        ("Sequences", str(len(sections))),
-        ("Runs finished", f"{finished} of {len(comparison.records)}"),
-        ("Finished", comparison.finished.strftime("%Y-%m-%d %H:%M")),
-    )
-    links = [NavigationLink(title.lower(), title) for title in ("Summary", "Results")]
-    links += [NavigationLink(section.anchor, section.label, minor=True) for section in sections]
-    links += [NavigationLink(title.lower(), title) for title in ("Metrics", "Methods", "Data", "Provenance")]
-    template = load_template("report.html.j2", sentence=capitalise, figure=format_number, bounds=format_bounds)
-    return template.render(
-        document=Document("evalkit report", comparison.title, comparison.description, (), facts),
-        links=links,
-        comparison=comparison,
+    title, emphasis = analysis.answer.title, analysis.answer.emphasis
+    return load_template("report.html.j2").render(
+        document=Document("evalkit report", comparison.title, comparison.description, ()),
+        links=(),
+        title=title.partition(emphasis) if emphasis else ("", "", title),
+        lead_stroke=strokes[analysis.answer.winners[0]] if len(analysis.answer.winners) == 1 else None,
+        answer=analysis.answer,
+        tiles=tiles,
+        hardest="" if hardest is None else analysis.sequences[hardest].label,
+        dots=first_screen.draw_dots(analysis, strokes),
+        scatter=first_screen.draw_scatter(analysis, strokes),
+        numbers=report_tables.numbers_table(analysis, strokes),
         overview=analysis.overview,
-        sections=sections,
-        glance=view_models.build_glance(analysis),
-        evidence=analysis.significance,
-        metrics=_by_group(comparison.metrics),
-        validation=load_validation(),
-        strokes=lines,
-        places={label: place for place, label in enumerate(comparison.methods, start=1)},
-        status=STATUS_LABELS,
+        folds=folds,
+        appendix=appendix.build_appendix(analysis, strokes),
+        methods={label: strokes[label] for label in comparison.method_labels},
     )
 
 
-def build_section(
-    comparison: Comparison,
-    sequence: SequenceAnalysis,
-    verdict: SequenceVerdict,
-    number: int,
-    lines: Mapping[str, Stroke],
-) -> SequenceSection:
-    """Return the section of a sequence; its figures show each method's first run."""
-    grouped, runs = sequence.runs, sequence.all_runs
-    first = tuple(own[0] for own in grouped.values())
-    grids = [run.scores.grid for run in first if run.scores.grid is not None]
-    shown = find_window(grids, true_grid(first)) if grids else None
+def build_sequence(
+    analysis: Analysis, number: int, maps: SequenceMaps, strokes: Mapping[str, Stroke], is_open: bool
+) -> Fold:
+    """Return everything that the page shows of one sequence; figures show each method's first run."""
+    sequence, verdict = analysis.sequences[number], analysis.verdicts[number]
+    anchor = f"sequence-{number + 1}"
+    first = [own[0] for own in sequence.runs.values()]
+    blocks: list[Block] = [Bullets(verdict.sentences)]
+    if sequence.card.degenerate:
+        blocks.insert(0, Text(f"Degenerate geometry. {capitalise(sequence.card.degenerate)}", "warn"))
+    charts = _draw_charts(sequence, first, strokes)
+    if charts:
+        blocks += [Html(chart) for chart in charts[:1]]
+    else:
+        blocks.append(Text("No figures and no player: the runs consist of maps without paths." if maps.figures
+                           else "No figures: no run answered a scan.", "warn"))  # fmt: skip
+    blocks += _build_player(analysis, sequence, first, maps.window, strokes, anchor)
+    if maps.figures and maps.window:
+        width, height = maps.window.size_m
+        blocks += [
+            Heading("Maps", f"{anchor}-maps"),
+            Text(f"One mapper draws all maps. Each shows the same {width:.1f} × {height:.1f} m: black is occupied, "
+                 "white free, grey not observed.", "note"),
+            Figures(list(maps.figures.values()), maps=True),
+        ]  # fmt: skip
+    blocks += _build_tables(analysis, number, strokes)
+    if charts[1:]:
+        blocks.append(Fold("Paths, CPU times and residuals", [Html(chart) for chart in charts[1:]], f"{anchor}-more"))
+    facts = (*sequence.drive, ("Ground truth", sequence.card.truth.rstrip(".")), ("Sensor", sequence.card.sensor))
+    blocks.append(Facts((("The data set", sequence.card.summary), *facts)))
     seeds = sorted({run.seed for run in first if run.seed is not None})
-    scans, paper = comparison.scans.get(verdict.sequence), next(iter(comparison.methods_with_role("reference")), "")
-    return SequenceSection(
-        label=verdict.sequence,
-        anchor=f"sequence-{number}",
-        card=sequence.card,
-        verdict=verdict,
-        table=view_models.build_headline(sequence),
-        pairs=sequence.pairwise,
-        drawn=f"seed {seeds[0]} only" if seeds else "the single run of each method",
-        pictures=tuple(draw_figures(first, lines)),
-        player=build_player(first, scans, shown, lines, ranges_per_sequence(len(comparison.sequences)), paper),
-        maps=map_tiles(comparison, first, shown) if shown else (),
-        map_window=shown,
-        everything=view_models.build_all_metrics(sequence),
-        absent=view_models.find_absent(sequence),
-        methods=tuple(grouped),
-        published=view_models.build_published(sequence),
-        failures=view_models.group_failures(runs),
-        notes=view_models.count_notes(runs),
-        driven=sequence.drive,
-        alignments=sequence.alignments,
-        runs=runs,
+    blocks.append(
+        Text(f"Figures show {f'seed {seeds[0]} only' if seeds else 'the single run of each method'}.", "note")
     )
+    return Fold(sequence.label, blocks, anchor, _badge(verdict), heading=True, lazy=True, is_open=is_open)
 
 
-def draw_figures(runs: Sequence[RunRecord], lines: Mapping[str, Stroke]) -> list[Figure]:
-    """Return the figures of a sequence that have content."""
-    planned = (
-        (
-            run_figures.draw_trajectories,
-            "Trajectories",
-            "View from above, aligned to the ground truth if there is one.",
-        ),
-        (
-            run_figures.draw_errors,
-            "Error over time",
-            "Distance to the ground truth; each point is the maximum of a stretch.",
-        ),
-        (
-            run_figures.draw_runtimes,
-            "CPU time per scan",
-            "Box: 25 to 75 %. Bar: median. Whiskers: 5 to 95 %. Dot: maximum. Logarithmic axis.",
-        ),
-        (
-            run_figures.draw_residuals,
-            "Registration residuals over time",
-            "As reported by each method, by its own definition. Each point is the median of a stretch.",
-        ),
-    )
-    drawn = ((draw(runs, lines), title, caption) for draw, title, caption in planned)
-    return [
-        Figure(figure.svg, title, f"{caption} {figure.remark}".strip())
-        for figure, title, caption in drawn
-        if figure is not None
+def _badge(verdict: SequenceVerdict) -> str:
+    if verdict.outcome == "winner":
+        return f"{'winner' if verdict.counts else 'best map, no ground truth'}: {verdict.leaders[0]}"
+    if verdict.outcome == "ahead":
+        return f"{'one run' if verdict.counts else 'no ground truth, one run'}, ahead: {verdict.leaders[0]}"
+    return BADGES[verdict.outcome]
+
+
+def _draw_charts(
+    sequence: SequenceAnalysis, first: Sequence[RunRecord], strokes: Mapping[str, Stroke]
+) -> list[Markup]:  # fmt: skip
+    """Return the charts of a sequence that have content, the error over time first."""
+    leader = report_tables.by_rank(sequence)[0]
+    charts = [
+        run_charts.error_chart(first, strokes, leader),
+        run_charts.path_chart(first, strokes, leader),
+        run_charts.cost_chart(first, strokes, leader),
     ]
+    return [chart for chart in charts if chart is not None] + run_charts.residual_charts(first, strokes, leader)
+
+
+def _build_player(
+    analysis: Analysis, sequence: SequenceAnalysis, first: Sequence[RunRecord], shown: Window | None,
+    strokes: Mapping[str, Stroke], anchor: str,
+) -> list[Block]:  # fmt: skip
+    comparison = analysis.comparison
+    preferred = next(iter(comparison.methods_with_role("reference")), "")
+    most = ranges_per_sequence(len(comparison.sequences))
+    player = build_player(first, comparison.scans.get(sequence.label), shown, strokes, most, preferred)
+    if player is None:
+        return []
+    template = load_template("player.html.j2", sentence=capitalise)
+    return [Html(Markup(template.render(player=player, anchor=anchor, label=sequence.label, strokes=strokes)))]
+
+
+def _build_tables(analysis: Analysis, number: int, strokes: Mapping[str, Stroke]) -> list[Block]:
+    sequence, anchor = analysis.sequences[number], f"sequence-{number + 1}"
+    table = report_tables.headline_table(analysis, sequence, number + 1, strokes)
+    headline = [sequence.rankings[metric.name] for metric in report_tables.headline_metrics(sequence)]
+    blocks: list[Block] = [
+        Heading("Results", f"{anchor}-results"), table, *report_tables.absent_note(headline),
+        *(Text(text, "note") for text in sequence.alignments),
+    ]  # fmt: skip
+    if failures := report_tables.failure_texts(sequence.all_runs):
+        blocks.append(Fold("Runs that did not complete", [Bullets(failures)], f"{anchor}-failures", is_open=True))
+    published = report_tables.published_table(analysis, sequence, strokes)
+    if published is not None:
+        blocks += [
+            Heading("Comparison with published results", f"{anchor}-published"),
+            Text("Means over the relations, with the standard deviation as spread. The publications used other sensor "
+                 "models, priors and loop closures: the table gives a range to expect, not a ranking.", "note"),
+            published,
+        ]  # fmt: skip
+    pairs = report_tables.pairs_table(analysis, sequence, strokes)
+    if pairs is not None and sequence.pairwise is not None:
+        references = " and ".join(sequence.pairwise.references)
+        title = f"Paired differences: {sequence.pairwise.metric.label}, every method against {references}"
+        blocks.append(Fold(title, [Text(appendix.PAIRS, "note"), pairs], f"{anchor}-pairs"))
+    tables = list(report_tables.all_metrics_tables(analysis, sequence, number + 1))
+    if tables:
+        absent = report_tables.absent_note(list(sequence.rankings.values()))
+        blocks.append(Fold("All metrics", [*tables, *absent], f"{anchor}-everything"))
+    return blocks
 
 
 def true_grid(runs: Sequence[RunRecord]) -> OccupancyGrid | None:
@@ -161,16 +186,27 @@ def true_grid(runs: Sequence[RunRecord]) -> OccupancyGrid | None:
     return next((run.truth.grid for run in runs if run.truth.grid is not None), None)
 
 
-def map_tiles(comparison: Comparison, runs: Sequence[RunRecord], shown: Window) -> tuple[Figure, ...]:
-    """Return the maps in a common window, the true one first."""
-    metric = _map_metric(comparison, runs)
-    true = true_grid(runs)
-    tiles = [Figure(render_map(true, shown), "truth", media="png")] if true is not None else []
-    for run in runs:
-        if run.scores.grid is not None:
-            image = render_map(run.scores.grid, shown)
-            tiles.append(Figure(image, run.method, _map_caption(run, metric), "png"))
-    return tuple(tiles)
+def draw_maps(comparison: Comparison, sequence: SequenceAnalysis, strokes: Mapping[str, Stroke]) -> SequenceMaps:
+    """Return the maps of each method's first run in a common window, the true one first, then by rank."""
+    first = {label: own[0] for label, own in sequence.runs.items()}
+    grids = {label: run.scores.grid for label, run in first.items() if run.scores.grid is not None}
+    true = true_grid(list(first.values()))
+    shown = find_window(list(grids.values()), true) if grids else None
+    if shown is None:
+        return SequenceMaps({}, None)
+    metric = _map_metric(comparison, list(first.values()))
+    scale = (100.0 * shown.scale_bar_m / shown.size_m[0], f"{shown.scale_bar_m:g} m")
+    figures = {}
+    for label in [*([""] if true is not None else []), *report_tables.by_rank(sequence)]:
+        grid = grids.get(label) if label else true
+        if grid is not None:
+            caption = _map_caption(first[label], metric) if label else ""
+            alt = f"Map of {label or 'truth'}, {sequence.label}{f': {caption}' if caption else ''}"
+            image = render_map(grid, shown)
+            figures[label] = Figure(
+                image, label or "truth", caption, "png", measure_image(grid, shown), alt, strokes.get(label), scale
+            )
+    return SequenceMaps(figures, shown)
 
 
 def _map_metric(comparison: Comparison, runs: Sequence[RunRecord]) -> Metric | None:
@@ -186,14 +222,7 @@ def _map_caption(run: RunRecord, metric: Metric | None) -> str:
     parts = []
     score = run.scores.by_metric.get(metric.name) if metric else None
     if metric and score and score.value is not None:
-        parts.append(f"{metric.label} {view_models.format_value(metric, score.value)} {metric.unit}".rstrip())
+        parts.append(f"{metric.label} {format_quantity(metric, score.value)}")
     if not run.result.is_complete:
         parts.append(STATUS_LABELS[run.result.status])
     return ", ".join(parts)
-
-
-def _by_group(metrics: Sequence[Metric]) -> dict[str, list[Metric]]:
-    groups: dict[str, list[Metric]] = {}
-    for metric in metrics:
-        groups.setdefault(metric.group, []).append(metric)
-    return groups

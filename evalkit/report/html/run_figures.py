@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -11,19 +10,14 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from evalkit.core import se2
 from evalkit.core.se2 import Floats
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.html.chart_style import LIMIT, Draw, format_log_axis, line_style, render_figure
 from evalkit.report.html.palette import TRUTH, Stroke
+from evalkit.report.html.run_lines import POINTS, STRETCHES, bin_series, find_frame, seconds_of, thin_points, world_path
 from evalkit.results.run_record import RunRecord
 
-POINTS = 600  # of a line: more are not visible at this size
-STRETCHES = 150  # of a noisy line: more cannot be distinguished
 SIZE = (6.6, 4.7)  # inches
-PLAN_RATIO = 1.5  # width to height of the view from above
-OF = "of:"
-"""Prefix of the identifier of everything drawn of a method, by which the page hides it."""
 
 Strokes = Mapping[str, Stroke]
 
@@ -43,14 +37,14 @@ def draw_trajectories(records: Sequence[RunRecord], strokes: Strokes) -> RunFigu
     if not paths:
         return None
     true = next((t.truth.trajectory.poses[:, :2] for t in records if t.truth.trajectory is not None), None)
-    low, high = _frame([true] if true is not None else list(paths.values()))
+    low, high = find_frame([true] if true is not None else list(paths.values()))
     outside = [label for label, path in paths.items() if ((path < low) | (path > high)).any()]
 
     def draw(axes: Axes) -> None:
         if true is not None:
-            axes.plot(*_thinned(true).T, color=TRUTH, linewidth=2.2, label="truth", zorder=1.5)
+            axes.plot(*thin_points(true).T, color=TRUTH, linewidth=2.2, label="truth", zorder=1.5)
         for label, path in paths.items():
-            axes.plot(*_thinned(path).T, **_line(strokes, label))
+            axes.plot(*thin_points(path).T, **_line(strokes, label))
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal", adjustable="box")
 
@@ -62,7 +56,7 @@ def draw_errors(records: Sequence[RunRecord], strokes: Strokes) -> RunFigure | N
     lines = {}
     for record in records:
         if record.scores.errors_m is not None and np.isfinite(record.scores.errors_m).any():
-            lines[record.method] = _binned(_seconds(record), record.scores.errors_m, np.max, POINTS)
+            lines[record.method] = bin_series(seconds_of(record), record.scores.errors_m, np.max, POINTS)
     if not lines:
         return None
     finals = [float(np.median(values)) for _, values in lines.values()]
@@ -119,7 +113,7 @@ def draw_residuals(records: Sequence[RunRecord], strokes: Strokes) -> RunFigure 
         for stage, _ in stages:
             values = np.asarray(record.result.steps[stage], dtype=np.float64)
             if np.isfinite(values).any():
-                lines[stage][record.method] = _binned(_seconds(record), values, np.median, STRETCHES)
+                lines[stage][record.method] = bin_series(seconds_of(record), values, np.median, STRETCHES)
     panels = [
         partial(_residual_panel, lines[stage], title, strokes) for stage, title in stages if lines[stage]
     ]  # fmt: skip
@@ -142,14 +136,6 @@ def _residual_panel(
     axes.set_ylabel(title)
 
 
-def world_path(record: RunRecord) -> Floats:
-    """Return the estimated positions (N, 2) in the frame of the ground truth (m); finite ones only."""
-    steps = record.result.steps
-    poses = np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1).astype(np.float64)
-    poses = poses[np.isfinite(poses).all(axis=1)]
-    return se2.compose(record.scores.world_from_start.row, poses)[:, :2]
-
-
 def _run_figure(panels: Sequence[Draw], remark: str = "", min_legend: int | None = 1) -> RunFigure:
     return RunFigure(
         render_figure(panels, SIZE, min_legend), remark, partial(render_figure, panels, SIZE, min_legend, "pdf")
@@ -157,56 +143,16 @@ def _run_figure(panels: Sequence[Draw], remark: str = "", min_legend: int | None
 
 
 def _line(strokes: Strokes, label: str) -> dict[str, Any]:
-    return line_style(strokes[label], 1.3) | {"label": label, "gid": OF + label}
+    return line_style(strokes[label], 1.3) | {"label": label}
 
 
 def _boxes(axes: Axes, boxes: Sequence[tuple[str, float, float, float, float, float, float]], strokes: Strokes) -> None:
     for height, (label, low, q1, middle, q3, high, longest) in enumerate(reversed(boxes)):
         colour = strokes[label].colour
-        drawn: dict[str, Any] = {"color": colour, "gid": OF + label}
+        drawn: dict[str, Any] = {"color": colour}
         axes.hlines(height, low, high, linewidth=1.4, **drawn)
         axes.barh(height, q3 - q1, left=q1, height=0.5, alpha=0.35, edgecolor=colour, linewidth=1.2, **drawn)
         axes.vlines(middle, height - 0.25, height + 0.25, linewidth=2.4, **drawn)
         axes.plot(longest, height, ".", markersize=5, **drawn)
-    for written in axes.set_yticks(range(len(boxes)), [row[0] for row in reversed(boxes)]):
-        written.label1.set_gid(OF + written.label1.get_text())
+    axes.set_yticks(range(len(boxes)), [row[0] for row in reversed(boxes)])
     axes.grid(False, axis="y")
-
-
-def _seconds(record: RunRecord) -> Floats:
-    stamps = record.result.steps["stamp_ns"]
-    return np.asarray((stamps - stamps[0]) * 1e-9)
-
-
-def _frame(paths: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Return the corners of the figure: all paths with a margin, except paths above twice the median size."""
-    corners = np.array([[*path.min(axis=0), *path.max(axis=0)] for path in paths if len(path)])
-    sides = np.hypot(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    usual = corners[sides <= max(2.0 * float(np.median(sides)), 0.1)]
-    low, high = usual[:, :2].min(axis=0), usual[:, 2:].max(axis=0)
-    margin = max(0.06 * float((high - low).max()), 0.05)
-    side = high - low + 2.0 * margin
-    side = np.maximum(side, side[::-1] * [PLAN_RATIO, 1.0 / PLAN_RATIO])
-    middle = 0.5 * (low + high)
-    return middle - 0.5 * side, middle + 0.5 * side
-
-
-def _thinned(points: Floats) -> Floats:
-    """Return at most POINTS of the points (N, 2), evenly spaced in index, with the first and the last."""
-    if len(points) <= POINTS:
-        return points
-    return np.asarray(points[np.linspace(0, len(points) - 1, POINTS).round().astype(int)])
-
-
-def _binned(seconds: Floats, values: Floats, of: Callable[[Floats], Any], most: int) -> tuple[Floats, Floats]:
-    """Return at most so many stretches of a series: their mean time, and ``of`` applied to their finite values."""
-    finite = np.isfinite(values)
-    seconds, values = seconds[finite], values[finite]
-    if len(values) <= most:
-        return seconds, values
-    edges = np.linspace(0, len(values), most + 1).round().astype(int)
-    pieces = list(itertools.pairwise(edges))
-    return (
-        np.array([seconds[a:b].mean() for a, b in pieces]),
-        np.array([float(of(values[a:b])) for a, b in pieces]),
-    )

@@ -12,6 +12,7 @@ const allShown = () => chips.every((chip) => isShown(chip.value));
 
 // The element hidden with a method: its table row (or its own table body), list item or card.
 function around(named) {
+  if (named.matches(".series, .tile")) return named;
   const row = named.closest("tr");
   if (!row) return named.closest("li, article, figure") ?? named;
   const body = row.parentElement;
@@ -19,7 +20,9 @@ function around(named) {
 }
 
 function applyFilter() {
-  for (const named of document.querySelectorAll("[data-of]:not(.player [data-of], th.column)")) around(named).hidden = !isShown(named.dataset.of);
+  for (const named of document.querySelectorAll("[data-of]:not(.player [data-of], th.column)")) {
+    around(named).toggleAttribute("hidden", !isShown(named.dataset.of)); // drawings have no property hidden
+  }
   for (const heading of document.querySelectorAll("th.column[data-of]")) {
     const place = heading.cellIndex;
     for (const row of heading.closest("table").rows) {
@@ -70,5 +73,4 @@ document.addEventListener("linked", () => {
   readLink();
   changed();
 });
-document.getElementById("filter").hidden = false;
-document.querySelector("a.filtered").closest("li").hidden = false;
+document.addEventListener("built", applyFilter);

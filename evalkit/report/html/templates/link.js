@@ -5,15 +5,15 @@ const link = {
   place: "",
   words: new Map(),
 
-  // A link within the page keeps the state; a link from outside sets it.
+  // A link keeps the filter and the opened folds, and sets what it names.
   read() {
     const [place, given] = location.hash.slice(1).split("?");
     link.place = decoded(place);
     const pairs = given ? given.split("&").map((word) => word.split("=")) : [];
     const brought = new Map(pairs.map(([word, texts = ""]) => [word, texts.split(",").map(decoded).filter(Boolean)]));
-    const kept = given === undefined ? [...link.words].filter(([word]) => KEPT.includes(word)) : [];
+    const kept = [...link.words].filter(([word]) => KEPT.includes(word));
     link.words = new Map([...kept, ...brought]);
-    if (given !== undefined) refold(brought.get("open") ?? []);
+    if (brought.has("open")) refold(brought.get("open"));
     if (location.hash) unfold(); // the target, and once more after the layout has changed
     document.dispatchEvent(new Event("linked"));
   },
@@ -32,16 +32,24 @@ const link = {
   },
 };
 
-// The folds whose state differs from the initial one.
-const folds = [...document.querySelectorAll("details[id]")].map((fold) => ({ fold, first: fold.open }));
+// The folds that exist, with their initial state.
+const folds = new Map();
 
-function refold(named) {
-  for (const { fold, first } of folds) fold.open = named.includes(fold.id) !== first;
+function register(root) {
+  for (const fold of root.querySelectorAll("details[id]")) if (!folds.has(fold)) folds.set(fold, fold.hasAttribute("open"));
 }
 
+function refold(named) {
+  for (const id of named) {
+    const fold = located(id);
+    if (folds.has(fold)) fold.open = !folds.get(fold);
+  }
+}
+
+document.addEventListener("built", ({ detail }) => register(detail));
 document.addEventListener("toggle", () => {
   if (printing) return;
-  const turned = folds.filter(({ fold, first }) => fold.open !== first).map(({ fold }) => fold.id);
+  const turned = [...folds].filter(([fold, first]) => fold.open !== first).map(([fold]) => fold.id);
   link.write({ open: turned.length ? turned : undefined });
 }, true);
 addEventListener("hashchange", link.read);

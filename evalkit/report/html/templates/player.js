@@ -5,6 +5,7 @@ class Player {
     this.ready = false;
     this.worst = [];
     this.timer = 0;
+    this.wanted = new Map(); // choices of the reader that a filter hides at the moment, by select
     this.find = (selector) => root.querySelector(selector);
     this.all = (selector) => [...root.querySelectorAll(selector)];
   }
@@ -54,7 +55,11 @@ class Player {
     };
     for (const button of this.all("button[data-does]")) button.addEventListener("click", does[button.dataset.does]);
     this.find("input[type=range]").addEventListener("input", (event) => this.go(Number(event.target.value)));
-    this.root.addEventListener("change", () => this.choose());
+    this.root.addEventListener("change", (event) => {
+      this.wanted.delete(event.target);
+      this.choose();
+    });
+    document.addEventListener("theme", () => this.resize());
     this.find(".stage").addEventListener("keydown", (event) => this.key(event, does));
     document.addEventListener("methods", () => this.choose());
     for (const kind of ["change", "input", "click", "keyup", "pointerup", "wheel"]) {
@@ -129,7 +134,14 @@ class Player {
       const named = [...select.options].filter((option) => this.recording.runs.some((run) => run.label === option.value));
       for (const option of named) option.hidden = !isShown(option.value);
       const left = named.filter((option) => !option.hidden);
-      if (select.selectedOptions[0]?.hidden && left.length) select.value = left[Math.min(select.dataset.worst === "b" ? 1 : 0, left.length - 1)].value;
+      const own = this.wanted.get(select);
+      if (own && isShown(own)) { // the choice that a filter had replaced
+        select.value = own;
+        this.wanted.delete(select);
+      }
+      if (!select.selectedOptions[0]?.hidden || !left.length) continue;
+      this.wanted.set(select, own ?? select.value);
+      select.value = left[Math.min(select.dataset.worst === "b" ? 1 : 0, left.length - 1)].value;
     }
   }
 
@@ -276,17 +288,20 @@ if (window.DecompressionStream && window.OffscreenCanvas) {
       near.unobserve(target);
       started(target);
     }
-  }, { rootMargin: "1500px" });
-  const roots = [...document.querySelectorAll(".player")];
-  for (const root of roots) {
-    root.hidden = false;
-    near.observe(root);
-  }
+  }, { rootMargin: "800px" });
+  document.addEventListener("built", ({ detail }) => {
+    for (const root of detail.querySelectorAll(".player[hidden]")) {
+      root.hidden = false;
+      near.observe(root);
+    }
+  });
   document.addEventListener("linked", async () => {
-    const root = roots.find((one) => `${one.dataset.anchor}-player` === link.place);
-    if (!root) return;
+    const root = document.getElementById(link.place)?.nextElementSibling;
+    if (!root?.matches(".player")) return;
     const words = new Map(link.words);
+    link.words.delete("play");
     await started(root);
     restore(root.player, words);
+    if (words.has("play") && !root.player.timer) root.player.toggle();
   });
 }

@@ -60,7 +60,9 @@ class Stage {
     const side = pixels[label] * view.scale;
     const [left, top] = view.toScreen(shown[0], shown[3]);
     brush.imageSmoothingEnabled = side < 1;
+    brush.filter = isDark() ? "invert(1)" : "none";
     brush.drawImage(image, left, top, image.naturalWidth * side, image.naturalHeight * side);
+    brush.filter = "none";
   }
 
   squares(brush, view, run) {
@@ -98,7 +100,7 @@ class Stage {
       }
       brush.stroke();
     };
-    brush.strokeStyle = run.colour;
+    brush.strokeStyle = paint(run.colour);
     brush.lineWidth = width;
     brush.setLineDash(run.dash.map((length) => 1.4 * length));
     brush.globalAlpha = 0.28;
@@ -137,7 +139,8 @@ class Stage {
         brush.fill();
       }
     };
-    const colour = (i) => (field ? ramp(this.lookUp(field, state.map, points[i], points[i + 1]) / FAR_M) : run.colour);
+    const own = paint(run.colour);
+    const colour = (i) => (field ? ramp(this.lookUp(field, state.map, points[i], points[i + 1]) / FAR_M) : own);
     const wide = hollow ? radius + 1.4 : radius;
     dots(wide + 1.2, () => "#fff"); // distinct from walls and from grey
     dots(wide, colour);
@@ -167,7 +170,7 @@ class Stage {
     brush.beginPath();
     for (const corner of [[11, 0], [-6, 6], [-3, 0], [-6, -6]]) brush.lineTo(...corner);
     brush.closePath();
-    brush.fillStyle = run.colour;
+    brush.fillStyle = paint(run.colour);
     brush.strokeStyle = "#fff";
     brush.lineWidth = 1.5;
     brush.stroke();

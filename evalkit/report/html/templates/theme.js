@@ -1,7 +1,7 @@
 // Light or dark as set in the system, until the reader changes it; the choice is stored if the browser allows it.
 const THEMES = ["", "light", "dark"];
 const themeButton = document.getElementById("theme");
-themeButton.closest("li").hidden = false;
+themeButton.closest(".tool").hidden = false;
 const themeKept = {
   read: () => { try { return localStorage.getItem("evalkit-theme") ?? ""; } catch { return ""; } },
   write: (theme) => { try { localStorage.setItem("evalkit-theme", theme); } catch { /* a file may be denied a memory */ } },
@@ -14,6 +14,7 @@ function applyTheme(theme) {
   themeButton.textContent = { "": "◐", light: "☀", dark: "☾" }[theme];
   themeButton.setAttribute("aria-label", `Colours: ${words}. Change`);
   themeButton.title = `Colours: ${words}`;
+  document.dispatchEvent(new Event("theme"));
 }
 
 themeButton.addEventListener("click", () => {
@@ -23,3 +24,8 @@ themeButton.addEventListener("click", () => {
   applyTheme(next);
 });
 applyTheme(THEMES.includes(themeKept.read()) ? themeKept.read() : "");
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => document.dispatchEvent(new Event("theme")));
+
+const isDark = () => getComputedStyle(document.documentElement).getPropertyValue("--dark").trim() === "1";
+// A colour of the page (var(--name)) for a canvas.
+const paint = (colour) => getComputedStyle(document.documentElement).getPropertyValue(colour.slice(4, -1)).trim() || colour;

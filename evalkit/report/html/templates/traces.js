@@ -46,15 +46,15 @@ class Trace {
     brush.lineWidth = 1;
     const ticks = this.wide ? [1e-4, 1e-3, 1e-2, 0.1, 1, 10, 100, 1000] : [0, 1, 2].map((n) => n * roundStep(this.most / 2));
     for (const tick of ticks.filter((value) => value >= this.least && value <= this.most)) {
-      brush.fillStyle = "#59636e";
+      brush.fillStyle = paint("var(--soft)");
       brush.textAlign = "right";
       brush.fillText(metres(tick), this.margin - 6, this.y(tick) + 4);
-      brush.fillStyle = "#e4e8ec";
+      brush.fillStyle = paint("var(--line)");
       brush.fillRect(this.margin, this.y(tick), width - this.margin - 8, 1);
     }
     const end = this.recording.times.at(-1) / 1000;
     const step = roundStep(end / Math.max(width / 110, 2));
-    brush.fillStyle = "#59636e";
+    brush.fillStyle = paint("var(--soft)");
     brush.textAlign = "center";
     for (let t = 0; t <= end; t += step) brush.fillText(`${+t.toFixed(3)} s`, Math.min(this.x(1000 * t), width - 16), height - 4);
     brush.textAlign = "left";
@@ -62,7 +62,7 @@ class Trace {
 
   line(brush, run) {
     const values = run[this.quantity];
-    brush.strokeStyle = run.colour;
+    brush.strokeStyle = paint(run.colour);
     brush.lineWidth = 1.3;
     brush.setLineDash(run.dash);
     brush.beginPath();
@@ -79,7 +79,7 @@ class Trace {
     const brush = resized(this.canvas);
     if (this.lines.width) brush.drawImage(this.lines, 0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
     const x = this.x(this.recording.times[scan]);
-    brush.fillStyle = "#1c2128";
+    brush.fillStyle = paint("var(--ink)");
     brush.fillRect(x - 0.75, 0, 1.5, this.canvas.clientHeight - 16);
   }
 }

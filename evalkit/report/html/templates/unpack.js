@@ -40,7 +40,7 @@ async function readRecording(text) {
     sweep: await unpack(raw.beams.sweep),
   };
   const times = await unpack(raw.times);
-  const truth = raw.truth && { label: "", colour: "#000000", dash: [], poses: await poses(raw.truth) };
+  const truth = raw.truth && { label: "", colour: "var(--ink)", dash: [], poses: await poses(raw.truth) };
   return { ...raw, runs, beams, times, truth, numbers: await unpack(raw.numbers), count: times.length };
 }
 

@@ -1,0 +1,395 @@
+"""The tables of a report, as blocks: results, all metrics, differences, tests, runs, settings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from statistics import median
+from urllib.parse import quote
+
+from evalkit.core.run_result import NOT_EXECUTED, RunStatus
+from evalkit.metrics.table import Metric
+from evalkit.metrics.validated import MetricValidation
+from evalkit.plugins.specs import Published
+from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.comparison import Comparison, Setting
+from evalkit.report.analysis.ranking import Ranking
+from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, unfinished
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.significance import MethodRecord, PairedComparison
+from evalkit.report.formatting import capitalise, format_bounds, format_number, format_quantity
+from evalkit.report.html.blocks import Block, Cell, Chips, Column, Fold, Table, Text, Tone
+from evalkit.report.html.palette import Stroke
+from evalkit.results.run_record import RunRecord
+from evalkit.stats.intervals import Interval, wilson_interval
+
+Strokes = Mapping[str, Stroke]
+DASH = Cell("–", "")
+CHIPS: Mapping[str, Chips] = {"reference": (("reference", ""),), "baseline": (("baseline", ""),)}
+
+
+def method_cell(
+    comparison: Comparison, strokes: Strokes, label: str, link: str = "", *chips: tuple[str, Tone]
+) -> Cell:  # fmt: skip
+    """Return the cell with the label of a method, its line and its role."""
+    role = comparison.methods[label].role if label in comparison.methods else ""
+    return Cell(label, link=link, stroke=strokes.get(label), chips=(*CHIPS.get(role, ()), *chips))
+
+
+def metric_column(metric: Metric) -> Column:
+    """Return the column of a metric; positions have their unit in each cell."""
+    unit = "" if metric.unit == "m" else metric.unit
+    return Column(capitalise(metric.label), unit, True, metric.definition, metric.better)
+
+
+def runs_anchor(number: int, place: int) -> str:
+    """Return the anchor of a method's runs over the sequence of that number."""
+    return f"sequence-{number}-runs-{place}"
+
+
+def score_cell(ranking: Ranking, score: MethodScore | None, unranked: bool = False, link: str = "") -> Cell:
+    """Return a score: the median with its interval or range, or a dash with the reason.
+
+    ``unranked``: the geometry is degenerate, or the map metrics disagree, so nothing is marked as best.
+    """
+    metric = ranking.metric
+    if score is None:
+        return Cell("–", "", tip="not run here")
+    partial = ", ".join(_format(metric, value) for value in score.partial)
+    early = f"ended early: {partial}" if partial else ""
+    if not score.values:
+        return Cell("–", "", tip=score.reason, link=link, extent=early)
+    contest = len(ranking.tied) < len(ranking.ranked) and not unranked
+    tone: Tone = (
+        "good" if contest and score is ranking.ranked[0] else "tied" if contest and score in ranking.tied else ""
+    )
+    runs = f"median of {len(score.values)} of {score.expected} runs" if score.expected > 1 else ""
+    support = f"support {score.support}" if score.support else ""
+    extent = ", ".join(filter(None, (_extent(metric, score), early)))
+    value = median(score.values)
+    return Cell(_format(metric, value), value, tone, ", ".join(filter(None, (runs, support))), link, extent)
+
+
+def headline_metrics(sequence: SequenceAnalysis) -> list[Metric]:
+    """Return the deciding metric, the cost, then the other headline metrics.
+
+    With a true map, map consistency appears only in the table of all metrics.
+    """
+    first = sequence.deciding.metric.name if sequence.deciding else ""
+    mapped = any(record.truth.grid is not None for record in sequence.all_runs)
+    shown = [m for m in sequence.metrics if m.headline and not (mapped and m.group == "map consistency")]
+    return sorted(shown, key=lambda metric: (metric.name != first, metric.group != "runtime"))
+
+
+def by_rank(sequence: SequenceAnalysis) -> list[str]:
+    """Return the methods of a sequence: ranked ones first, best first, then those with values, then the rest."""
+    ranking = sequence.deciding
+    ranked = [score.method for score in ranking.ranked] if ranking else []
+    valued = [score.method for score in ranking.scores if score.values] if ranking else []
+    return list(dict.fromkeys([*ranked, *valued, *sequence.methods]))
+
+
+def headline_table(analysis: Analysis, sequence: SequenceAnalysis, number: int, strokes: Strokes) -> Table:
+    """Return the first table of a sequence: methods by rank; deciding metric, cost and headline metrics."""
+    comparison = analysis.comparison
+    rankings = [sequence.rankings[metric.name] for metric in headline_metrics(sequence)]
+    present = [one for one in rankings if one.has_values]
+    repeated = any(len(own) > 1 or not own[0].result.is_complete for own in sequence.runs.values())
+    unranked = bool(sequence.card.degenerate) or sequence.map_agreement.disagrees
+    places = {label: place for place, label in enumerate(comparison.methods, start=1)}
+    rows = []
+    for label in by_rank(sequence):
+        behind = (("worse than the baseline", "warn"),) if sequence.is_behind(label) else ()
+        link = f"#{runs_anchor(number, places[label])}"
+        cells = [score_cell(one, one.of(label), unranked, link) for one in present]
+        success = [success_cell(sequence.runs[label])] if repeated else []
+        rows.append([method_cell(comparison, strokes, label, link, *behind), *success, *cells])
+    runs = [Column("Runs complete", "", True, better="higher")] if repeated else []
+    columns = [Column("Method"), *runs, *(metric_column(one.metric) for one in present)]
+    return Table(columns, rows, label=f"Results on {sequence.label}")
+
+
+def success_cell(records: Sequence[RunRecord]) -> Cell:
+    """Return the number of complete runs, with the interval of the share of runs that finish."""
+    complete, count = len(records) - len(unfinished(records)), len(records)
+    started = [record for record in records if record.result.status not in NOT_EXECUTED]
+    share = wilson_interval(len(started) - len(unfinished(started)), len(started)) if started else None
+    extent = f"95 %: {100.0 * share.low:.0f}–{100.0 * share.high:.0f} %" if share and count > 1 else ""
+    return Cell(f"{complete} of {count}", complete / count, "" if complete == count else "bad", extent=extent)
+
+
+def absent_text(rankings: Sequence[Ranking]) -> str:
+    """Return the metrics without a value, by the reason of the complete runs; "" if no run completed."""
+    reasons: dict[str, list[str]] = {}
+    for one in rankings:
+        reason = next((score.reason for score in one.scores if score.complete), "")
+        if reason and not one.has_values:
+            reasons.setdefault(reason, []).append(one.metric.label)
+    listed = "; ".join(f"{' · '.join(labels)} ({reason})" for reason, labels in reasons.items())
+    return f"Not shown, because no method has a value: {listed}." if listed else ""
+
+
+def numbers_table(analysis: Analysis, strokes: Strokes) -> Table:
+    """Return every method, best first, over every sequence in its deciding metric, with the cost."""
+    comparison, answer = analysis.comparison, analysis.answer
+    places = {label: place for place, label in enumerate(comparison.methods, start=1)}
+    columns = [Column("Method"), Column("Best or tied", "", True, better="higher")]
+    for sequence in analysis.sequences:
+        found = sequence.deciding.metric if sequence.deciding else None
+        column = metric_column(found) if found else Column("", "", True)
+        columns.append(Column(f"{sequence.label}: {found.label}" if found else sequence.label, column.unit, True,
+                              column.tip, column.better))  # fmt: skip
+    columns.append(Column("CPU a scan", "ms", True, "median over the sequences", "lower"))
+    rows = []
+    for standing in answer.standings:
+        cells = []
+        for number, sequence in enumerate(analysis.sequences, start=1):
+            unranked = bool(sequence.card.degenerate) or sequence.map_agreement.disagrees
+            link = f"#{runs_anchor(number, places[standing.method])}" if standing.method in sequence.runs else ""
+            ranking = sequence.deciding
+            cells.append(score_cell(ranking, ranking.of(standing.method), unranked, link) if ranking else DASH)
+        led = Cell(f"{standing.led}/{standing.counted}", standing.led) if standing.counted else DASH
+        cost = DASH if standing.cpu_ms is None else Cell(format_number(standing.cpu_ms, 2), standing.cpu_ms)
+        link = f"#method-{places[standing.method]}"
+        rows.append([method_cell(comparison, strokes, standing.method, link), led, *cells, cost])
+    return Table(columns, rows, label="At a glance")
+
+
+def all_metrics_tables(analysis: Analysis, sequence: SequenceAnalysis, number: int) -> Iterator[Table]:
+    """Yield all metrics of a sequence with a value, one table a group; methods in columns, by rank."""
+    unranked = bool(sequence.card.degenerate)
+    places = {label: place for place, label in enumerate(analysis.comparison.methods, start=1)}
+    labels = by_rank(sequence)
+    groups: dict[str, list[list[Cell | str]]] = {}
+    for ranking in sequence.rankings.values():
+        if ranking.has_values:
+            unit = f" [{ranking.metric.unit}]" if ranking.metric.unit not in ("", "m") else ""
+            name = Cell(f"{capitalise(ranking.metric.label)}{unit}", link=f"#metric-{ranking.metric.name}")
+            cells = [
+                score_cell(ranking, ranking.of(label), unranked, f"#{runs_anchor(number, places[label])}")
+                for label in labels
+            ]
+            groups.setdefault(ranking.metric.group, []).append([name, *cells])
+    for group, rows in groups.items():
+        columns = [Column(capitalise(group)), *(Column(label, number=True, of=label) for label in labels)]
+        yield Table(columns, rows, sortable=False, label=f"All metrics on {sequence.label}: {group}")
+
+
+def pairs_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes) -> Table | None:
+    """Return the paired differences of a sequence; None with fewer than two ranked methods."""
+    pairs = sequence.pairwise
+    if pairs is None:
+        return None
+    columns = [Column("Method")]
+    for reference in pairs.references:
+        columns += [Column(f"Worse than {reference} by", "", True), Column("Verdict"), Column("Detectable", "", True)]
+    rows: list[list[Cell]] = []
+    for label, entries in pairs.rows:
+        cells: list[Cell] = []
+        for one in entries:
+            if one is None or one.difference is None:
+                cells += [DASH, Cell(one.verdict if one else "itself"), DASH]
+                continue
+            bounds, metric = one.difference.interval, pairs.metric
+            value = Cell(_format(metric, bounds.value), bounds.value, extent=f"95 %: {_bounds(metric, bounds)}")
+            cells += [value, Cell(one.verdict), Cell(_format(metric, one.difference.detectable))]
+        rows.append([method_cell(analysis.comparison, strokes, label), *cells])
+    return Table(columns, rows, label=f"Paired differences on {sequence.label}")
+
+
+def published_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes) -> Table | None:
+    """Return this report's methods among published results, best first; None without publications."""
+    published = sequence.card.published
+    metric = _counterpart(sequence.metrics, published) if published else None
+    if metric is None:
+        return None
+    spread = sequence.rankings.get(published[0].spread_metric)
+    rows: list[tuple[float, list[Cell | str]]] = [
+        (row.value, [Cell(row.label), Cell(_format(metric, row.value), row.value),
+                     "–" if row.spread is None else _format(metric, row.spread), Cell(row.source)])
+        for row in published
+    ]  # fmt: skip
+    for score in sequence.rankings[metric.name].ranked:
+        beside = spread.of(score.method) if spread else None
+        value = median(score.values)
+        deviation = _format(metric, beside.median) if beside is not None and beside.median is not None else "–"
+        name = method_cell(analysis.comparison, strokes, score.method)
+        rows.append((value, [name, Cell(_format(metric, value), value), deviation, Cell("this report")]))
+    columns = (Column("Method"), metric_column(metric), Column("± spread", number=True), Column("Source"))
+    return Table(columns, [row for _, row in sorted(rows, key=lambda one: one[0])], label="Published results")
+
+
+def failure_texts(records: Sequence[RunRecord]) -> list[str]:
+    """Return the runs that did not complete in words; those of one method with one reason are one entry."""
+    together: dict[tuple[str, RunStatus, str], list[RunRecord]] = {}
+    for record in unfinished(records):
+        together.setdefault((record.method, record.result.status, record.result.reason), []).append(record)
+    texts = []
+    for (method, status, reason), own in together.items():
+        seeds = [str(record.seed) for record in own if record.seed is not None]
+        counts = dict.fromkeys(
+            f"{len(one.result.steps)} of {one.result.expected} scans" for one in own if len(one.result.steps)
+        )
+        where = [f"seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}"] if seeds else []
+        where += [f"after {' / '.join(counts)}"] if counts else []
+        texts.append(f"{method} {STATUS_LABELS[status]} {' '.join(where)}{': ' if where else ''}{reason}")
+    return texts
+
+
+def records_table(analysis: Analysis, strokes: Strokes) -> Table:
+    """Return success and ranks of every method over all sequences that count."""
+    columns = (
+        Column("Method"), Column("Runs finished", number=True, better="higher"),
+        Column("Mean rank", "", True, "1 is the best on every sequence"),
+        *(Column(f"A{share}", "", True, f"{share} % of all its runs have at most this deciding error")
+          for share in (50, 75, 95)),
+    )  # fmt: skip
+    rows = [_record_row(analysis.comparison, strokes, one) for one in analysis.significance.records]
+    return Table(columns, rows, label="Success and ranks")
+
+
+def _record_row(comparison: Comparison, strokes: Strokes, one: MethodRecord) -> list[Cell]:
+    finished = Cell("could not start", "")
+    if one.share is not None:
+        extent = f"95 %: {100 * one.share.low:.0f}–{100 * one.share.high:.0f} %"
+        finished = Cell(f"{one.finished} of {one.runs}", one.share.value, extent=extent)
+    rank = DASH if one.rank is None else Cell(f"{one.rank:.1f}", one.rank)
+    errors = [
+        Cell("failed", error) if error > 1e9 else Cell(_format_metres(error), error) for error in one.quantiles
+    ] or [DASH] * 3  # fmt: skip
+    return [method_cell(comparison, strokes, one.method), finished, rank, *errors]
+
+
+def comparisons_table(analysis: Analysis, strokes: Strokes) -> Table:
+    """Return the paired tests over all runs."""
+    numbers = ("Runs", "Better", "Worse", "Ratio", "Larger", "p", "Detectable")
+    columns: list[Column | str] = ["Method", "Against", "Verdict", *(Column(label, number=True) for label in numbers)]
+    rows = [_comparison_row(analysis.comparison, strokes, one) for one in analysis.significance.comparisons]
+    return Table(columns, rows, label="Pairs over all runs")
+
+
+def _comparison_row(comparison: Comparison, strokes: Strokes, one: PairedComparison) -> list[Cell | str]:
+    return [
+        method_cell(comparison, strokes, one.method), one.reference, one.verdict,
+        *(Cell(str(count), count) for count in (one.runs, one.better, one.worse)),
+        DASH if one.ratio is None else Cell(f"{one.ratio:.2f}", one.ratio),
+        Cell(f"{100 * one.larger:.0f} %", one.larger), Cell(f"{one.p:.2g}", one.p),
+        Cell("over 10" if one.detectable > 10 else f"{one.detectable:.2f}", one.detectable),
+    ]  # fmt: skip
+
+
+def agreement_table(validation: MetricValidation, metrics: Sequence[Metric]) -> Table:
+    """Return the rank correlation of map metrics with the true error."""
+    columns = [Column("Metric"), Column("All perturbations", number=True)]
+    columns += [Column(capitalise(name), number=True, tip=what) for name, what in validation.perturbations.items()]
+    columns += [Column(capitalise(world), number=True) for world in validation.worlds]
+    rows: list[list[Cell]] = []
+    for metric in metrics:
+        name, found = (
+            Cell(capitalise(metric.label), link=f"#metric-{metric.name}"),
+            validation.agreement_of(metric.name),
+        )
+        if found is None:
+            rows.append([name, Cell("not measured", ""), *[DASH] * (len(columns) - 2)])
+            continue
+        overall = DASH
+        if found.overall is not None:
+            value = found.overall.value
+            overall = Cell(format_number(value, 2), value, extent=f"95 %: {format_bounds(found.overall, 2)}")
+        each = [*found.by_perturbation.values(), *found.by_world.values()]
+        rows.append(
+            [name, overall, *(DASH if one is None else Cell(format_number(one.value, 2), one.value) for one in each)]
+        )
+    return Table(columns, rows, label="Rank correlation of map metrics with the true error")
+
+
+def settings_fold(settings: Sequence[Setting], anchor: str) -> list[Block]:
+    """Return the parameters of a method or a sequence, changed ones in bold; nothing without any."""
+    if not settings:
+        return []
+    rows: list[list[Cell | str]] = [
+        [
+            one.name,
+            Cell(str(one.value), tone="warn" if one.value != one.default else "",
+                 tip=f"default: {one.default}" if one.value != one.default else ""),
+            one.unit,
+            one.meaning,
+        ]
+        for one in settings
+    ]  # fmt: skip
+    table = Table(("Parameter", Column("Value", number=True), "Unit", "Meaning"), rows, sortable=False)
+    return [Fold(f"{len(settings)} parameter{'s' * (len(settings) != 1)}", [table], anchor)]
+
+
+def runs_fold(analysis: Analysis, sequence: SequenceAnalysis, number: int, strokes: Strokes) -> Fold:
+    """Return every run of a sequence with its files and the command that repeats it."""
+    comparison = analysis.comparison
+    places = {label: place for place, label in enumerate(comparison.methods, start=1)}
+    rows, anchors = [], []
+    for run in sequence.all_runs:
+        anchor = runs_anchor(number, places[run.method])
+        anchors.append("" if anchor in anchors else anchor)
+        rows.append(_run_row(comparison, strokes, run, places[run.method]))
+    columns = (
+        Column("Method"), Column("Seed", number=True), Column("Status"), Column("Scans", number=True),
+        Column("Memory", "MiB", number=True), Column("Changed"), Column("Trajectory"), Column("Map"), Column("Command"),
+    )  # fmt: skip
+    table = Table(columns, rows, anchors=anchors, label=f"Runs of {sequence.label}")
+    count = len(rows)
+    return Fold(f"{sequence.label}: {count} run{'s' * (count != 1)}", [table], f"sequence-{number}-runs")
+
+
+def _run_row(comparison: Comparison, strokes: Strokes, run: RunRecord, place: int) -> list[Cell]:
+    result, key = run.result, quote(run.key)
+    changed = [one for one in comparison.methods[run.method].settings if one.value != one.default]
+    memory = result.peak_memory_bytes / 2**20
+    return [
+        method_cell(comparison, strokes, run.method, f"#method-{place}"),
+        Cell("–" if run.seed is None else str(run.seed)),
+        Cell(STATUS_LABELS[result.status], tone="" if result.is_complete else "bad", tip=result.reason),
+        Cell(f"{len(result.steps)} of {result.expected}", len(result.steps)),
+        Cell(f"{memory:.0f}", memory) if memory else DASH,
+        Cell(", ".join(f"{one.name} {one.value}" for one in changed)),
+        Cell(run.key, link=f"trajectories/{key}.tum") if len(result.steps) else DASH,
+        Cell("map", link=f"maps/{key}.yaml") if run.scores.grid is not None else DASH,
+        Cell(run.command),
+    ]
+
+
+def absent_note(rankings: Sequence[Ranking]) -> list[Block]:
+    """Return the metrics without a value as small print; nothing without any."""
+    text = absent_text(rankings)
+    return [Text(text, "note")] if text else []
+
+
+def _extent(metric: Metric, score: MethodScore) -> str:
+    """Return the 95 % interval, or the lowest and highest of several runs, as printed below the number."""
+    count = f"{len(score.values)} of {score.expected} runs " if len(score.values) < score.expected else ""
+    if score.interval is not None:
+        return f"{count}95 %: {_bounds(metric, score.interval)}"
+    if len(score.values) > 1:
+        return f"{count}{_format(metric, min(score.values))}–{_format(metric, max(score.values))}"
+    return count.rstrip()
+
+
+def _bounds(metric: Metric, interval: Interval) -> str:
+    low, high = _format(metric, interval.low), _format(metric, interval.high)
+    unit = low.partition("\u00a0")[2]
+    return f"{low.removesuffix(unit).rstrip()}–{high}" if unit and high.endswith(unit) else f"{low}–{high}"
+
+
+def _format(metric: Metric, value: float) -> str:
+    """Format a value for a cell: positions with their unit, others without."""
+    return format_quantity(metric, value) if metric.unit == "m" else format_number(value, metric.digits)
+
+
+def _format_metres(value: float) -> str:
+    return f"{1000.0 * value:.0f}\u00a0mm" if value < 1.0 else f"{value:.2f}\u00a0m"
+
+
+def _counterpart(metrics: Sequence[Metric], rows: Sequence[Published]) -> Metric | None:
+    """Return the metric that published results are compared with."""
+    named = rows[0].metric
+    for metric in metrics:
+        if metric.name == named or (not named and metric.group == "relations" and metric.unit == "m"):
+            return metric
+    return None
