@@ -4,7 +4,6 @@ import json
 import re
 import shutil
 from dataclasses import replace
-from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -74,6 +73,7 @@ def open_page(browser, page_file):
 
     def open_(hash_="", width=1300, **options):
         context = browser.new_context(viewport={"width": width, "height": 900}, **options)
+        context.set_default_timeout(6000)
         contexts.append(context)
         page = context.new_page()
         page.on("console", lambda message: complaints.append(message.text))
@@ -93,8 +93,16 @@ def open_page(browser, page_file):
     assert complaints == []
 
 
+def explore(page):
+    """The page with its second tab open."""
+    page.click("#tab-explore")
+    return page
+
+
 def player_page(page):
     """The page with the player of the first sequence ready."""
+    if not page.locator("#explore").is_visible():
+        explore(page)
     page.locator(PLAYER).scroll_into_view_if_needed()
     page.wait_for_selector(f"{PLAYER}.ready")
     return page
@@ -126,14 +134,15 @@ def test_the_page_logs_nothing_requests_nothing_and_responds_soon(open_page, rec
 
 
 def test_a_name_with_a_script_is_shown_as_text(open_page):
-    page = open_page()
+    page = explore(open_page())
     assert SCRIPT in page.locator("h2").all_inner_texts()
     assert page.locator(f"button.pick[value='{SCRIPT}']").inner_text() == SCRIPT
 
 
 def test_a_click_on_a_heading_sorts_the_table(open_page):
-    page = open_page()
-    heading = page.get_by_role("region", name="Results on room").get_by_role("button", name=re.compile("ATE RMSE"))
+    page = explore(open_page())
+    headings = page.get_by_role("region", name="Results on room")
+    heading = headings.get_by_role("button", name=re.compile("ATE RMSE"))
     heading.click()
     rising = rows(page, "Results on room")
     heading.click()
@@ -142,18 +151,25 @@ def test_a_click_on_a_heading_sorts_the_table(open_page):
     assert falling[:4] == ["lost", "wheel", "paper", SCRIPT]
 
 
+def test_the_first_click_sorts_the_best_first_where_higher_is_better(open_page):
+    page = explore(open_page())
+    page.get_by_role("region", name="Results on room").get_by_role("button", name=re.compile("Map F1")).click()
+    assert rows(page, "Results on room")[:4] == ["plane", "paper", "wheel", "lost"]
+
+
 def test_the_filter_applies_to_tables_and_legends_and_is_kept_in_the_link(open_page):
-    page = open_page()
+    page = explore(open_page())
     page.fill("#find", "pa la")
-    assert rows(page, "Results on room") == ["paper", "plane"]
-    assert page.evaluate("location.hash") == "#?find=pa%20la"
+    assert rows(page, "Results on room") == ["plane", "paper"]
+    assert page.evaluate("location.hash") == "#explore?find=pa%20la"
     page.fill("#find", "")
     page.locator("button.pick[value=plane]").focus()
     page.keyboard.press("Enter")
+    assert rows(page, "Results on room") == ["plane"]
+    page.click("#tab-answer")
     assert rows(page, "At a glance") == ["plane"]
-    page.click("nav a[href='#results']")
-    wait_until(page, "location.hash === '#results?only=plane'")
-    again = player_page(open_page(page.evaluate("location.hash")))
+    assert page.evaluate("location.hash") == "#answer?only=plane"
+    again = player_page(open_page("#sequence-2?only=plane"))
     assert rows(again, "Results on fr079") == ["plane"]
     assert again.locator(f"{PLAYER} .legend tbody tr:visible").count() == 1
     assert again.locator("#sequence-1 .maps figure:visible").count() == 2  # including that of the ground truth
@@ -162,6 +178,79 @@ def test_the_filter_applies_to_tables_and_legends_and_is_kept_in_the_link(open_p
     ]
     again.click("#show-all")
     assert len(rows(again, "Results on room")) == 6
+
+
+def test_the_filter_applies_to_charts(open_page):
+    page = player_page(open_page("#explore?only=paper"))
+    charts = page.locator("#sequence-1 .chart [data-of]:visible").evaluate_all(
+        "all => all.map((one) => one.dataset.of)"
+    )
+    assert set(charts) == {"paper"}
+    page.click("#tab-answer")
+    assert set(page.locator(".dots [role=rowheader]:visible").all_inner_texts()) == {"paper"}
+    assert page.locator(".scatter g:visible").count() == 1
+
+
+def test_after_a_filter_of_two_the_comparison_is_as_before(open_page):
+    page = player_page(open_page())
+    sides = f"['a', 'b'].map((side) => document.querySelector('{PLAYER} select[data-worst=' + side + ']').value)"
+    before = page.evaluate(sides)
+    for name in ("plane", "lost"):
+        page.click(f"button.pick[value={name}]")
+    assert page.evaluate(sides) == ["plane", "lost"]
+    page.click("#show-all")
+    assert page.evaluate(sides) == before
+    assert before[0] != before[1]
+
+
+def test_a_map_of_the_first_screen_opens_the_player_and_plays(open_page):
+    page = open_page()
+    tile = page.locator(".tile").first
+    name = tile.get_attribute("data-of")
+    tile.click()
+    page.wait_for_selector(".player.ready:visible")
+    ready = page.locator(".player.ready").first
+    wait_until(page, "document.querySelector('.player.ready').player.timer > 0")
+    assert ready.locator("[data-picks=first]").input_value() == name
+    assert page.locator("#tab-explore").get_attribute("aria-selected") == "true"
+
+
+def test_tabs_are_chosen_with_arrow_keys_and_built_when_opened(open_page, page_file):
+    page = open_page()
+    assert page.locator("#explore .part").count() == 0
+    page.locator("#tab-answer").focus()
+    page.keyboard.press("ArrowRight")
+    assert page.locator("#explore").is_visible()
+    assert page.locator("#explore .part").count() == 4
+    assert page.locator("#sequence-2 table").count() == 0  # closed: not built
+    page.keyboard.press("ArrowRight")
+    assert page.locator("#appendix").is_visible()
+    assert not page.locator("#explore").is_visible()
+
+
+def test_tab_stops_words_and_size_are_few(open_page, page_file, record_property):
+    page = open_page()
+    stops = page.evaluate(
+        "[...document.querySelectorAll('a[href], button, input, select, summary, [tabindex]')]"
+        ".filter((one) => one.tabIndex >= 0 && one.offsetParent).length"
+    )
+    record_property("tab stops of the first part", stops)
+    record_property("page size in bytes", page_file.stat().st_size)
+    record_property("first paint after ms", page.evaluate("performance.getEntriesByName('first-paint')[0]?.startTime"))
+    assert stops < 40
+    player = player_page(page).locator(PLAYER)
+    assert player.count() == 1
+
+
+def test_pointing_at_a_method_colours_it_in_every_chart(open_page):
+    page = open_page()
+    row = page.locator(".dots-row[data-of=lost]").first
+    row.locator("[role=rowheader]").hover()
+    pointed = page.locator(".series.pointed").evaluate_all("all => all.map((one) => one.dataset.of)")
+    assert set(pointed) == {"lost"}
+    assert len(pointed) >= 2
+    page.mouse.move(5, 500)
+    assert page.locator(".series.pointed").count() == 0
 
 
 def test_a_copied_link_shows_the_same_scan_again(open_page):
@@ -208,49 +297,35 @@ def test_a_hand_written_link_needs_only_a_scan_and_a_name(open_page):
 
 
 def test_opened_details_are_kept_in_the_link(open_page):
-    page = open_page()
+    page = explore(open_page())
     page.locator("#sequence-1-everything > summary").click()
-    page.locator("#sequence-1-runs > summary").click()
-    wait_until(page, "location.hash === '#?open=sequence-1-everything,sequence-1-runs'")
+    page.locator("#sequence-2 > summary").click()
+    wait_until(page, "location.hash === '#explore?open=sequence-1-everything,sequence-2'")
     page.fill("#find", "plane")
     again = open_page(page.evaluate("location.hash"))
-    assert again.locator("details[open]:not([id$=failures])").evaluate_all("all => all.map((one) => one.id)") == [
-        "sequence-1-everything",
-        "sequence-1-runs",
-    ]
-    assert rows(again, "At a glance") == ["plane"]
-    again.evaluate("location.hash = '#results'")
-    wait_until(again, "location.hash === '#results?open=sequence-1-everything,sequence-1-runs&find=plane'")
-    again.evaluate("dispatchEvent(new Event('beforeprint'))")
-    assert again.locator("details:not([open])").count() == 0
-    again.evaluate("dispatchEvent(new Event('afterprint'))")
-    assert again.locator("#sequence-1-settings[open], #metrics-more-1[open]").count() == 0
-    assert again.locator("#sequence-1-everything[open]").count() == 1
-
-
-def test_drawings_leave_out_filtered_methods(open_page):
-    page = open_page("#?only=paper")
-    source = page.locator("#sequence-1 .pictures img").first.get_attribute("src")
-    left = [rest for _, rest in re.findall(r'id="of:([^"]*)"([^>]*)>', unquote(source)) if "display: none" not in rest]
-    assert len(left) == unquote(source).count('id="of:paper"') > 1
+    opened = again.locator("details[open]:not([id$=failures])").evaluate_all("all => all.map((one) => one.id)")
+    assert opened == ["sequence-1", "sequence-1-everything", "sequence-2"]
+    assert rows(again, "Results on fr079") == ["plane"]
+    again.evaluate("location.hash = '#sequence-2-results'")
+    wait_until(again, "location.hash === '#sequence-2-results?open=sequence-1-everything,sequence-2&find=plane'")
 
 
 def test_columns_of_methods_are_filtered_too(open_page):
-    page = open_page("#?only=paper,plane")
+    page = explore(open_page("#?only=paper,plane"))
     page.locator("#sequence-1 summary", has_text="All metrics").click()
-    table = page.locator("[aria-label='All metrics on room'] table")
-    assert table.locator("thead th:visible").all_inner_texts() == ["Metric", "paper", "plane"]
+    table = page.locator("[aria-label='All metrics on room: drift'] table")
+    assert table.locator("thead th:visible").all_inner_texts() == ["Drift", "plane", "paper"]
     assert table.locator("tbody tr").nth(1).locator("td:visible").count() == 2
 
 
 def test_a_number_links_to_its_run(open_page):
-    page = open_page()
-    page.locator("[aria-label='Results on room'] a.run").first.click()
+    page = explore(open_page())
+    page.locator("[aria-label='Results on room'] tbody tr", has_text="paper").locator("td a").first.click()
     row = page.locator("tr.aimed")
     assert row.is_visible()
     assert "--method 'paper' --seed 0" in row.inner_text()
-    row.get_by_role("link", name="2 of the method").click()
-    assert page.locator("#settings-1").get_attribute("open") is not None
+    row.get_by_role("link", name="paper", exact=False).first.click()
+    assert page.locator("#method-1").is_visible()
 
 
 def test_keys_step_zoom_and_play(open_page):
@@ -388,17 +463,17 @@ def test_the_colour_scheme_can_be_dark_or_light(open_page):
     assert page.evaluate(ground) == "rgb(255, 255, 255)"
 
 
-def test_a_printed_page_has_a_still_picture_without_controls(open_page):
+def test_print_shows_the_answer_on_two_pages(open_page):
     page = player_page(open_page())
     page.emulate_media(media="print")
-    assert page.locator(f"{PLAYER} canvas.map").is_visible()
-    assert not page.locator(f"{PLAYER} .transport button").first.is_visible()
-    assert not page.locator("#filter").is_visible()
-    assert len(page.pdf()) > 50_000
+    assert page.locator("#answer").is_visible()
+    assert not page.locator("#explore").is_visible()
+    assert not page.locator("#top").is_visible()
+    assert len(re.findall(rb"/Type\s*/Page\b", page.pdf(format="A4"))) <= 2
 
 
 def test_a_truncated_link_still_opens(open_page):
-    page = open_page("#results?only=%3Cscript&find=%E2%8")
+    page = open_page("#explore?only=%3Cscript&find=%E2%8")
     assert len(rows(page, "Results on room")) == 6
 
 
@@ -419,16 +494,26 @@ def test_a_page_of_blocks_can_be_dark(browser, tmp_path):
 
 @pytest.mark.parametrize("width", [1400, 400])
 def test_nothing_is_wider_than_the_window(open_page, width):
-    page = player_page(open_page(width=width))
-    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page = open_page(width=width)
+    for tab in ("answer", "explore", "appendix"):
+        page.click(f"#tab-{tab}")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_page_passes_the_accessibility_rules_of_axe(open_page, scheme):
+def test_every_tab_passes_the_accessibility_rules_of_axe(open_page, scheme):
     axe = pytest.importorskip(
         "axe_playwright_python.sync_playwright", reason="axe is not installed: pip install axe-playwright-python"
     )
-    page = player_page(open_page(color_scheme=scheme))
-    found = axe.Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]})
-    told = [(v["id"], v["nodes"][0]["target"], v["nodes"][0]["failureSummary"]) for v in found.response["violations"]]
+    page = open_page(color_scheme=scheme)
+    told = []
+    for tab in ("answer", "explore", "appendix"):
+        page.click(f"#tab-{tab}")
+        if tab == "explore":
+            player_page(page)
+        found = axe.Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]})
+        told += [
+            (tab, v["id"], v["nodes"][0]["target"], v["nodes"][0]["failureSummary"])
+            for v in found.response["violations"]
+        ]
     assert not told, "\n".join(map(str, told))

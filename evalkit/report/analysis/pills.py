@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from evalkit.core.run_result import BROKEN, NOT_EXECUTED, RunStatus
+from evalkit.core.run_result import BROKEN, RunStatus
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.pairwise import is_clearly_worse
 from evalkit.report.analysis.scores import STATUS_LABELS
@@ -15,8 +15,8 @@ from evalkit.report.analysis.verdict import SequenceVerdict
 from evalkit.report.formatting import join_words
 from evalkit.results.run_record import RunRecord
 
-MAX_IDLE_LOAD = 1.0
-"""Load average beside the comparison's own runs above which the machine was busy."""
+MAX_OF_A_KIND = 2
+"""Methods with a pill of their own for one kind of failure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ def compute_pills(
         *(_describe_degenerate(comparison, sequence) for sequence in sequences if sequence.card.degenerate),
         *_group("lost the track on", _find_lost(runs)),
         *_group("did not finish", _find_broken(runs)),
-        _describe_load(comparison),
+        _describe_load(runs),
         *_describe_tuned(comparison, sequences),
         _describe_not_counted(sequences, verdicts, counted),
         _describe_missing(runs),
@@ -97,26 +97,23 @@ def _find_broken(runs: Iterable[RunRecord]) -> dict[str, list[str]]:
 
 
 def _group(what: str, found: Mapping[str, Sequence[str]]) -> list[Pill]:
-    """Return one pill per method; a method with many sequences has their number."""
+    """Return one pill per method; of more than two methods one with their names, of many sequences the number."""
+    if len(found) > MAX_OF_A_KIND:
+        return [Pill(f"{len(found)} methods {what} a sequence: {', '.join(found)}")]
     return [
         Pill(f"{method} {what} {join_words(where) if len(where) < 4 else f'{len(where)} sequences'}")
         for method, where in found.items()
     ]
 
 
-def _describe_load(comparison: Comparison) -> Pill | None:
-    """Return the load of the machine if more than the comparison's own runs used it."""
-    executed = [run.result.provenance for run in comparison.records if run.result.status not in NOT_EXECUTED]
-    own = _read_number(comparison.environment.get("runs at a time")) or 1.0
-    load = max((_read_number(one.get("load before")) or 0.0 for one in executed), default=0.0)
-    return Pill(f"times from a busy machine (load up to {load:.0f})") if load > own + MAX_IDLE_LOAD else None
-
-
-def _read_number(text: object) -> float | None:
-    try:
-        return float(str(text))
-    except ValueError:
+def _describe_load(runs: Sequence[RunRecord]) -> Pill | None:
+    """Return the runs during which other programs used the machine."""
+    known = [run.result.conditions for run in runs if run.result.conditions is not None]
+    count = sum(one.disturbed for one in known)
+    if not count:
         return None
+    load = max(one.load or 0.0 for one in known)
+    return Pill(f"times from a busy machine ({count} of {len(known)} runs disturbed, load up to {load:.0f})")
 
 
 def _describe_tuned(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> list[Pill]:

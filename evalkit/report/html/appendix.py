@@ -38,10 +38,11 @@ HOW = (
     "Each number is the median over the complete runs. The 95 % interval below it contains, in 19 of 20 cases, the "
     "number that other stretches of the same kind would give. Metrics that do not summarise a time series have no "
     "interval; for several runs, the lowest and the highest value are shown instead.",
-    "Green: the best of the methods that completed every run. Shaded: tied with it, because the 95 % interval of the "
-    "paired difference contains zero, or the difference is below 5 % (for positions: or 2 mm), or below the accuracy "
-    "of the ground truth. Single runs without an interval are tied. A method that kept the initial guess on more "
-    "than half of the scans is not ranked.",
+    "Green: clearly better than every other method that completed every run and held the track. Shaded: no clear "
+    "difference from the best value: the 95 % interval of the paired difference over runs contains zero, or the "
+    "difference is below 5 % (for positions: or 2 mm), or below the accuracy of the ground truth. Single runs give no "
+    "verdict. A method that kept the initial guess on more than half of the scans, or whose settings were chosen on a "
+    "data set, is not ranked there.",
     "Point at a dash to see the reason. The name of a method and each number lead to its runs, with their commands. "
     "Click a heading to sort.",
 )
@@ -151,7 +152,7 @@ def _build_methods(comparison: Comparison, strokes: Strokes) -> list[Block]:
         _method_card(label, card, place, strokes) for place, (label, card) in enumerate(comparison.methods.items(), 1)
     ]  # fmt: skip
     fair: list[Block] = [Bullets(comparison.fairness)] if comparison.fairness else []
-    return [*fair, Cards(cards, wide=True)]
+    return [*fair, Cards(cards, wide=True, level=3)]
 
 
 def _method_card(label: str, card: MethodCard, place: int, strokes: Strokes) -> Card:
@@ -179,7 +180,7 @@ def _build_data(sequences: Sequence[SequenceAnalysis]) -> list[Block]:
         blocks += report_tables.settings_fold(card.settings, f"sequence-{number}-settings")
         chips: Chips = (("degenerate geometry", "warn"),) if card.degenerate else ()
         cards.append(Card(sequence.label, blocks, chips=chips))
-    return [Cards(cards, wide=True)]
+    return [Cards(cards, wide=True, level=3)]
 
 
 def _build_provenance(analysis: Analysis, strokes: Strokes) -> list[Block]:

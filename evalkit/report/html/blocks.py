@@ -199,10 +199,11 @@ class Card:
 
 @dataclass(frozen=True, slots=True)
 class Cards:
-    """Cards side by side; ``wide``: fewer of them in a row."""
+    """Cards side by side; ``wide``: fewer of them in a row; ``level`` of their headings."""
 
     cards: Sequence[Card]
     wide: bool = False
+    level: Literal[3, 4] = 4
     kind: Literal["cards"] = "cards"
 
 

@@ -15,8 +15,8 @@ from evalkit.metrics.runtime import period_ns
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.answer import COST, Contest, Standing
 from evalkit.report.analysis.pills import find_left_out
-from evalkit.report.analysis.ranking import Ranking
-from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore
+from evalkit.report.analysis.ranking import Ranking, mark
+from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, find_loss
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import format_milliseconds, format_quantity, format_tick
 from evalkit.report.html.blocks import Figure
@@ -28,6 +28,9 @@ Strokes = Mapping[str, Stroke]
 MAX_TILES = 4
 ROW = 22
 """Height of a row of the dot plot (px)."""
+
+SHAPES = {"tuned": "M0 -5.5L5.5 0L0 5.5L-5.5 0Z", "lost": "M-4 -4L4 4M-4 4L4 -4"}
+"""Marks that are no circles: settings chosen there, track lost."""
 
 SCATTER = (360.0, 296.0)
 PLOT = (34.0, 8.0, 350.0, 252.0)
@@ -102,8 +105,8 @@ def build_tiles(analysis: Analysis, number: int, strokes: Strokes) -> list[Tile]
         value = format_quantity(ranking.metric, median(score.values)) if ranking and score and score.values else ""
         cost = sequence.rankings[COST].of(method) if COST in sequence.rankings else None
         times = format_milliseconds(cost.median) if cost is not None and cost.median is not None else ""
-        lost = getattr(sequence.runs[method][0].scores, "lost", None)
-        caption = f"lost at {lost.at_s:.0f} s" if lost is not None else " · ".join(filter(None, (value, times)))
+        lost = f"lost at {score.lost.at_s:.0f} s" if score is not None and score.lost is not None else ""
+        caption = " · ".join(filter(None, (value, times, lost)))
         has_player = any(len(run.result.steps) for run in sequence.runs[method])
         anchor = f"sequence-{number + 1}"
         link = f"#{anchor}-player?by={quote(method)}&on=own&play=1" if has_player else f"#{anchor}"
@@ -116,13 +119,13 @@ def draw_dots(analysis: Analysis, strokes: Strokes) -> Markup | None:
     """Return the dot plot: methods by rank in rows, data sets in columns; None without a value."""
     answer = analysis.answer
     contests = {one.sequence: one for one in answer.contests}
-    shown = [s for s in analysis.sequences if (s.label in contests if contests else s.deciding is not None)]
+    shown = [s for s in analysis.sequences if s.deciding is not None and not s.card.degenerate]
     if not shown:
         return None
-    panels = [_panel(analysis, sequence, contests.get(sequence.label)) for sequence in shown]
+    panels = [_panel(sequence, contests.get(sequence.label)) for sequence in shown]
     last = len(answer.standings) + 2
-    heads = [_cell("columnheader", 0, 1, "", "corner")]
-    heads += [_cell("columnheader", at, 1, element("b", one.sequence), "head") for at, one in enumerate(panels, 1)]
+    heads = [_cell("columnheader", 0, 1, element("span", "Method", class_="unseen"), "corner")]
+    heads += [_cell("columnheader", at, 1, _head(one), "head") for at, one in enumerate(panels, 1)]
     heads.append(_cell("columnheader", len(panels) + 1, 1, "best or tied" if contests else "", "count"))
     rows = [element("div", join(heads), role="row", class_="dots-row")]
     for place, standing in enumerate(answer.standings, start=2):
@@ -150,7 +153,6 @@ class _Panel:
     ranking: Ranking
     contest: Contest | None
     scale: Scale
-    tuned: Sequence[str]
     runs: SequenceAnalysis
 
     @property
@@ -161,13 +163,21 @@ class _Panel:
         return found[:1] if near else found
 
 
-def _panel(analysis: Analysis, sequence: SequenceAnalysis, contest: Contest | None) -> _Panel:
+def _panel(sequence: SequenceAnalysis, contest: Contest | None) -> _Panel:
     ranking = sequence.deciding
     if ranking is None:
         raise ValueError(f"{sequence.label}: no metric has a value")
     values = [median(score.values) for score in ranking.scores if score.values]
-    tuned = find_left_out(analysis.comparison, sequence)
-    return _Panel(sequence.label, ranking, contest, log_scale(values), tuned, sequence)
+    return _Panel(sequence.label, ranking, contest, log_scale(values), sequence)
+
+
+def _head(panel: _Panel) -> Markup:
+    """Return the name of a data set, and in a word or two why it does not count."""
+    name = element("b", panel.sequence)
+    if panel.contest is not None:
+        return name
+    why = "one run" if panel.ranking.comparable and not panel.ranking.repeated else "not counted"
+    return join((name, Markup(" "), element("span", why, class_="tick")))
 
 
 def _cell(role: str, column: int, row: int, content: object, kind: str) -> Markup:
@@ -188,14 +198,13 @@ def _dot(panel: _Panel, method: str) -> Markup:
                 class_="grid")
         for tick in panel.ticks
     ]  # fmt: skip
-    if score.interval is not None:
-        low, high = (_percent(panel.scale.share(bound)) for bound in (score.interval.low, score.interval.high))
+    spread = score.band or score.interval
+    if spread is not None:
+        low, high = (_percent(panel.scale.share(bound)) for bound in (spread.low, spread.high))
         parts.append(element("line", x1=low, x2=high, y1=ROW / 2, y2=ROW / 2, class_="span"))
-    if kind == "tuned":
-        parts.append(
-            element("svg", element("path", d="M0 -5.5L5.5 0L0 5.5L-5.5 0Z", class_="dot tuned"), x=_percent(at),
-                    y=ROW / 2, overflow="visible")
-        )  # fmt: skip
+    if kind in SHAPES:
+        shape = element("path", d=SHAPES[kind], class_=f"dot {kind}")
+        parts.append(element("svg", shape, x=_percent(at), y=ROW / 2, overflow="visible"))
     else:
         parts.append(element("circle", cx=_percent(at), cy=ROW / 2, r=4.6, class_=f"dot {kind}"))
     value = format_quantity(panel.ranking.metric, median(score.values))
@@ -206,20 +215,19 @@ def _dot(panel: _Panel, method: str) -> Markup:
 
 def _mark(panel: _Panel, score: MethodScore) -> tuple[str, str]:
     """Return what a score is on a data set, in words and as the class of its dot."""
-    if score.method in panel.tuned:
+    if score.tuned:
         return "settings chosen here: not counted", "tuned"
-    leaders = panel.contest.leaders if panel.contest else ()
-    if score.method in leaders:
-        return ("best" if len(leaders) == 1 else "tied with the best"), "tied"
-    if not score.rankable:
-        return "not ranked", "unranked"
-    return ("worse than the best" if panel.contest else "no verdict here"), ""
+    words = {
+        "best": ("best", "tied"), "tied": ("tied with the best", "tied"), "worse": ("worse than the best", ""),
+        "lost": ("lost the track", "lost"), "not comparable": ("not comparable", "unranked"),
+    }  # fmt: skip
+    return words[mark(panel.ranking, score.method)]
 
 
 def _explain(panel: _Panel, method: str) -> str:
     """Return in a word or two why there is no value."""
     runs = panel.runs.runs.get(method, ())
-    lost = next((one for run in runs if (one := getattr(run.scores, "lost", None)) is not None), None)
+    lost = find_loss(runs)
     if lost is not None:
         return f"lost at {lost.at_s:.0f} s"
     broken = [run for run in runs if not run.result.is_complete]

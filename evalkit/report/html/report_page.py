@@ -36,7 +36,8 @@ from evalkit.results.run_record import RunRecord
 
 MAP_CAPTION_GROUPS = ("map against truth", "map consistency")
 BADGES = {
-    "winner": "winner", "tied": "tied", "single": "one ranked method", "degenerate": "degenerate geometry",
+    "tied": "tied", "one run": "one run: no verdict", "lost": "no method held the track",
+    "single": "one ranked method", "degenerate": "degenerate geometry",
     "disagreement": "no ground truth: map metrics disagree", "unranked": "no ranking",
 }  # fmt: skip
 
@@ -119,8 +120,6 @@ def build_sequence(
 def _badge(verdict: SequenceVerdict) -> str:
     if verdict.outcome == "winner":
         return f"{'winner' if verdict.counts else 'best map, no ground truth'}: {verdict.leaders[0]}"
-    if verdict.outcome == "ahead":
-        return f"{'one run' if verdict.counts else 'no ground truth, one run'}, ahead: {verdict.leaders[0]}"
     return BADGES[verdict.outcome]
 
 

@@ -12,8 +12,8 @@ from evalkit.metrics.validated import MetricValidation
 from evalkit.plugins.specs import Published
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison, Setting
-from evalkit.report.analysis.ranking import Ranking
-from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, unfinished
+from evalkit.report.analysis.ranking import Mark, Ranking, mark
+from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, NuisanceBand, unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.significance import MethodRecord, PairedComparison
 from evalkit.report.formatting import capitalise, format_bounds, format_number, format_quantity
@@ -46,27 +46,26 @@ def runs_anchor(number: int, place: int) -> str:
     return f"sequence-{number}-runs-{place}"
 
 
-def score_cell(ranking: Ranking, score: MethodScore | None, unranked: bool = False, link: str = "") -> Cell:
-    """Return a score: the median with its interval or range, or a dash with the reason.
+TONES: Mapping[Mark, Tone] = {"best": "good", "tied": "tied", "worse": "", "lost": "bad", "not comparable": ""}
 
-    ``unranked``: the geometry is degenerate, or the map metrics disagree, so nothing is marked as best.
-    """
+
+def score_cell(ranking: Ranking, score: MethodScore | None, link: str = "") -> Cell:
+    """Return a score: the median with its interval or range, or a dash with the reason."""
     metric = ranking.metric
     if score is None:
         return Cell("–", "", tip="not run here")
     partial = ", ".join(_format(metric, value) for value in score.partial)
     early = f"ended early: {partial}" if partial else ""
+    lost = f"lost at {score.lost.at_s:.0f} s" if score.lost is not None else ""
     if not score.values:
-        return Cell("–", "", tip=score.reason, link=link, extent=early)
-    contest = len(ranking.tied) < len(ranking.ranked) and not unranked
-    tone: Tone = (
-        "good" if contest and score is ranking.ranked[0] else "tied" if contest and score in ranking.tied else ""
-    )
+        return Cell("–", "", tip=score.reason, link=link, extent=early or lost)
     runs = f"median of {len(score.values)} of {score.expected} runs" if score.expected > 1 else ""
     support = f"support {score.support}" if score.support else ""
-    extent = ", ".join(filter(None, (_extent(metric, score), early)))
+    tuned = "settings chosen on this data set: not counted" if score.tuned else ""
+    tip = ", ".join(filter(None, (runs, support, tuned)))
+    extent = ", ".join(filter(None, (_extent(metric, score), early, lost)))
     value = median(score.values)
-    return Cell(_format(metric, value), value, tone, ", ".join(filter(None, (runs, support))), link, extent)
+    return Cell(_format(metric, value), value, TONES[mark(ranking, score.method)], tip, link, extent)
 
 
 def headline_metrics(sequence: SequenceAnalysis) -> list[Metric]:
@@ -94,13 +93,12 @@ def headline_table(analysis: Analysis, sequence: SequenceAnalysis, number: int, 
     rankings = [sequence.rankings[metric.name] for metric in headline_metrics(sequence)]
     present = [one for one in rankings if one.has_values]
     repeated = any(len(own) > 1 or not own[0].result.is_complete for own in sequence.runs.values())
-    unranked = bool(sequence.card.degenerate) or sequence.map_agreement.disagrees
     places = {label: place for place, label in enumerate(comparison.methods, start=1)}
     rows = []
     for label in by_rank(sequence):
         behind = (("worse than the baseline", "warn"),) if sequence.is_behind(label) else ()
         link = f"#{runs_anchor(number, places[label])}"
-        cells = [score_cell(one, one.of(label), unranked, link) for one in present]
+        cells = [score_cell(one, one.of(label), link) for one in present]
         success = [success_cell(sequence.runs[label])] if repeated else []
         rows.append([method_cell(comparison, strokes, label, link, *behind), *success, *cells])
     runs = [Column("Runs complete", "", True, better="higher")] if repeated else []
@@ -143,10 +141,9 @@ def numbers_table(analysis: Analysis, strokes: Strokes) -> Table:
     for standing in answer.standings:
         cells = []
         for number, sequence in enumerate(analysis.sequences, start=1):
-            unranked = bool(sequence.card.degenerate) or sequence.map_agreement.disagrees
             link = f"#{runs_anchor(number, places[standing.method])}" if standing.method in sequence.runs else ""
             ranking = sequence.deciding
-            cells.append(score_cell(ranking, ranking.of(standing.method), unranked, link) if ranking else DASH)
+            cells.append(score_cell(ranking, ranking.of(standing.method), link) if ranking else DASH)
         led = Cell(f"{standing.led}/{standing.counted}", standing.led) if standing.counted else DASH
         cost = DASH if standing.cpu_ms is None else Cell(format_number(standing.cpu_ms, 2), standing.cpu_ms)
         link = f"#method-{places[standing.method]}"
@@ -156,7 +153,6 @@ def numbers_table(analysis: Analysis, strokes: Strokes) -> Table:
 
 def all_metrics_tables(analysis: Analysis, sequence: SequenceAnalysis, number: int) -> Iterator[Table]:
     """Yield all metrics of a sequence with a value, one table a group; methods in columns, by rank."""
-    unranked = bool(sequence.card.degenerate)
     places = {label: place for place, label in enumerate(analysis.comparison.methods, start=1)}
     labels = by_rank(sequence)
     groups: dict[str, list[list[Cell | str]]] = {}
@@ -165,8 +161,7 @@ def all_metrics_tables(analysis: Analysis, sequence: SequenceAnalysis, number: i
             unit = f" [{ranking.metric.unit}]" if ranking.metric.unit not in ("", "m") else ""
             name = Cell(f"{capitalise(ranking.metric.label)}{unit}", link=f"#metric-{ranking.metric.name}")
             cells = [
-                score_cell(ranking, ranking.of(label), unranked, f"#{runs_anchor(number, places[label])}")
-                for label in labels
+                score_cell(ranking, ranking.of(label), f"#{runs_anchor(number, places[label])}") for label in labels
             ]
             groups.setdefault(ranking.metric.group, []).append([name, *cells])
     for group, rows in groups.items():
@@ -191,7 +186,8 @@ def pairs_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes
                 continue
             bounds, metric = one.difference.interval, pairs.metric
             value = Cell(_format(metric, bounds.value), bounds.value, extent=f"95 %: {_bounds(metric, bounds)}")
-            cells += [value, Cell(one.verdict), Cell(_format(metric, one.difference.detectable))]
+            detectable = one.difference.detectable
+            cells += [value, Cell(one.verdict), DASH if detectable is None else Cell(_format(metric, detectable))]
         rows.append([method_cell(analysis.comparison, strokes, label), *cells])
     return Table(columns, rows, label=f"Paired differences on {sequence.label}")
 
@@ -364,6 +360,8 @@ def absent_note(rankings: Sequence[Ranking]) -> list[Block]:
 def _extent(metric: Metric, score: MethodScore) -> str:
     """Return the 95 % interval, or the lowest and highest of several runs, as printed below the number."""
     count = f"{len(score.values)} of {score.expected} runs " if len(score.values) < score.expected else ""
+    if score.band is not None:
+        return f"{count}perturbed: {_bounds(metric, score.band)}"
     if score.interval is not None:
         return f"{count}95 %: {_bounds(metric, score.interval)}"
     if len(score.values) > 1:
@@ -371,7 +369,7 @@ def _extent(metric: Metric, score: MethodScore) -> str:
     return count.rstrip()
 
 
-def _bounds(metric: Metric, interval: Interval) -> str:
+def _bounds(metric: Metric, interval: Interval | NuisanceBand) -> str:
     low, high = _format(metric, interval.low), _format(metric, interval.high)
     unit = low.partition("\u00a0")[2]
     return f"{low.removesuffix(unit).rstrip()}–{high}" if unit and high.endswith(unit) else f"{low}–{high}"

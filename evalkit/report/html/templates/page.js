@@ -85,7 +85,7 @@ const unfold = () => {
   target.scrollIntoView();
 };
 addEventListener("hashchange", unfold);
-if (location.hash) unfold();
+addEventListener("DOMContentLoaded", () => location.hash && unfold()); // when every script listens
 // Print shows every fold of a page without tabs; afterwards their state is restored.
 let printing = false;
 let folded = [];

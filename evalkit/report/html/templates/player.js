@@ -141,8 +141,13 @@ class Player {
       }
       if (!select.selectedOptions[0]?.hidden || !left.length) continue;
       this.wanted.set(select, own ?? select.value);
-      select.value = left[Math.min(select.dataset.worst === "b" ? 1 : 0, left.length - 1)].value;
+      select.value = left[0].value;
     }
+    const [a, b] = ["a", "b"].map((side) => this.find(`select[data-worst=${side}]`));
+    const other = [...b?.options ?? []].find((option) => !option.hidden && option.value !== a.value);
+    if (!other || a.value !== b.value) return;
+    this.wanted.set(b, this.wanted.get(b) ?? b.value);
+    b.value = other.value;
   }
 
   resize() {
