@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from evalkit.core.run_result import RunConditions
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_milliseconds, format_quantity
 
@@ -171,12 +172,14 @@ def test_maps_decide_only_without_ground_truth_and_only_if_they_agree(build, rec
 
 
 def test_a_busy_machine_is_named_and_an_idle_one_is_not(build, three):
-    def loaded(load):
-        provenance = {"load before": load}
-        return pills(build([replace(run, result=replace(run.result, provenance=provenance)) for run in three]))
+    def under(other_percent):
+        conditions = RunConditions(load=15.2, other_percent=other_percent)
+        first = replace(three[0], result=replace(three[0].result, conditions=conditions))
+        calm = [replace(run, result=replace(run.result, conditions=RunConditions(load=1.0))) for run in three[1:]]
+        return pills(build([first, *calm]))
 
-    assert "times from a busy machine (load up to 15)" in loaded("15.20")
-    assert not any("busy" in text for text in [*loaded("1.50"), *loaded("unknown")])
+    assert "times from a busy machine (1 of 18 runs disturbed, load up to 15)" in under(40.0)
+    assert not any("busy" in text for text in [*under(0.5), *pills(build(three))])
 
 
 def test_what_is_missing_is_one_pill(build, record, three):
