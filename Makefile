@@ -6,7 +6,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install report report-quick system test check bench faults paper paper-quick metric-validation tune docs fuzz clean distclean
+.PHONY: help install report report-quick system test check bench faults paper paper-quick metric-validation calibrate tune docs fuzz clean distclean
 
 help:  ## print this list
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -52,6 +52,9 @@ paper-quick: $(VENV)/evalkit  ## reproduce part of the paper in under 2 min: rep
 metric-validation: $(VENV)/evalkit  ## measure how map metrics follow the true error: reports/build/metrics/index.html
 	$(BIN)/python -m evalkit.commands.metric_validation validate --world lab --world office --world room
 	$(BIN)/python -m evalkit.commands.metric_validation selftest --world lab
+
+calibrate: $(VENV)/evalkit  ## measure how honest intervals and verdicts are: reports/build/calibration/index.html
+	$(BIN)/python -m evalkit.commands.calibration reports/calibration.toml
 
 tune: $(VENV)/evalkit  ## tune back ends with equal budgets: reports/build/tune/index.html
 	$(BIN)/evalkit tune reports/tune.toml --out reports/build/tune

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,6 +93,7 @@ def _mean_and_error(series: Floats) -> tuple[float, float]:
     return float(centred.mean()), float(centred.std(ddof=1)) / math.sqrt(len(centred))
 
 
+@cache
 def _critical(freedom: int, confidence: float) -> float:
     from scipy import stats
 

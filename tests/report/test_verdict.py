@@ -418,3 +418,95 @@ def test_a_leader_needs_a_lead_over_every_method(record, build):
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders) == ("tied", ("a", "b"))  # a lead over c alone is not enough
     assert any("against every other method" in sentence for sentence in _overview(comparison))
+
+
+def _sentence_cases(record, build):
+    """Comparisons by name, each of three runs of a and b, plain but for one thing."""
+
+    def compare(a, b, **others):
+        values = {"a": a, "b": b, **others}
+        return [one for name, own in values.items() for one in _seeds(record, name, own)]
+
+    def ending(runs, status, reason, answered):
+        return [*runs, record("c", "room", {}, status=status, reason=reason, answered=answered)]
+
+    clear = compare([0.010, 0.011, 0.012], [0.020, 0.022, 0.024])
+    crash = {"status": "crashed", "reason": "signal 11", "answered": 9}
+    lost = [run for name in "ab" for run in (*_seeds(record, name, [0.1]), record(name, "room", {}, seed=1, **crash))]
+    costs = [
+        record(n, "room", {"ate_rmse_m": 0.01 * (1 + n.encode()[0] + s), "cpu_median_ms": 1.0 + s}, seed=s, ms=ms)
+        for n, ms in (("a", 1.0), ("b", 500.0)) for s in range(3)
+    ]  # fmt: skip
+    degenerate = build(clear)
+    cards = {"room": replace(degenerate.sequences["room"], degenerate="A corridor.")}
+    return {
+        "clear": build(clear),
+        "crash": build(ending(clear, "crashed", "signal 11", 9)),
+        "absent": build(ending(clear, "not-installed", "no module", 0)),
+        "degenerate": replace(degenerate, sequences=cards),
+        "empty": build([record(n, "room", {"corners": 4.0}) for n in "ab"]),
+        "alone": build(_seeds(record, "a", [0.1, 0.1, 0.1])),
+        "none whole": build(lost),
+        "chance": build(compare([0.01, 0.02, 0.03], [0.05, 0.02, 0.04])),
+        "near": build(compare([1.00, 1.02, 0.99], [1.02, 0.99, 1.03])),
+        "equal": build(compare([0.01, 0.02, 0.03], [0.01, 0.02, 0.03])),
+        "reference wins": build(compare([0.2, 0.2, 0.2], [0.3, 0.3, 0.3], paper=[0.1, 0.1, 0.1])),
+        "reference loses": build(compare([0.2, 0.2, 0.2], [0.3, 0.3, 0.3], paper=[0.4, 0.4, 0.4])),
+        "reference ties": build(compare([0.2, 0.2, 0.2], [0.3, 0.3, 0.3], paper=[0.2, 0.2, 0.2])),
+        "reference first": build(compare([0.02, 0.03, 0.04], [0.3, 0.3, 0.3], paper=[0.03, 0.02, 0.02])),
+        "reference fails": build([*clear, record("paper", "room", {}, **crash)]),
+        "worse than wheel": build(compare([0.2, 0.2, 0.2], [0.5, 0.5, 0.5], wheel=[0.3, 0.3, 0.3])),
+        "better than wheel": build(compare([0.1, 0.1, 0.1], [0.2, 0.2, 0.2], wheel=[0.3, 0.3, 0.3])),
+        "wheel fails": build([*clear, record("wheel", "room", {}, **crash)]),
+        "costs": build(costs),
+    }
+
+
+@pytest.mark.parametrize(
+    ("sentence", "where", "not_where"),
+    [
+        ("Did not finish: c (1 of 1 crashed).", "crash", "clear"),
+        ("Could not start: c (1 of 1 not installed).", "absent", "crash"),
+        ("Degenerate geometry: A corridor. The order below is not a ranking.", "degenerate", "clear"),
+        ("the last of the finished methods, b,", "degenerate", "clear"),
+        ("Not counted: room (degenerate geometry).", "degenerate", "clear"),
+        ("Not counted: room (no ground truth, or no repeated runs).", "empty", "clear"),
+        ("No headline metric has a value here, so there is no ranking.", "empty", "clear"),
+        ("No sequence has both ground truth and repeated runs to compare", "empty", "clear"),
+        ("there is no other method to compare with.", "alone", "clear"),
+        ("No method completed every run with a value for ATE RMSE, so there is no winner.", "none whole", "clear"),
+        ("a wins on ATE RMSE", "clear", "chance"),
+        ("a wins 1 (room)", "clear", "chance"),
+        ("are tied: ", "chance", "clear"),
+        ("the best methods are statistically tied on 1 sequence (room)", "chance", "clear"),
+        ("which may be chance", "chance", "equal"),
+        ("runs of each would settle a difference of this size", "chance", "near"),
+        ("these runs can detect a difference of", "near", "chance"),
+        ("they are equal to every printed digit", "equal", "chance"),
+        ("The reference method: paper wins.", "reference wins", "reference ties"),
+        ("The reference method, paper, wins 1 of 1 (room).", "reference wins", "reference ties"),
+        ("The reference method: paper loses, with 0.400 m against 0.200 m", "reference loses", "reference ties"),
+        ("The reference method, paper, loses 1 of 1 (room).", "reference loses", "reference ties"),
+        ("The reference method: paper is tied with the best, a.", "reference ties", "reference wins"),
+        ("The reference method, paper, is tied with the best on 1 of 1 (room).", "reference ties", "reference loses"),
+        ("paper has the best value, but not by a clear difference.", "reference first", "reference wins"),
+        ("paper is not ranked: 0 of 1 runs finished.", "reference fails", "reference loses"),
+        ("paper, is not comparable on 1 of 1 (room).", "reference fails", "reference loses"),
+        ("The reference method", "reference loses", "clear"),
+        ("Worse than wheel alone (0.300 m): b (0.500 m).", "worse than wheel", "better than wheel"),
+        ("No method is clearly worse than wheel alone", "better than wheel", "worse than wheel"),
+        ("No method can be compared with wheel alone", "wheel fails", "better than wheel"),
+        ("wheel has no value here, so there is no baseline to beat.", "wheel fails", "better than wheel"),
+        ("Wheel odometry alone is not among the methods", "clear", "better than wheel"),
+        ("CPU time per scan, median: a (2.00 ms) to b (2.00 ms).", "costs", "clear"),
+        ("Slower than the sensor on more than 1 % of the scans: b on room.", "costs", "clear"),
+        ("No run took more CPU time than the scan period on more than 1 % of its scans.", "clear", "costs"),
+        ("Numbers are medians over up to 3 runs.", "clear", "empty"),
+        ("Each sequence was run once", "empty", "clear"),
+    ],
+)
+def test_each_sentence_appears_only_where_it_holds(record, build, sentence, where, not_where):
+    cases = _sentence_cases(record, build)
+    said = {name: f"{_verdict_text(cases[name])} {' '.join(_overview(cases[name]))}" for name in (where, not_where)}
+    assert sentence in said[where]
+    assert sentence not in said[not_where]

@@ -1,0 +1,1 @@
+"""Measure how honest intervals and verdicts are: many seeds run once, then resampled."""
