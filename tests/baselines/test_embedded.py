@@ -306,6 +306,22 @@ def test_a_beam_longer_than_all_earlier_ones_is_mapped_completely():
 
 
 @needs_core
+def test_the_polygon_mapper_frees_the_cells_between_the_beams_and_keeps_the_walls():
+    rays, polygon = make_plugin(embedded.MAPPER), make_plugin(embedded.POLYGON_MAPPER)
+    frame = lab(1)[0]
+    for mapper in (rays, polygon):
+        mapper.update(frame.scan, Pose(0.0213, 0.0117, 0.3))
+    both = [mapper.grid() for mapper in (rays, polygon)]
+    occupied = [set(map(tuple, np.round(grid.centres(grid.log_odds > 0.0), 6))) for grid in both]
+    free = [set(map(tuple, np.round(grid.centres(grid.observed & (grid.log_odds < 0.0)), 6))) for grid in both]
+    assert occupied[0] == occupied[1]
+    assert len(free[0] & free[1]) > 0.95 * len(free[0] | free[1])
+    narrow = make_plugin(embedded.POLYGON_MAPPER, widest_gap_deg=0.0)  # every beam is then drawn by itself
+    narrow.update(frame.scan, Pose(0.0213, 0.0117, 0.3))
+    assert np.array_equal(narrow.grid().log_odds, both[0].log_odds)
+
+
+@needs_core
 @pytest.mark.parametrize("odometry", [True, False])
 def test_the_pipeline_follows_a_sequence_like_the_reference_behind_the_front_end(odometry):
     frames = [

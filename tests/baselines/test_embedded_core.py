@@ -313,6 +313,7 @@ def test_the_defaults_of_the_core_equal_those_of_python(precision):
     stages = {name: front_end[name] for name in pipeline.FRONT_END}
     stages["keyframe_angle_rad"] = math.radians(stages.pop("keyframe_angle_deg"))
     assert values["frontend"] == pytest.approx(stages, rel=1e-6)
+    grid["widest_gap_rad"] = math.radians(3.0)
     assert values["grid"] == pytest.approx(grid, rel=1e-6)
 
 

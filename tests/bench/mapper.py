@@ -25,7 +25,7 @@ from evalkit_baselines.embedded.compiled import compiled_missing, load_core
 BEAMS = 1600
 RANGE_MAX_M = 12.0
 AWAY = Pose(0.0213, 0.0117, 0.3)
-PLACE = (-512, -512, 1024, 1024)
+EXTENT = (-512, -512, 1024, 1024)
 MAP = {"resolution": 0.05, "l_occ": 0.847, "l_free": -0.847, "l_min": -5.0, "l_max": 5.0, "range_max": RANGE_MAX_M}
 
 
@@ -46,15 +46,21 @@ def make_mapper(spec: MapperSpec) -> Any:
 
 def calls_for(scan: Scan) -> tuple[dict[str, Callable[[], Any]], int]:
     """Return the timed calls and the number of cells that the scan crosses."""
-    grid = load_core("double").Grid(place=PLACE, **MAP)
+    grid = load_core("double").Grid(extent=EXTENT, **MAP)
     hits, misses, row = scan.points(), np.zeros((0, 2)), (AWAY.x, AWAY.y, AWAY.theta)
     grid.add(row, hits, misses)
     cells = np.zeros(grid.touched, dtype=np.int16)
-    compiled, twin = make_mapper(embedded.MAPPER), make_mapper(paper.MAPPER)
+    compiled, polygon = make_mapper(embedded.MAPPER), make_mapper(embedded.POLYGON_MAPPER)
+    filled, twin = (
+        load_core("double").Grid(extent=EXTENT, polygon=True, widest_gap=0.05, **MAP),
+        make_mapper(paper.MAPPER),
+    )
     return {
         "memset of these cells": lambda: cells.fill(1),
         "core": lambda: grid.add(row, hits, misses),
+        "core, polygon": lambda: filled.add(row, hits, misses),
         "embedded-log-odds": lambda: compiled.update(scan, AWAY),
+        "embedded-polygon": lambda: polygon.update(scan, AWAY),
         "log-odds (NumPy)": lambda: twin.update(scan, AWAY),
     }, int(grid.touched)
 

@@ -55,10 +55,18 @@ PIPELINE = OdometrySpec(
 )
 
 MAPPER = MapperSpec(
-    make=CompiledGrid,
+    make=partial(CompiledGrid, False),
     summary="the paper's log-odds grid in C99: cells of 16 bits that hold thousandths",
     citation=f"{CITATION}; traversal: Amanatides and Woo 1987",
     licence="MIT",
     parameters=mapper.PARAMETERS,
     missing=compiled_missing,
+)
+
+POLYGON_MAPPER = replace(
+    MAPPER,
+    make=partial(CompiledGrid, True),
+    summary="the same with the scan filled as a polygon: each cell inside its outline once",
+    citation=CITATION,
+    parameters=mapper.POLYGON_PARAMETERS,
 )

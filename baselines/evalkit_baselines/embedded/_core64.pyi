@@ -59,7 +59,7 @@ class Icp:
         (in the unit of the stop rule), inliers, pose and pairs (K, 2)."""
 
 class Grid:
-    """Log-odds occupancy grid (ek/grid.h)."""
+    """Log-odds occupancy grid (ek/grid.h); ``polygon``: cells inside the outline of a scan, not along its beams."""
 
     def __init__(
         self,
@@ -71,6 +71,8 @@ class Grid:
         l_max: float,
         range_max: float,
         extent: Extent,
+        polygon: bool = False,
+        widest_gap: float = 0.0,
     ) -> None: ...
     def add(self, world_from_sensor: Row, hits: Array, misses: Array) -> None:
         """Draws the beams from the sensor to points (N, 2) of its frame: ends occupied (hits) or free (misses)."""

@@ -235,11 +235,12 @@ static void set(void *context)
     memset(m->plain, (int)m->grid.touched_cells & 0xFF, m->grid.touched_cells * sizeof(int16_t));
 }
 
-static void bench_map(const char *name, double range)
+static void bench_map(const char *name, double range, int polygon)
 {
     static mapping m;
     const ek_pose truth = {EK_R(4.2), EK_R(1.5), EK_R(0.4)}, nowhere = {EK_R(0), EK_R(0), EK_R(0)};
-    const ek_grid_parameters parameters = ek_grid_default();
+    ek_grid_parameters parameters = ek_grid_default();
+    parameters.polygon = polygon;
     m.points = (ek_real *)taken(2u * BEAMS * sizeof(ek_real));
     scan_points(truth, nowhere, m.points, BEAMS);
     for (size_t k = 0; range > 0.0 && k < BEAMS; k++) {
@@ -324,8 +325,10 @@ int main(void)
     bench_keyframe(500u);
     bench_keyframe(1600u);
     bench_keyframe(5000u);
-    bench_map("of the room", 0.0);
-    bench_map("of 12 m all round", 12.0);
+    bench_map("of the room", 0.0, 0);
+    bench_map("of 12 m all round", 12.0, 0);
+    bench_map("of the room, as polygon", 0.0, 1);
+    bench_map("of 12 m all round, as polygon", 12.0, 1);
     bench_pipeline(1e-4);
     bench_pipeline(1e-6);
     return 0;

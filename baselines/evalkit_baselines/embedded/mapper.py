@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -33,16 +34,27 @@ PARAMETERS: tuple[Parameter, ...] = tuple(
 )
 """The parameters of the NumPy grid; a scan always adds to a cell once, with the exact traversal."""
 
+POLYGON_PARAMETERS: tuple[Parameter, ...] = (
+    *PARAMETERS,
+    Parameter(
+        "widest_gap_deg", 3.0, "deg", "between beams that are farther apart nothing is freed", low=0.0, high=85.0
+    ),
+)
+
 
 class CompiledGrid:
     """The core's map in double precision; parameters as in ``PARAMETERS``.
 
-    On a board the map has a fixed size. Here it grows in steps of ``CHUNK`` cells like the NumPy grid, and raises
-    BadParameter at the same limits.
+    ``polygon``: a scan frees the cells inside its outline instead of those that its beams cross; parameters as in
+    ``POLYGON_PARAMETERS``. On a board the map has a fixed size. Here it grows in steps of ``CHUNK`` cells like the NumPy
+    grid, and raises BadParameter at the same limits.
     """
 
-    def __init__(self, resolution_m: float, clear_no_returns: bool, **log_odds: float) -> None:
+    def __init__(
+        self, polygon: bool, resolution_m: float, clear_no_returns: bool, widest_gap_deg: float = 0.0, **log_odds: float
+    ) -> None:
         self._core = load_core("double")
+        self._outline = {"polygon": polygon, "widest_gap": math.radians(widest_gap_deg)}
         self._resolution_m, self._clear_no_returns = resolution_m, clear_no_returns
         self._log_odds = log_odds
         self._grid: Any = None
@@ -120,7 +132,7 @@ class CompiledGrid:
     def _set_extent(self, extent: tuple[int, int, int, int], range_max_m: float) -> None:
         if self._grid is None:
             self._grid = self._core.Grid(
-                resolution=self._resolution_m, range_max=range_max_m, extent=extent, **self._log_odds
+                resolution=self._resolution_m, range_max=range_max_m, extent=extent, **self._outline, **self._log_odds
             )
         else:
             self._grid.move(extent, range_max_m)

@@ -27,8 +27,9 @@ NB_MODULE(CORE, module)
         .def("register", &Icp::answer, "target"_a, "source"_a.noconvert(), "guess"_a, "trace"_a = false);
 
     nb::class_<Grid>(module, "Grid")
-        .def(nb::init<double, double, double, double, double, double, const Extent &>(), nb::kw_only(), "resolution"_a,
-             "l_occ"_a, "l_free"_a, "l_min"_a, "l_max"_a, "range_max"_a, "extent"_a)
+        .def(nb::init<double, double, double, double, double, double, const Extent &, bool, double>(), nb::kw_only(),
+             "resolution"_a, "l_occ"_a, "l_free"_a, "l_min"_a, "l_max"_a, "range_max"_a, "extent"_a, "polygon"_a = false,
+             "widest_gap"_a = 0.0)
         .def("add", &Grid::add, "world_from_sensor"_a, "hits"_a.noconvert(), "misses"_a.noconvert())
         .def("move", &Grid::move, "extent"_a, "range_max"_a)
         .def("cells", &Grid::cells)

@@ -29,6 +29,7 @@ inline nb::dict defaults_of(const ek_grid_parameters &grid)
     values["l_free"] = double(grid.l_free);
     values["l_min"] = double(grid.l_min);
     values["l_max"] = double(grid.l_max);
+    values["widest_gap_rad"] = double(grid.widest_gap);
     return values;
 }
 

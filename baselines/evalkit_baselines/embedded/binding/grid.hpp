@@ -13,7 +13,7 @@ using Extent = std::tuple<int64_t, int64_t, int64_t, int64_t>; // left, bottom, 
 class Grid {
 public:
     Grid(double resolution, double l_occ, double l_free, double l_min, double l_max, double range_max,
-         const Extent &extent)
+         const Extent &extent, bool polygon, double widest_gap)
     {
         ek_grid_parameters parameters = ek_grid_default();
         parameters.resolution = ek_real(resolution);
@@ -21,6 +21,8 @@ public:
         parameters.l_free = ek_real(l_free);
         parameters.l_min = ek_real(l_min);
         parameters.l_max = ek_real(l_max);
+        parameters.polygon = polygon;
+        parameters.widest_gap = ek_real(widest_gap);
         init(parameters, extent, range_max);
     }
 

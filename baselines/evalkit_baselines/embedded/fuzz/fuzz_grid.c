@@ -9,6 +9,7 @@ static ek_grid_parameters parameters_of(ek_input *input)
     parameters.columns = 32u * (1u + flags % 4u);
     parameters.rows = 32u * (1u + flags / 8u % 4u);
     parameters.rolling = flags >> 6 & 1;
+    parameters.polygon = flags >> 5 & 1;
     parameters.left = parameters.bottom = -32;
     parameters.range_max = flags >> 2 & 1 ? EK_R(1.0) : EK_R(0.2);
     if (flags >> 7) {
@@ -19,6 +20,7 @@ static ek_grid_parameters parameters_of(ek_input *input)
         parameters.l_min = take_real(input);
         parameters.l_max = take_real(input);
         parameters.left = (int32_t)(uint32_t)take_whole(input);
+        parameters.widest_gap = take_real(input);
     }
     return parameters;
 }
@@ -37,6 +39,9 @@ static void add(ek_grid *grid, ek_input *input, int16_t *before)
     } else {
         const ek_real least = EK_R(1000.0) * grid->parameters.l_min, most = EK_R(1000.0) * grid->parameters.l_max;
         HOLDS(grid->ignored_beams <= count + miss_count && grid->touched_cells <= cells);
+        for (size_t i = 0; grid->parameters.polygon && i < (size_t)grid->window.lines * grid->window.words; i++) {
+            HOLDS(grid->window.outline[i] == 0u);
+        }
         for (size_t i = 0; i < cells; i++) {
             const ek_real cell = (ek_real)grid->cells[i];
             HOLDS(grid->cells[i] == EK_UNKNOWN || (cell >= least - EK_R(0.51) && cell <= most + EK_R(0.51)));

@@ -1,4 +1,5 @@
 #include "ek/grid.h"
+#include "ek/polygon.h"
 
 #include <string.h>
 
@@ -18,7 +19,8 @@ ek_grid_parameters ek_grid_default(void)
     parameters.range_max = EK_R(12.0);
     parameters.columns = parameters.rows = 1024u;
     parameters.left = parameters.bottom = -512;
-    parameters.rolling = 0;
+    parameters.rolling = parameters.polygon = 0;
+    parameters.widest_gap = EK_R(3.0) * EK_PI / EK_R(180.0);
     return parameters;
 }
 
@@ -35,7 +37,7 @@ ek_status ek_grid_check(const ek_grid_parameters *parameters)
         return EK_NULL_POINTER;
     }
     const ek_grid_parameters p = *parameters;
-    const ek_real numbers[] = {p.resolution, p.l_occ, p.l_free, p.l_min, p.l_max, p.range_max};
+    const ek_real numbers[] = {p.resolution, p.l_occ, p.l_free, p.l_min, p.l_max, p.range_max, p.widest_gap};
     for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) {
         if (!isfinite(numbers[i])) {
             return EK_NOT_FINITE;
@@ -49,7 +51,8 @@ ek_status ek_grid_check(const ek_grid_parameters *parameters)
     const int whole = p.columns % WORD == 0u && p.rows % WORD == 0u && p.left % (int32_t)WORD == 0 &&
                       p.bottom % (int32_t)WORD == 0 && p.columns > 0u && p.rows > 0u && p.columns <= MAX_CELLS &&
                       p.rows <= MAX_CELLS;
-    if (!odds || !size || !whole || p.left < -(1 << 30) || p.left > 1 << 30 || p.bottom < -(1 << 30) ||
+    const int outline = p.widest_gap >= EK_R(0.0) && p.widest_gap <= EK_R(1.5);
+    if (!odds || !size || !whole || !outline || p.left < -(1 << 30) || p.left > 1 << 30 || p.bottom < -(1 << 30) ||
         p.bottom > 1 << 30) {
         return EK_OUT_OF_RANGE;
     }
@@ -74,7 +77,10 @@ ek_status ek_grid_init(ek_grid *grid, ek_arena *arena, const ek_grid_parameters 
     grid->window.across = (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t));
     grid->window.along = (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t));
     grid->window.ends = (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t));
+    grid->window.outline =
+        parameters->polygon ? (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t)) : grid->window.across;
     if (arena->memory && ek_arena_check(arena) == EK_OK) {
+        memset(grid->window.outline, 0, bits * sizeof(uint32_t));
         ek_grid_clear(grid);
     }
     return EK_OK;
@@ -158,6 +164,15 @@ static void add_half(int16_t *EK_RESTRICT cells, uint32_t freed, uint32_t hit, c
     }
 }
 
+/* Add l_free to 32 cells. */
+static void free_word(int16_t *EK_RESTRICT cells, int16_t l_free, int16_t l_min)
+{
+    for (int k = 0; k < 32; k++) {
+        const int16_t old = cells[k], sum = (int16_t)((old == EK_UNKNOWN ? 0 : old) + l_free);
+        cells[k] = sum < l_min ? l_min : sum;
+    }
+}
+
 static uint32_t count_bits(uint32_t word)
 {
     word -= (word >> 1) & 0x55555555u;
@@ -173,7 +188,10 @@ static void add_block(ek_grid *grid, uint32_t row, uint32_t word, int16_t *cells
     for (uint32_t k = 0; k < WORD; k++, cells += grid->parameters.columns) {
         const size_t at = (size_t)(row + k) * grid->window.words + word;
         const uint32_t hit = grid->window.ends[at], freed = crossed[k] & ~hit;
-        if (freed | hit) {
+        if (freed == UINT32_MAX) {
+            free_word(cells, odds[0], odds[2]);
+            grid->touched_cells += WORD;
+        } else if (freed | hit) {
             add_half(cells, freed & 0xFFFFu, hit & 0xFFFFu, odds);
             add_half(cells + 16, freed >> 16, hit >> 16, odds);
             grid->touched_cells += count_bits(freed | hit);
@@ -253,7 +271,10 @@ ek_status ek_grid_add_scan(ek_grid *grid, ek_pose world_from_points, ek_real sta
     view.y = world_from_points.y / grid->parameters.resolution - (ek_real)grid->window_bottom;
     ek_window_clear(&grid->window);
     grid->touched_cells = 0u;
-    grid->ignored_beams = ek_window_mark_beams(&grid->window, &view, hits, count, 1);
+    grid->ignored_beams =
+        grid->parameters.polygon
+            ? ek_window_fill_outline(&grid->window, &view, hits, count, grid->parameters.widest_gap)
+            : ek_window_mark_beams(&grid->window, &view, hits, count, 1);
     grid->ignored_beams += ek_window_mark_beams(&grid->window, &view, misses, miss_count, 0);
     apply_window(grid);
     return EK_OK;

@@ -2,7 +2,8 @@
  *
  * Computes the same as the NumPy reference evalkit_baselines/paper/grid.py. A beam crosses the cells of Amanatides and
  * Woo 1987. A scan changes a cell once; occupied wins over free. The cells of a scan are first marked as bits in a
- * window around the sensor, then added to the map, 16 cells at a time.
+ * window around the sensor, then added to the map, 32 cells at a time. With `polygon` the cells inside the outline of the
+ * scan are marked instead (polygon.h), each once.
  */
 #ifndef EK_GRID_H
 #define EK_GRID_H
@@ -25,6 +26,8 @@ typedef struct {
     uint32_t columns, rows;              /* of the map; multiples of 32 */
     int32_t left, bottom;                /* cell numbers of the lower left cell; multiples of 32 */
     int32_t rolling;                     /* 1: the map follows the sensor and drops cells that leave it; 0: fixed */
+    int32_t polygon;                     /* 1: free the cells inside the outline of a scan; 0: those its beams cross */
+    ek_real widest_gap;                  /* of an outline: between neighbouring beams (rad); 0 to 1.5 */
 } ek_grid_parameters;
 
 /* Cell (column, row) covers [left + column, left + column + 1) x [bottom + row, ...) times the resolution. */
@@ -58,7 +61,7 @@ ek_status ek_grid_init(ek_grid *grid, ek_arena *arena, const ek_grid_parameters 
 void ek_grid_clear(ek_grid *grid);
 
 /* Add a scan: hits (count pairs x y, m) and the end points of beams without return (misses), which only free cells. All
- * points are in one frame with pose world_from_points; the beams start at (start_x, start_y) of that frame. Cells
+ * points are in one frame with pose world_from_points, in firing order; the beams start at (start_x, start_y) of that frame. Cells
  * outside a fixed map are ignored. EK_NOT_FINITE: pose, start or point; EK_OUT_OF_RANGE: a pose larger than
  * EK_MAX_COORDINATE. An error leaves the map unchanged. */
 ek_status ek_grid_add_scan(ek_grid *grid, ek_pose world_from_points, ek_real start_x, ek_real start_y,

@@ -18,6 +18,7 @@ typedef struct {
     uint32_t *across; /* row by row: crossed by flat beams */
     uint32_t *along;  /* column by column: crossed by steep beams */
     uint32_t *ends;   /* row by row: hit */
+    uint32_t *outline; /* working memory of ek_window_fill_outline (polygon.h) */
 } ek_window;
 
 /* Transform from points (u, v) to cells of the window: (c u - s v + x, s u + c v + y). Beams start at (start_x,
