@@ -46,8 +46,8 @@ class CompiledGrid:
     """The core's map in double precision; parameters as in ``PARAMETERS``.
 
     ``polygon``: a scan frees the cells inside its outline instead of those that its beams cross; parameters as in
-    ``POLYGON_PARAMETERS``. On a board the map has a fixed size. Here it grows in steps of ``CHUNK`` cells like the NumPy
-    grid, and raises BadParameter at the same limits.
+    ``POLYGON_PARAMETERS``. On a board the map has a fixed size. Here it grows in steps of ``CHUNK`` cells like the
+    NumPy grid, and raises BadParameter at the same limits.
     """
 
     def __init__(
