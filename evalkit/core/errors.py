@@ -6,7 +6,13 @@ Arguments are kept in ``args`` and messages are built in ``__str__``, so that er
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable
+
+_MACHINE_ERRORS = frozenset(
+    {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EAGAIN}
+)
+"""Errors of the system that no method causes when evalkit itself writes a file or starts a process."""
 
 MAX_MESSAGE = 2000
 """Longest message in characters; the middle of a longer one is removed."""
@@ -111,3 +117,17 @@ class BackendFailed(_RemediedError):
 
 class StoreError(_RemediedError):
     """A results folder that cannot be written or read: ``StoreError(path, what, remedy)``."""
+
+
+class MachineFault(_RemediedError):
+    """The machine failed evalkit, not a method: ``MachineFault(where, what, remedy)``."""
+
+    REMEDY = "free disk, memory, /dev/shm or open files, and repeat with --resume"
+
+    @classmethod
+    def of(cls, where: str, error: BaseException) -> MachineFault | None:
+        """Return the fault behind an error of evalkit's own writing or starting, None if it is of another kind."""
+        system = error if isinstance(error, OSError) else error.__cause__
+        if not isinstance(system, OSError) or system.errno not in _MACHINE_ERRORS:
+            return None
+        return cls(where, f"the machine failed ({system.strerror})", cls.REMEDY)

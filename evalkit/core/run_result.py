@@ -18,7 +18,7 @@ from evalkit.core.trajectory import Trajectory
 
 
 class RunStatus(StrEnum):
-    """How a run ended, in one word. A skipped run was not executed."""
+    """How a run ended, in one word. The machine ended an interrupted run. A skipped run was not executed."""
 
     COMPLETE = "complete"
     FAILED = "failed"
@@ -27,6 +27,7 @@ class RunStatus(StrEnum):
     OUT_OF_MEMORY = "out-of-memory"
     NOT_INSTALLED = "not-installed"
     DATA_MISSING = "data-missing"
+    INTERRUPTED = "interrupted"
     SKIPPED = "skipped"
 
 
@@ -40,6 +41,7 @@ class Cause(StrEnum):
     INTERRUPTED = "interrupted"
     SCORING_FAILED = "scoring failed"
     WORKER_FAILED = "worker failed"
+    MACHINE_FAULT = "machine fault"
     SIGNAL = "signal"
     QUARANTINED = "quarantined"
     TIME_LIMIT = "time limit"
@@ -62,9 +64,10 @@ _STATUS_OF_CAUSE = {
     Cause.EXCEPTION: RunStatus.FAILED,
     Cause.EXIT_CODE: RunStatus.FAILED,
     Cause.NO_OUTCOME: RunStatus.FAILED,
-    Cause.INTERRUPTED: RunStatus.FAILED,
+    Cause.INTERRUPTED: RunStatus.INTERRUPTED,
     Cause.SCORING_FAILED: RunStatus.FAILED,
-    Cause.WORKER_FAILED: RunStatus.FAILED,
+    Cause.WORKER_FAILED: RunStatus.INTERRUPTED,
+    Cause.MACHINE_FAULT: RunStatus.INTERRUPTED,
     Cause.SIGNAL: RunStatus.CRASHED,
     Cause.QUARANTINED: RunStatus.CRASHED,
     Cause.TIME_LIMIT: RunStatus.TIMEOUT,
@@ -80,8 +83,8 @@ _STATUS_OF_CAUSE = {
 BROKEN = frozenset({RunStatus.FAILED, RunStatus.CRASHED, RunStatus.TIMEOUT, RunStatus.OUT_OF_MEMORY})
 """Statuses of runs that could have completed and did not."""
 
-NOT_EXECUTED = frozenset({RunStatus.NOT_INSTALLED, RunStatus.DATA_MISSING, RunStatus.SKIPPED})
-"""Statuses of runs that did not start."""
+NOT_EXECUTED = frozenset({RunStatus.NOT_INSTALLED, RunStatus.DATA_MISSING, RunStatus.INTERRUPTED, RunStatus.SKIPPED})
+"""Statuses of runs that did not start, or that the machine ended: they say nothing about the method."""
 
 
 STEP = np.dtype(

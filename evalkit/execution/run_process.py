@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from evalkit.config.experiment import Limits
-from evalkit.core.run_result import STEP, Cause, RunResult
+from evalkit.core.errors import MachineFault
+from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
 from evalkit.execution.conditions import ConditionsMeter
 from evalkit.execution.subprocesses import OUTPUT, ChildProcess, Usage
-from evalkit.execution.worker import Request
+from evalkit.execution.worker import MACHINE_FAULT_CODE, Request
 from evalkit.io import untrusted_io
 from evalkit.io.output_files import as_store_error, write_text
 from evalkit.results.store import STEPS, whole_records
@@ -47,8 +48,15 @@ def run(
         answers = (folder / STEPS).open("w+b")
     write_text(folder / REQUEST, json.dumps(asdict(request), indent=1))
     with answers:
-        with ChildProcess("evalkit.execution.worker", folder, threads) as child:
-            supervision = _Supervision(child, folder, limits, answers, ConditionsMeter(request.core))
+        meter = ConditionsMeter(request.core)
+        try:
+            process = ChildProcess("evalkit.execution.worker", folder, threads)
+        except OSError as error:
+            if (fault := MachineFault.of("its process", error)) is None:
+                raise
+            return RunResult(NO_STEPS, 0, Cause.MACHINE_FAULT, str(fault))
+        with process as child:
+            supervision = _Supervision(child, folder, limits, answers, meter)
             ending = supervision.wait(report_answers, stop)
         return supervision.result(ending)
 
@@ -134,6 +142,8 @@ def _read(path: Path) -> dict[str, Any]:
 def _ending_without_outcome(child: ChildProcess, folder: Path) -> Ending:
     if not (folder / REQUEST).exists():
         return Cause.NO_OUTCOME, "the run's folder was removed while it ran"
+    if child.returncode == MACHINE_FAULT_CODE:
+        return Cause.MACHINE_FAULT, f"its outcome could not be written; {MachineFault.REMEDY}"
     if (folder / OUTCOME).exists():
         return Cause.NO_OUTCOME, f"{OUTCOME} contains no valid outcome"
     return Cause.SIGNAL if child.returncode < 0 else Cause.EXIT_CODE, child.describe_end()

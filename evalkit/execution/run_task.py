@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from evalkit import metrics
 from evalkit.config.experiment import Experiment, Limits, MapperChoice, RunSpec
-from evalkit.core.errors import StoreError
+from evalkit.core.errors import MachineFault, StoreError
 from evalkit.core.run_result import NO_STEPS, Cause, RunResult, Score
 from evalkit.execution import environment, run_process
 from evalkit.execution.subprocesses import WorkerPool
@@ -158,7 +158,7 @@ def _score(store: Store, settings: RunSettings, spec: RunSpec, result: RunResult
             slot.scoring.run(score_and_save, store.folder, spec, result, settings, slot.core)
         except BrokenProcessPool:  # perhaps killed by something else
             if not _can_start(slot.scoring):
-                raise RuntimeError("no process for scoring can be started here") from None
+                raise MachineFault("scoring", "no process can be started here", MachineFault.REMEDY) from None
             slot.scoring.run(score_and_save, store.folder, spec, result, settings, slot.core)
     except StoreError:
         raise
@@ -167,6 +167,8 @@ def _score(store: Store, settings: RunSettings, spec: RunSpec, result: RunResult
         return quarantine(store, settings, spec, what, result)
     except Exception as error:  # noqa: BLE001 - a run that cannot be scored must not stop the others
         store.discard_scores(spec.key)  # of other code, from an earlier scoring
+        if fault := error if isinstance(error, MachineFault) else MachineFault.of("scoring", error):
+            return replace(result, cause=Cause.MACHINE_FAULT, reason=str(fault))
         reason = f"scoring failed: {type(error).__name__}: {error}"
         return replace(result, cause=Cause.SCORING_FAILED, reason=reason)
     return result

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from evalkit.execution.subprocesses import ChildProcess, Usage
+from evalkit.execution.subprocesses import ChildProcess, Usage, end_with_parent
 from evalkit.execution.task import AnyTask, Result, Task, make_task
 from evalkit.execution.task_store import TaskStore
 
@@ -67,6 +67,7 @@ def note_place(place: str) -> None:
 
 def main() -> int:
     """Runs the task in the folder named on the command line."""
+    end_with_parent()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     os.environ[PLACE_VARIABLE] = str(folder / PLACE)
     path = pickle.loads((folder / SYSTEM_PATH).read_bytes())

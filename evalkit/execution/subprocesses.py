@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from io import RawIOBase
 from multiprocessing import parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
@@ -30,8 +31,10 @@ from typing import Any, ParamSpec, TypeVar
 
 import psutil
 
-from evalkit.core.errors import NotInstalled
+from evalkit.core.errors import MachineFault, NotInstalled
+from evalkit.execution import supervisor
 from evalkit.execution.environment import SINGLE_THREAD
+from evalkit.execution.supervisor import PARENT
 from evalkit.plugins.registry import MARK
 
 Parameters = ParamSpec("Parameters")
@@ -52,9 +55,6 @@ MAX_OUTPUT_BYTES = 16 * 2**20
 OUTPUT = "output.txt"
 """File in the folder of a child with its standard output and standard error."""
 
-PARENT = "EVALKIT_PARENT"
-"""Environment variable with the process id of the parent, which may die before the child can read its process id."""
-
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 
@@ -70,9 +70,10 @@ class Usage:
 class ChildProcess:
     """``python -m module folder`` in a session of its own; a context manager that terminates it with all descendants.
 
-    The output goes to ``OUTPUT`` in the folder. ``threads``: number of threads that numeric libraries may start.
-    Processes that an earlier, killed evalkit left behind in this folder are terminated first. Raises NotInstalled on a
-    system without process groups: a run that hangs or leaves processes behind would disturb the next measurement.
+    A supervisor between this process and the child finds descendants that leave its session and its parents. The
+    output goes to ``OUTPUT`` in the folder. ``threads``: number of threads that numeric libraries may start. Processes
+    that an earlier, killed evalkit left behind in this folder are terminated first. Raises NotInstalled on a system
+    without process groups: a run that hangs or leaves processes behind would disturb the next measurement.
     """
 
     def __init__(self, module: str, folder: Path, threads: int = 1) -> None:
@@ -81,14 +82,15 @@ class ChildProcess:
         _kill_marked(folder)
         environment = {**os.environ, **dict.fromkeys(SINGLE_THREAD, str(threads))}
         environment |= {MARK: _mark(folder), PARENT: str(os.getpid())}
-        with (folder / OUTPUT).open("ab") as output:  # for appending: see _truncate
-            self._process = subprocess.Popen(  # -P: modules in the working directory must not shadow others
-                [sys.executable, "-P", "-m", module, str(folder)], stdin=subprocess.DEVNULL, stdout=output,
-                stderr=output, start_new_session=True, env=environment,
-            )  # fmt: skip
+        # kept open: a path may lead elsewhere once foreign code runs; for appending: see _truncate_output
+        self._output = open(_open_output(folder / OUTPUT), "a+b", buffering=0)  # noqa: SIM115 - a descriptor
+        self._process = subprocess.Popen(  # -P: modules in the working directory must not shadow others
+            [sys.executable, "-P", "-m", supervisor.__name__, module, str(folder)], stdin=subprocess.DEVNULL,
+            stdout=self._output, stderr=self._output, start_new_session=True, env=environment,
+        )  # fmt: skip
         self._started_at = self._searched_at = time.monotonic()
-        self._members = [psutil.Process(self._process.pid)]
-        self._cpu_s = 0.0
+        self._members: list[psutil.Process] = []
+        self._cpu_s, self._last_line = 0.0, ""
 
     def __enter__(self) -> ChildProcess:
         return self
@@ -96,6 +98,8 @@ class ChildProcess:
     def __exit__(self, *_: object) -> None:
         self._terminate()
         self._truncate_output()  # it may have grown since the last measurement
+        self._last_line = _read_last_line(self._output)
+        self._output.close()
 
     @property
     def returncode(self) -> int:
@@ -111,19 +115,17 @@ class ChildProcess:
 
     def describe_end(self) -> str:
         """How the process ended, by its return code, and the last line of its output."""
-        code, last_line = self.returncode, _read_last_line(self._folder / OUTPUT)
-        last = f"; last output: {last_line}" if last_line else ""
+        code, last = self.returncode, f"; last output: {self._last_line}" if self._last_line else ""
         if code < 0:
             hint = " (by the system, where memory ran out)" if -code == signal.SIGKILL else ""
             return f"the process was terminated by {signal_name(-code)}{hint}{last}"
         return f"the process exited with code {code}{last}"
 
     def _measure(self) -> Usage:
-        if time.monotonic() - self._searched_at > COUNT_S:
+        if not self._members or time.monotonic() - self._searched_at > COUNT_S:
             self._searched_at = time.monotonic()
             with contextlib.suppress(psutil.Error):  # ended meanwhile
-                process = psutil.Process(self._process.pid)
-                self._members = [process, *process.children(recursive=True)]
+                self._members = psutil.Process(self._process.pid).children(recursive=True)
         memory, cpu_s = 0, 0.0
         for member in self._members:
             with contextlib.suppress(psutil.Error):  # ended meanwhile
@@ -134,8 +136,11 @@ class ChildProcess:
         return Usage(time.monotonic() - self._started_at, self._cpu_s, memory)
 
     def _terminate(self) -> None:
-        """Kill the process, its children, all processes of its session, and all that carry its mark."""
+        """End the process and its descendants by the supervisor, then all processes of its session and its mark."""
         process = self._process
+        process.terminate()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(2.0 * supervisor.CLEANING_S)
         if process.poll() is None:  # its process id is not reused yet
             with contextlib.suppress(psutil.Error):  # ended meanwhile
                 for child in psutil.Process(process.pid).children(recursive=True):
@@ -147,15 +152,16 @@ class ChildProcess:
 
     def _truncate_output(self) -> None:
         """Keep only the end of an output that has grown too long; the child continues to append."""
-        output = self._folder / OUTPUT
-        with contextlib.suppress(OSError):  # the child has removed it
-            if output.stat().st_size > MAX_OUTPUT_BYTES:
-                with output.open("r+b") as file:
-                    file.seek(-TAIL_BYTES, os.SEEK_END)
-                    tail = file.read()
-                    file.truncate(0)
-                with output.open("ab") as file:
-                    file.write(tail)
+        with contextlib.suppress(OSError):  # a full disk
+            if self._output.seek(0, os.SEEK_END) > MAX_OUTPUT_BYTES:
+                self._output.seek(-TAIL_BYTES, os.SEEK_END)
+                tail = self._output.read(TAIL_BYTES)
+                self._output.truncate(0)
+                self._output.write(tail or b"")
+
+
+def _open_output(path: Path) -> int:
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def _mark(folder: Path) -> str:
@@ -172,13 +178,10 @@ def _kill_marked(folder: Path) -> None:
                 process.kill()
 
 
-def _read_last_line(output: Path) -> str:
+def _read_last_line(output: RawIOBase) -> str:
     """The last readable line of an output, which may be a very long file; "" if there is none."""
-    if not output.exists():  # the back end removed it
-        return ""
-    with output.open("rb") as file:
-        file.seek(max(output.stat().st_size - TAIL_BYTES, 0))
-        text = file.read().decode("utf-8", errors="replace")
+    output.seek(max(output.seek(0, os.SEEK_END) - TAIL_BYTES, 0))
+    text = (output.read(TAIL_BYTES) or b"").decode("utf-8", errors="replace")
     lines = ["".join(char for char in line if char.isprintable()).strip() for line in text.splitlines()]
     return next((line[:300] for line in reversed(lines) if line), "")
 
@@ -260,8 +263,11 @@ class WorkerPool:
 
 
 def start_process(core: int | None) -> Executor:
-    """A pool of one spawned process on a core; None: not pinned."""
-    return ProcessPoolExecutor(1, mp_context=_Context(), initializer=_initialise_worker, initargs=(core,))
+    """A pool of one spawned process on a core; None: not pinned. Raises MachineFault where none can be started."""
+    try:
+        return ProcessPoolExecutor(1, mp_context=_Context(), initializer=_initialise_worker, initargs=(core,))
+    except OSError as error:  # a full /dev/shm has no place for its semaphores
+        raise MachineFault.of("a process of evalkit", error) or error from error
 
 
 class _Process(SpawnProcess):

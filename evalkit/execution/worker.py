@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from evalkit.core.errors import BackendFailed, DataMissing, EvalkitError, NotInstalled, plain
+from evalkit.core.errors import BackendFailed, DataMissing, EvalkitError, MachineFault, NotInstalled, StoreError, plain
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
 from evalkit.core.scan import Frame
@@ -39,6 +39,9 @@ WARM_UP_SCANS = 5
 
 MIN_ANSWERED = 0.95
 """Smallest share of scans with an answer; a run with fewer has failed."""
+
+MACHINE_FAULT_CODE = 75
+"""Exit code (EX_TEMPFAIL) of a run that could not write its outcome because the machine failed."""
 
 NOT_REPORTED = -1
 """Value of ``accepted`` and ``converged`` in a ``STEP`` record where the odometry does not report a stage."""
@@ -64,7 +67,12 @@ def main() -> int:
         os.sched_setaffinity(0, {request.core})
     result = execute_request(request, folder)
     outcome = {name: value for name, value in asdict(result).items() if name not in ("steps", "provenance")}
-    _write_json(folder / "outcome.json", outcome)
+    try:
+        _write_json(folder / "outcome.json", outcome)
+    except StoreError as error:
+        if MachineFault.of("outcome.json", error) is None:
+            raise
+        return MACHINE_FAULT_CODE
     return 0
 
 
@@ -113,6 +121,10 @@ def execute_request(request: Request, folder: Path) -> RunResult:
 
 def cause_of(error: Exception) -> tuple[Cause, str]:
     """The cause and the reason of a run that raised; prints the traceback unless it is an EvalkitError."""
+    if isinstance(error, StoreError):
+        error = MachineFault.of("the folder of the run", error) or error
+    if isinstance(error, MachineFault):
+        return Cause.MACHINE_FAULT, str(error)
     if isinstance(error, NotInstalled):
         return Cause.NOT_INSTALLED, str(error)
     if isinstance(error, DataMissing):
@@ -155,12 +167,22 @@ def record_run(odometry: Odometry, sequence: Sequence, request: Request, steps: 
         if step.estimate is None:
             unanswered, reason = unanswered + 1, step.reason
         else:
-            steps.write(_record_step(step.frame, step.estimate, step.timing, around_ns))
+            _append(steps, _record_step(step.frame, step.estimate, step.timing, around_ns))
             around_ns = time.perf_counter_ns() - begun_ns - step.timing.wall_ns
         begun_ns = time.perf_counter_ns()
     if unanswered > (1.0 - MIN_ANSWERED) * scans:
         what = f"no answer for {unanswered} of {scans} scans"
         raise BackendFailed(request.backend, what, f"reason for the last one: {reason}")
+
+
+def _append(steps: BinaryIO, record: bytes) -> None:
+    """Append a whole record, so that the next one does not begin inside it. Raises MachineFault on a full disk."""
+    try:
+        written = steps.write(record)
+    except OSError as error:
+        raise MachineFault.of("steps.bin", error) or error from None
+    if written != len(record):
+        raise MachineFault("steps.bin", "the disk is full", MachineFault.REMEDY)
 
 
 def _record_step(frame: Frame, estimate: OdometryEstimate, timing: CallTiming, around_ns: int) -> bytes:

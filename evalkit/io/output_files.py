@@ -8,6 +8,7 @@ import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from evalkit.core.errors import StoreError
 
@@ -50,6 +51,22 @@ def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
         write_text(folder / name, text, folder)
 
 
+@contextmanager
+def staging_folder(target: Path, root: Path) -> Iterator[Path]:
+    """A path for a library that writes files itself; after the block they replace those of the same name in ``target``.
+
+    The path does not exist yet and ends like ``target``; nothing else in ``target`` is touched. ``root``: as above.
+    """
+    create_folder(target, root)
+    with TemporaryDirectory(dir=root, prefix=".part-") as place:
+        inside = Path(place) / target.name
+        yield inside
+        with as_store_error(target), _open_folder(target, root) as folder:
+            for file in sorted(inside.iterdir()):
+                os.replace(file, file.name, dst_dir_fd=folder)
+            os.fsync(folder)
+
+
 def create_folder(path: Path, root: Path) -> None:
     """Create a folder and all above it up to ``root``. Raises StoreError, also where one is a symbolic link."""
     with as_store_error(path), _open_folder(path, root):
@@ -69,6 +86,8 @@ def as_store_error(path: Path) -> Iterator[None]:
 def _open_folder(path: Path, root: Path | None) -> Iterator[int]:
     """The descriptor of a folder; folders from ``root`` on are created, and those below it are not symbolic links."""
     if root is not None:
+        if not path.is_relative_to(root):
+            raise StoreError(str(path), f"lies outside {root}", "use names without '/'")
         root.mkdir(parents=True, exist_ok=True)
     folder = os.open(root or path, _FOLDER)
     try:

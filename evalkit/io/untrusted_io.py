@@ -8,7 +8,7 @@ import re
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,18 +34,18 @@ def parse_json(text: str | bytes) -> Any:
 
 def read_array(path: Path) -> NDArray[Any]:
     """Return the array of an ``np.save`` file; raises ValueError if it is not one, OSError if it cannot be read."""
-    return _parse_array(path.read_bytes())
+    return parse_array(path.read_bytes())
 
 
-def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def read_arrays(file: Path | BinaryIO) -> dict[str, NDArray[Any]]:
     """Return the arrays of an ``np.savez`` file by name; raises as ``read_array``."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(file) as archive:
             members = archive.infolist()
             if sum(member.file_size for member in members) > MAX_BYTES:
                 raise ValueError(f"holds more than {MAX_BYTES} bytes")
             return {
-                member.filename.removesuffix(".npy"): _parse_array(_decompress(archive, member)) for member in members
+                member.filename.removesuffix(".npy"): parse_array(_decompress(archive, member)) for member in members
             }
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OverflowError) as error:
         raise ValueError(f"damaged archive ({error})") from None
@@ -58,8 +58,8 @@ def _decompress(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
         return file.read(member.file_size)
 
 
-def _parse_array(content: bytes) -> NDArray[Any]:
-    """Return the array if its header describes exactly the bytes that follow it."""
+def parse_array(content: bytes) -> NDArray[Any]:
+    """Return the array of an ``np.save`` file if its header describes exactly the bytes that follow it."""
     header = _NPY.match(content)
     if header is None:
         raise ValueError("not an array of numbers or strings")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from evalkit.io.output_files import write_texts
 from evalkit.report.analysis.comparison import Comparison, MethodCard, SequenceCard, Setting
 from evalkit.report.assembly import build_comparison
+from evalkit.results.seal import seal
 
 if TYPE_CHECKING:
     from evalkit.report.analysis.analysis import Analysis
@@ -30,11 +31,9 @@ def write_analysis(analysis: Analysis, folder: Path) -> Path:
     from evalkit.report import results_json, tables  # noqa: PLC0415 - pandas and matplotlib are slow to load
     from evalkit.report.html.report_page import render_report  # noqa: PLC0415
 
-    folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(results_json.build_results(analysis), indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "results.json").write_text(text + "\n", encoding="utf-8")
-    (folder / "results.schema.json").write_text(results_json.load_schema(), encoding="utf-8")
-    tables.write_tables(analysis, folder)
-    index = folder / "index.html"
-    index.write_text(render_report(analysis), encoding="utf-8")
-    return index
+    files = tables.format_tables(analysis)
+    vouched = {name: text.encode() for name, text in files.items()}
+    files["results.json"] = seal(results_json.build_results(analysis), vouched, allow_nan=False) + "\n"
+    files["results.schema.json"] = results_json.load_schema()
+    write_texts(folder, {**files, "index.html": render_report(analysis)})
+    return folder / "index.html"

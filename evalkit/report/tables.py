@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pandas as pd
 
 from evalkit.report.analysis.analysis import Analysis
@@ -87,11 +85,7 @@ def build_summary_table(analysis: Analysis) -> pd.DataFrame:
     return pd.DataFrame(rows).astype({"rank": "Int64"}) if rows else pd.DataFrame()
 
 
-def write_tables(analysis: Analysis, folder: Path) -> tuple[Path, ...]:
-    """Write runs.csv, scores.csv and summary.csv in full precision; return their paths."""
-    written = []
-    for name, build in (("runs", build_runs_table), ("scores", build_scores_table), ("summary", build_summary_table)):
-        path = folder / f"{name}.csv"
-        build(analysis).to_csv(path, index=False)
-        written.append(path)
-    return tuple(written)
+def format_tables(analysis: Analysis) -> dict[str, str]:
+    """Return runs.csv, scores.csv and summary.csv in full precision, by file name."""
+    tables = {"runs": build_runs_table, "scores": build_scores_table, "summary": build_summary_table}
+    return {f"{name}.csv": build(analysis).to_csv(index=False) for name, build in tables.items()}

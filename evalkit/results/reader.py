@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import io
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,19 +14,23 @@ import numpy as np
 
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.arrays import Ints
-from evalkit.core.errors import StoreError
+from evalkit.core.errors import StoreError, brief
 from evalkit.core.ground_truth import Truth
 from evalkit.core.se2 import Floats
 from evalkit.io import untrusted_io
 from evalkit.plugins.parameters import EXCERPT, NUISANCE
 from evalkit.results.run_record import RunRecord
-from evalkit.results.store import RESULT, Store, read_steps
+from evalkit.results.seal import check_seal, read_sealed, read_vouched
+from evalkit.results.store import ERRORS, RESULT, SCORES, STEPS, Store, whole_records
 
 REPETITION = ("seed", NUISANCE, EXCERPT)
 """Parameters of a sequence that belong to one repetition."""
 
 RESULTS_NAME, RESULTS_VERSION = "evalkit-results", 3
 """Name and schema version of results.json."""
+
+_KEY = re.compile(r"(?!\.)[\w.=+-]{1,200}")
+"""The name of a run's folder."""
 
 REMEDY = "name a folder that `evalkit compare` has written, or write the report again"
 
@@ -80,7 +86,22 @@ def load_results_json(folder: Path) -> dict[str, Any]:
             f"found {found}, expected {RESULTS_NAME} version {RESULTS_VERSION}",
             f"write the report again; this evalkit reads version {RESULTS_VERSION}",
         )
+    try:
+        check_seal(content)
+    except ValueError as error:
+        raise StoreError(str(path), str(error), "write the report again") from error
+    _check_keys(path, content)
     return content
+
+
+def _check_keys(path: Path, content: Mapping[str, Any]) -> None:
+    """Raise StoreError where the key of a run is no plain name: keys name folders and files."""
+    runs = content.get("runs")
+    for index, entry in enumerate(runs if isinstance(runs, list) else ()):
+        key = entry.get("key") if isinstance(entry, dict) else None
+        if not isinstance(key, str) or not _KEY.fullmatch(key):
+            what = f"runs[{index}].key: found {brief(key)}, expected the name of a folder in runs/"
+            raise StoreError(str(path), what, "write the report again; do not trust this folder")
 
 
 def load_stored_results(folder: Path) -> StoredResults:
@@ -119,15 +140,16 @@ def load_run(folder: Path, entry: Mapping[str, Any], truth: Truth) -> RunRecord:
 
 
 def load_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Load a CSV table of the report: its columns, and its rows by column.
+    """Load a CSV table of the report beside its results.json: its columns, and its rows by column.
 
-    Raises StoreError if the file cannot be read.
+    Raises StoreError if the file cannot be read or is not the one that results.json vouches for.
     """
+    content = load_results_json(path.parent)
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            reader = csv.DictReader(file, strict=True)
-            rows = list(reader)
-            return list(reader.fieldnames or ()), rows
+        text = read_vouched(path, content).decode("utf-8")
+        reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+        rows = list(reader)
+        return list(reader.fieldnames or ()), rows
     except (OSError, ValueError, csv.Error) as error:
         raise StoreError(str(path), f"cannot be read ({error})", REMEDY) from error
 
@@ -158,27 +180,22 @@ def _load_unreported(folder: Path) -> StoredResults:
     runs: dict[RunName, tuple[str, StoredRun]] = {}
     unfinished, processor = 0, ""
     for own in sorted((folder / "runs").glob("*")):
-        if not (own / RESULT).exists() or not (own / "request.json").exists():
+        if not (own / RESULT).exists():
             unfinished += 1
             continue
-        result = _load_object(own / RESULT)
-        provenance = result.get("provenance", {})
-        when, processor = str(provenance.get("executed_at", "")), str(provenance.get("processor", processor))
         try:
-            name, run = _load_unreported_run(own, result)
-            if name not in runs or runs[name][0] <= when:
-                runs[name] = when, run
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            result = read_sealed(own / RESULT)
+            scores = read_sealed(own / SCORES)["scores"] if (own / SCORES).exists() else {}
+            provenance, parameters = result["provenance"], dict(result["dataset_parameters"])
+            when, processor = str(provenance.get("executed_at", "")), str(provenance.get("processor", processor))
+            name = (result["method"], result["sequence"], parameters.pop("seed", None))
+            errors = _load_errors(own)
+            run = StoredRun(result["status"], result["reason"], parameters, _score_values(scores), *errors)
+        except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
             raise StoreError(str(own), f"is not complete ({error!r})", "repeat the run") from error
+        if name not in runs or runs[name][0] <= when:
+            runs[name] = when, run
     return StoredResults(str(folder), {name: run for name, (_, run) in runs.items()}, processor, unfinished)
-
-
-def _load_unreported_run(own: Path, result: Mapping[str, Any]) -> tuple[RunName, StoredRun]:
-    request = _load_object(own / "request.json")
-    scores = _load_object(own / "scores.json")["scores"] if (own / "scores.json").exists() else {}
-    parameters = dict(request.get("dataset_parameters", {}))
-    name = (result["method"], result["sequence"], parameters.pop("seed", parameters.pop(NUISANCE, None)))
-    return name, StoredRun(result["status"], result["reason"], parameters, _score_values(scores), *_load_errors(own))
 
 
 def _score_values(scores: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
@@ -186,17 +203,15 @@ def _score_values(scores: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
 
 
 def _load_errors(own: Path) -> tuple[Ints, Floats]:
-    """Return stamps and distances to the ground truth of a run; empty if not stored or half-written."""
-    nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
-    if not (own / "errors.npy").exists():
-        return nothing
-    steps = read_steps(own / "steps.bin")
+    """Return stamps and distances to the ground truth of a run; empty if not stored or damaged."""
     try:
-        errors = untrusted_io.read_array(own / "errors.npy")
-    except (OSError, ValueError):  # half-written: the score remains, without an interval
-        return nothing
+        result, scores = read_sealed(own / RESULT), read_sealed(own / SCORES)
+        steps = whole_records(read_vouched(own / STEPS, result))
+        errors = untrusted_io.parse_array(read_vouched(own / ERRORS, scores))
+    except (OSError, ValueError):  # the score remains, without an interval
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
     if len(steps) != len(errors):
-        return nothing
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
     known = np.isfinite(errors)
     return steps["stamp_ns"][known], errors[known]
 

@@ -5,6 +5,8 @@ runs/<key>/  request.json  started.json  steps.bin  outcome.json  output.txt    
              scores.json  grid.npz  errors.npy                 its evaluation
 trajectories/<key>.tum   maps/<key>.pgm  maps/<key>.yaml       for other tools
 attempts/<key>.json      processes that started the run and did not reach its end
+
+result.json and scores.json hold checksums of their values and of the binary files beside them, checked on every read.
 """
 
 from __future__ import annotations
@@ -32,11 +34,13 @@ from evalkit.core.run_result import DISTURBED, STEP, Cause, LostTrack, RunCondit
 from evalkit.io import map_server, untrusted_io
 from evalkit.io.output_files import as_store_error, create_folder, write_bytes
 from evalkit.io.tum import format_tum
+from evalkit.results.seal import FILES, read_sealed, read_vouched, seal
 
 LOCK = ".writer.lock"
 STEPS = "steps.bin"
 RESULT = "result.json"
 SCORES = "scores.json"
+GRID, ERRORS = "grid.npz", "errors.npy"
 
 _RESULT_FIELDS = tuple(field.name for field in fields(RunResult) if field.name != "steps")
 
@@ -120,33 +124,30 @@ class Store:
     def save_result(self, spec: RunSpec, result: RunResult) -> None:
         """Write how a run went and its trajectory for other tools; ``RESULT``, written last, marks it as complete."""
         folder = self.run_folder(spec.key)
-        steps = folder / STEPS
-        if not steps.exists() or read_steps(steps).tobytes() != result.steps.tobytes():  # removed, or times left out
-            self.write(steps, result.steps.tobytes())
+        steps = result.steps.tobytes()
+        self.write(folder / STEPS, steps)  # again: durable, and without times where they do not count
         text = format_tum(result.estimate, f"evalkit: {spec.method.label} on {spec.sequence.label}")
         self.write(self.folder / "trajectories" / f"{spec.key}.tum", text)
         record: dict[str, Any] = {
             "method": spec.method.label, "sequence": spec.sequence.label, "seed": spec.seed, "status": result.status,
-            "answered": len(result.steps), **{name: getattr(result, name) for name in _RESULT_FIELDS},
+            "dataset_parameters": spec.dataset_parameters, "answered": len(result.steps),
+            **{name: getattr(result, name) for name in _RESULT_FIELDS},
         }  # fmt: skip
         if result.conditions is not None:
             record["conditions"] = result.conditions.as_dict()
-        self.write(folder / RESULT, json.dumps(record, indent=1))
+        self.write(folder / RESULT, seal(record, {STEPS: steps}))
         self.clear_attempts(spec.key)
 
     def load_result(self, key: str) -> RunResult | None:
         """The stored result of a run; None where it is absent or damaged."""
         folder = self.run_folder(key)
         try:
-            record = untrusted_io.parse_json((folder / RESULT).read_bytes())
-            steps = read_steps(folder / STEPS)
-            if record["answered"] != len(steps):
-                return None
+            record = read_sealed(folder / RESULT)
             values: dict[str, Any] = {name: record[name] for name in _RESULT_FIELDS}
             values["cause"] = Cause(record["cause"])
             if (conditions := values["conditions"]) is not None:
                 values["conditions"] = RunConditions(**{k: v for k, v in conditions.items() if k != DISTURBED})
-            return RunResult(steps, **values)
+            return RunResult(whole_records(read_vouched(folder / STEPS, record)), **values)
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             return None
 
@@ -159,18 +160,20 @@ class Store:
         grid = scores.grid
         with as_store_error(folder):
             of_map = (self.folder / "maps" / f"{key}{ending}" for ending in (".pgm", ".yaml"))
-            for path in (folder / SCORES, folder / "grid.npz", folder / "errors.npy", *of_map):
+            for path in (folder / SCORES, folder / GRID, folder / ERRORS, *of_map):
                 path.unlink(missing_ok=True)
+        files: dict[str, bytes] = {}
         if grid is not None:
-            frame = [grid.resolution_m, grid.origin_x, grid.origin_y]
-            body = BytesIO()
+            frame, body = [grid.resolution_m, grid.origin_x, grid.origin_y], BytesIO()
             np.savez_compressed(body, log_odds=grid.log_odds, observed=grid.observed, frame=frame)
-            self.write(folder / "grid.npz", body.getvalue())
+            files[GRID] = body.getvalue()
             map_server.write_map(self.folder / "maps" / key, grid, self.folder)
         if scores.errors_m is not None:
             body = BytesIO()
             np.save(body, scores.errors_m)
-            self.write(folder / "errors.npy", body.getvalue())
+            files[ERRORS] = body.getvalue()
+        for name, raw in files.items():
+            self.write(folder / name, raw)
         content = {
             "fingerprint": fingerprint,
             "world_from_start": scores.world_from_start.row.tolist(),
@@ -179,21 +182,22 @@ class Store:
             "lost_reason": scores.lost.reason if scores.lost else "",
             "scores": {name: asdict(score) for name, score in scores.by_metric.items()},
         }
-        self.write(folder / SCORES, json.dumps(content, indent=1))
+        self.write(folder / SCORES, seal(content, files))
 
     def load_scores(self, key: str, fingerprint: str = "") -> Scores | None:
         """The stored scores of a run; None where they are absent, damaged, or of another ``fingerprint`` (if given)."""
         folder = self.run_folder(key)
         try:
-            content = untrusted_io.parse_json((folder / SCORES).read_bytes())
+            content = read_sealed(folder / SCORES)
             if fingerprint and content["fingerprint"] != fingerprint:
                 return None
+            files = {name: read_vouched(folder / name, content) for name in (GRID, ERRORS) if name in content[FILES]}
             return Scores(
                 {name: Score(**score) for name, score in content["scores"].items()},
                 Pose.of(content["world_from_start"]),
                 content["alignment"],
-                _load_grid(folder / "grid.npz"),
-                untrusted_io.read_array(folder / "errors.npy") if (folder / "errors.npy").exists() else None,
+                _parse_grid(files[GRID]) if GRID in files else None,
+                untrusted_io.parse_array(files[ERRORS]) if ERRORS in files else None,
                 LostTrack(content["lost_at_s"], content["lost_reason"]) if content["lost_at_s"] is not None else None,
             )
         except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError):
@@ -202,7 +206,7 @@ class Store:
     def load_score_values(self, key: str) -> dict[str, float | None]:
         """The values of a run's scores by metric; empty where there are none."""
         try:
-            content = untrusted_io.parse_json((self.run_folder(key) / SCORES).read_bytes())
+            content = read_sealed(self.run_folder(key) / SCORES)
             return {name: score["value"] for name, score in content["scores"].items()}
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             return {}
@@ -233,9 +237,7 @@ def hash_answers(result: RunResult) -> str:
     return hashed.hexdigest()
 
 
-def _load_grid(path: Path) -> OccupancyGrid | None:
-    if not path.exists():
-        return None
-    stored = untrusted_io.read_arrays(path)
+def _parse_grid(raw: bytes) -> OccupancyGrid:
+    stored = untrusted_io.read_arrays(BytesIO(raw))
     resolution_m, origin_x, origin_y = stored["frame"].tolist()
     return OccupancyGrid(stored["log_odds"], stored["observed"], resolution_m, origin_x, origin_y)

@@ -26,7 +26,7 @@ def print_summary(runs: Sequence[Run], title: str, store: Store, page: Path | No
 
     Exits with code 1 if a run that could have completed did not, with code 3 if a run is missing.
     """
-    skipped = [(spec, result) for spec, result in runs if result.status == RunStatus.SKIPPED]
+    skipped = [(spec, result) for spec, result in runs if result.status in (RunStatus.SKIPPED, RunStatus.INTERRUPTED)]
     if as_json:
         rows = [_run_as_json(spec, result, store) for spec, result in runs]
         options.print_json({"title": title, "page": str(page) if page else None, "runs": rows})
@@ -66,6 +66,8 @@ def _print_counts(runs: Sequence[Run], skipped: Sequence[Run]) -> None:
         missing = ", ".join(f"{spec.method.label} on {_format_sequence(spec)}" for spec, _ in skipped[:MAX_NAMED])
         more = f" and {len(skipped) - MAX_NAMED:,} more" if len(skipped) > MAX_NAMED else ""
         out.print(f"{len(skipped)} not run yet: {missing}{more}", markup=False, highlight=False)
+    for reason in dict.fromkeys(result.reason for _, result in skipped if result.status == RunStatus.INTERRUPTED):
+        out.print(f"interrupted: {reason}", markup=False, highlight=False)
 
 
 def _format_sequence(spec: RunSpec) -> str:

@@ -122,7 +122,8 @@ def test_page_schema_and_a_full_report_have_the_same_keys(demo, small):
     [
         ("request.json", {"backend_parameters", "dataset_parameters"}), ("started.json", ()),
         ("outcome.json", {"notes", "conditions"}),
-        ("result.json", {"notes", "provenance.versions"}), ("scores.json", {"scores"}),
+        ("result.json", {"notes", "provenance.versions", "files", "dataset_parameters"}),
+        ("scores.json", {"scores", "files"}),
     ],
 )  # fmt: skip
 def test_page_and_files_of_a_run_have_the_same_keys(small, name, free):

@@ -68,6 +68,9 @@ EXPECTED = (
     ("spin-in-child", "timeout", f"no answer for 2 s of CPU time after scan {AT}"),
     ("leak-in-child", "out-of-memory", "used more than 300 MiB"),
     ("flood", "failed", "code 9; last output: the wheel is off"),
+    ("hidden", "complete", ""),
+    ("hidden-exit", "failed", "code 9"),
+    ("kill-supervisor", "crashed", "terminated by SIGKILL"),
     ("matrix", "failed", "update() returned a ndarray, expected an evalkit.OdometryEstimate"),
 )
 """Every fault with the status it ends in and what the reason says."""
@@ -114,7 +117,9 @@ def test_every_fault_has_its_status_and_a_reason_that_describes_it(runs, fault, 
     assert bool(runs[fault].reason) == (status != "complete")
 
 
-@pytest.mark.parametrize("fault", sorted(set(FAULTS) - {"none", "chdir", "linger", "remove-folder"}))
+@pytest.mark.parametrize(
+    "fault", sorted(set(FAULTS) - {"none", "chdir", "linger", "remove-folder", "hidden", "kill-supervisor"})
+)
 def test_answers_before_the_fault_are_kept(runs, fault):
     run = runs[fault]
     assert run.steps["x"].tolist() == pytest.approx([0.1 * k for k in range(AT)])
@@ -136,6 +141,9 @@ def test_a_run_that_completes_has_every_scan_once_and_in_order(runs):
 def test_no_fault_leaves_a_process_behind(runs, root):
     assert (root / "daemon" / "request.json").exists()
     assert find_processes(root) == []
+    for fault in ("hidden", "hidden-exit"):
+        assert not psutil.pid_exists(int((root / fault / "hidden.pid").read_text()))
+    assert psutil.Process().children(recursive=True) == []  # every process, whatever its name
 
 
 def find_processes(folder):
@@ -176,7 +184,7 @@ def test_an_interrupted_run_keeps_its_answers(strangers, tmp_path):
     run = execute_run(
         tmp_path / "run", request("hang"), heard=lambda scans: stop.set() if scans == AT else None, stop=stop
     )
-    assert (run.status, run.reason, len(run.steps)) == ("failed", "interrupted", AT)
+    assert (run.status, run.reason, len(run.steps)) == ("interrupted", "interrupted", AT)
 
 
 def test_modules_in_the_working_directory_do_not_shadow_others(strangers, tmp_path, monkeypatch):

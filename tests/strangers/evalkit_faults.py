@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from evalkit.core.errors import DataMissing
 from evalkit.core.grid import OccupancyGrid
@@ -87,6 +88,25 @@ def _flood() -> None:
     os._exit(9)
 
 
+def _hide() -> None:
+    """Leave a process without a parent here, in its own session, with an empty environment and a plain name."""
+    middle = os.fork()
+    if middle == 0:
+        os.setsid()
+        hidden = os.fork()
+        if hidden:
+            (Path(sys.argv[-1]) / "hidden.pid").write_text(str(hidden))
+            os._exit(0)
+        os.chdir("/")
+        os.execve("/bin/sleep", ["sleep", "600"], {})
+    os.waitpid(middle, 0)
+
+
+def _hide_and_exit() -> None:
+    _hide()
+    os._exit(9)
+
+
 def _child() -> None:
     _sleeper()
     _sleeper(own_session=True)
@@ -131,7 +151,10 @@ FAULTS: dict[str, Callable[[], object]] = {
     "segfault": lambda: ctypes.string_at(0),
     "sigkill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "unnamed-signal": lambda: os.kill(os.getpid(), signal.SIGRTMIN + 5),
-    "kill-parent": lambda: os.kill(os.getppid(), signal.SIGKILL),
+    "kill-parent": lambda: os.kill(psutil.Process(os.getppid()).ppid(), signal.SIGKILL),  # above the supervisor
+    "kill-supervisor": lambda: os.kill(os.getppid(), signal.SIGKILL),
+    "hidden": _hide,
+    "hidden-exit": _hide_and_exit,
     "wait": lambda: time.sleep(0.3),
     "abort": os.abort,
     "exit": lambda: os._exit(3),

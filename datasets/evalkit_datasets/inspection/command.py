@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from evalkit.core.errors import BadData
-from evalkit.io.output_files import as_store_error
+from evalkit.io.output_files import write_texts
 from evalkit.terminal.options import Json, out, print_json
 from evalkit.terminal.text_list import print_hanging
 from evalkit_datasets.inspection.findings import Level, format_count
@@ -83,12 +83,8 @@ def _write_page(folder: Path, recording: Inspection, advice: SuggestedConfig | N
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads jinja2
     from evalkit_datasets.inspection.page import build_document  # noqa: PLC0415 - loads matplotlib
 
-    with as_store_error(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "inspection.json").write_text(
-            json.dumps(inspection_to_json(recording, advice), indent=1) + "\n", encoding="utf-8"
-        )
-        (folder / "index.html").write_text(render(build_document(recording, advice)), encoding="utf-8")
+    content = json.dumps(inspection_to_json(recording, advice), indent=1) + "\n"
+    write_texts(folder, {"inspection.json": content, "index.html": render(build_document(recording, advice))})
     return folder / "index.html"
 
 

@@ -10,7 +10,7 @@ import typer
 
 from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.io.map_server import write_map
-from evalkit.io.output_files import as_store_error
+from evalkit.io.output_files import as_store_error, create_folder, write_bytes
 from evalkit.terminal import options
 from evalkit.terminal.options import Json, err, out
 
@@ -75,6 +75,7 @@ def _check_formats(formats: list[str]) -> list[str]:
 def _write_format(name: str, selection: ExportSelection, folder: Path, all_formats: bool) -> list[Path]:
     try:
         with as_store_error(folder):
+            create_folder(folder / name, folder)
             return list(_writers()[name](selection, folder / name))
     except NotInstalled as error:
         if not all_formats:
@@ -104,8 +105,7 @@ def _writers() -> dict[str, Callable[[ExportSelection, Path], Iterator[Path]]]:
 
 def _write_files(files: Iterator[tuple[str, bytes]], folder: Path) -> Iterator[Path]:
     for name, content in files:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
+        write_bytes(folder / name, content, folder)
         yield folder / name
 
 

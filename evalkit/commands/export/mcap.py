@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats, Stamps
+from evalkit.io.output_files import staging_folder
 from evalkit.plugins.protocols import Sequence as SensorSequence
 from evalkit.results.run_record import RunRecord
 
@@ -43,15 +43,14 @@ BagMessage = tuple[int, str, Any]
 
 
 def write_run(folder: Path, run: RunRecord, sequence: SensorSequence) -> Path:
-    """Write the bag of one run (metadata.yaml and one .mcap) and return its folder; an older one is replaced.
+    """Write the bag of one run (metadata.yaml and one .mcap) and return its folder; older files are replaced.
 
     Frames: world_from_base_link is the estimate, world_from_truth the ground truth; /scan is in the lidar's frame.
     """
     builder = MessageBuilder()
     path = folder / run.key
-    shutil.rmtree(path, ignore_errors=True)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_bag(path, builder, _run_messages(builder, run, sequence))
+    with staging_folder(path, folder) as place:
+        write_bag(place, builder, _run_messages(builder, run, sequence))
     return path
 
 

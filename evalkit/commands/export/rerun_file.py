@@ -14,6 +14,7 @@ from evalkit.commands.export.poses import world_poses
 from evalkit.core import se2
 from evalkit.core.errors import NotInstalled
 from evalkit.core.se2 import Floats
+from evalkit.io.output_files import staging_folder
 from evalkit.plugins.protocols import Sequence as SensorSequence
 from evalkit.report.html.run_figures import Strokes
 from evalkit.results.run_record import RunRecord
@@ -38,18 +39,19 @@ def write_rerun(path: Path, runs: Sequence[RunRecord], sequence: SensorSequence 
     since the first scan on the timeline "recording".
     """
     rerun = import_rerun()
-    path.parent.mkdir(parents=True, exist_ok=True)
     begin = min(int(run.result.steps["stamp_ns"][0]) for run in runs)
-    stream = rerun.RecordingStream("evalkit", recording_id=path.stem, send_properties=False)
-    stream.save(path)
-    stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    true = next((run.truth.trajectory for run in runs if run.truth.trajectory is not None), None)
-    if true is not None and len(true):
-        stream.log("world/truth", rerun.LineStrips3D([_add_z(true.poses[:, :2])], colors=[[0, 0, 0]]), static=True)
-    for run in runs:
-        _log(rerun, stream, run, sequence, _rgb(strokes[run.method].colour), begin)
-    stream.flush()
-    stream.disconnect()
+    with staging_folder(path.parent, path.parent) as place:
+        place.mkdir()
+        stream = rerun.RecordingStream("evalkit", recording_id=path.stem, send_properties=False)
+        stream.save(place / path.name)
+        stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        true = next((run.truth.trajectory for run in runs if run.truth.trajectory is not None), None)
+        if true is not None and len(true):
+            stream.log("world/truth", rerun.LineStrips3D([_add_z(true.poses[:, :2])], colors=[[0, 0, 0]]), static=True)
+        for run in runs:
+            _log(rerun, stream, run, sequence, _rgb(strokes[run.method].colour), begin)
+        stream.flush()
+        stream.disconnect()
     return path
 
 

@@ -34,6 +34,7 @@ STATUS_LABELS: dict[RunStatus, str] = {
     RunStatus.OUT_OF_MEMORY: "out of memory",
     RunStatus.NOT_INSTALLED: "not installed",
     RunStatus.DATA_MISSING: "data missing",
+    RunStatus.INTERRUPTED: "interrupted",
     RunStatus.SKIPPED: "not run yet",
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 
 import numpy as np
@@ -15,6 +16,7 @@ from evalkit.core.errors import StoreError
 from evalkit.metrics import all_metrics
 from evalkit.report import write_report
 from evalkit.results.reader import StoredResults, StoredRun, load_stored_results
+from evalkit.results.seal import seal
 
 METRICS = {metric.name: metric for metric in all_metrics()}
 ATE, TIME = "ate_rmse_m", "cpu_median_ms"
@@ -185,7 +187,10 @@ def test_unreadable_folders_are_rejected_with_the_reason(folder, tmp_path):
     path.write_text(whole[: len(whole) // 2], encoding="utf-8")
     with pytest.raises(StoreError, match="half-written"):
         load_stored_results(path.parent)
-    path.write_text(json.dumps({"schema": {"name": "evalkit-results", "version": 3}}), encoding="utf-8")
+    path.write_text(whole.replace('"value": ', '"value": 1'), encoding="utf-8")
+    with pytest.raises(StoreError, match="damaged: its values do not agree with its checksum; write the report again"):
+        load_stored_results(path.parent)
+    path.write_text(seal({"schema": {"name": "evalkit-results", "version": 3}}, {}), encoding="utf-8")
     with pytest.raises(StoreError, match="is not complete"):
         load_stored_results(path.parent)
 
@@ -194,15 +199,16 @@ def test_a_folder_of_runs_without_a_report_is_read(tmp_path, record):
     made = record("a", "room", {ATE: 0.02}, seed=3)
     own = tmp_path / "runs" / "room-s3-a-0123456789"
     own.mkdir(parents=True)
-    (own / "request.json").write_text(json.dumps({"dataset_parameters": {"laps": 1.0, "seed": 3}}), encoding="utf-8")
-    (own / "result.json").write_text(
-        json.dumps({"method": "a", "sequence": "room", "status": "complete", "reason": ""}), encoding="utf-8"
-    )
-    (own / "scores.json").write_text(
-        json.dumps({"scores": {ATE: {"value": 0.02, "support": 60, "reason": ""}}}), encoding="utf-8"
-    )
-    (own / "steps.bin").write_bytes(made.result.steps.tobytes())
-    np.save(own / "errors.npy", made.scores.errors_m)
+    body = io.BytesIO()
+    np.save(body, made.scores.errors_m)
+    files = {"steps.bin": made.result.steps.tobytes(), "errors.npy": body.getvalue()}
+    result = {"method": "a", "sequence": "room", "status": "complete", "reason": "", "provenance": {}}
+    result["dataset_parameters"] = {"laps": 1.0, "seed": 3}
+    scores = {"scores": {ATE: {"value": 0.02, "support": 60, "reason": ""}}}
+    (own / "result.json").write_text(seal(result, files), encoding="utf-8")
+    (own / "scores.json").write_text(seal(scores, files), encoding="utf-8")
+    for name, content in files.items():
+        (own / name).write_bytes(content)
     (tmp_path / "runs" / "room-s4-a-0123456789").mkdir()
     found = load_stored_results(tmp_path)
     run = found.runs[("a", "room", 3)]

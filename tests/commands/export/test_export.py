@@ -29,6 +29,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.specs import DatasetSpec
 from evalkit.report.formatting import escape_markdown
 from evalkit.results.run_record import RunRecord
+from evalkit.results.seal import seal
 from evalkit.results.store import Store
 
 N = 30
@@ -419,3 +420,36 @@ def test_an_export_does_not_change_the_results_folder(finished_folder):
     before = sorted(path for path in finished_folder.rglob("*"))
     load_selection(finished_folder)
     assert sorted(path for path in finished_folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize("key", ["../../victim", "/tmp/victim", "..", ".hidden", "a/b", "", 3])
+def test_a_received_folder_cannot_name_files_outside_the_output(finished_folder, tmp_path, key):
+    received = tmp_path / "received"
+    shutil.copytree(finished_folder, received)
+    content = json.loads((received / "results.json").read_text(encoding="utf-8"))
+    del content["sha256"], content["files"]
+    content["runs"][0]["key"] = key
+    (received / "results.json").write_text(seal(content, {}), encoding="utf-8")
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    (victim / "mine.txt").write_text("mine")
+    result = CliRunner().invoke(app, ["export", str(received), "-f", "mcap", "--out", str(tmp_path / "out" / "deep")])
+    assert "runs[0].key: found" in str(result.exception)
+    assert (victim / "mine.txt").read_text() == "mine"
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_export_removes_nothing_that_it_did_not_write(finished_folder, tmp_path):
+    pytest.importorskip("rosbags")
+    (first,) = (run_export(finished_folder, "mcap", "--method", "wheel"))[:1]
+    (first / "notes.txt").write_text("mine")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.write_text("mine")
+    bag = next(first.glob("*.mcap"))
+    bag.unlink()
+    bag.symlink_to(elsewhere)
+    again = run_export(finished_folder, "mcap", "--method", "wheel")[0]
+    assert again == first
+    assert (first / "notes.txt").read_text() == elsewhere.read_text() == "mine"
+    assert not bag.is_symlink()
+    assert bag.stat().st_size > 1000

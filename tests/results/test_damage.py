@@ -1,0 +1,90 @@
+"""Random damage of a stored run is noticed: what is read is what was written, or nothing."""
+
+import json
+import random
+
+import numpy as np
+import pytest
+
+from evalkit.config.experiment import Method, RunSpec, SequenceSpec
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, RunConditions, RunResult, Score, Scores
+from evalkit.results.seal import check_seal, seal
+from evalkit.results.store import ERRORS, GRID, RESULT, SCORES, STEPS, Store
+
+KEY = "room-s0-icp-0123456789"
+SPEC = RunSpec(KEY, Method("icp", "icp", {}), SequenceSpec("room", "room", {}, (0,)), 0)
+DAMAGES = 1000
+
+
+@pytest.fixture
+def stored(tmp_path):
+    """Return the store of a tiny run, and what it reads."""
+    store = Store(tmp_path / "out")
+    steps = np.zeros(20, dtype=STEP)
+    steps["stamp_ns"], steps["x"] = np.arange(20) * 100_000_000, np.linspace(0.0, 1.0, 20)
+    result = RunResult(steps, 20, notes={"gaps": 2}, conditions=RunConditions(load=0.5))
+    log_odds = np.random.default_rng(0).normal(size=(12, 10)).astype(np.float32)
+    grid = OccupancyGrid(log_odds, log_odds > 0.0, 0.05, -1.0, 2.0)
+    scores = Scores({"ate": Score(1.0 / 3.0, 20)}, Pose(0.1, 0.2, 0.3), "first pose", grid, np.linspace(0.0, 0.1, 20))
+    store.create_run_folder(KEY)
+    store.save_result(SPEC, result)
+    store.save_scores(KEY, scores, "code")
+    return store
+
+
+def content_of(store):
+    """Return everything that is read of a run, None for a part that is not."""
+    result, scores = store.load_result(KEY), store.load_scores(KEY, "code")
+    return (
+        result and (result.steps.tobytes(), result.status, result.expected, result.notes, result.conditions),
+        scores and (scores.by_metric, scores.world_from_start, scores.grid.log_odds.tobytes(),
+                    scores.grid.observed.tobytes(), scores.grid.origin_x, scores.errors_m.tobytes()),
+        store.load_score_values(KEY) or None,
+    )  # fmt: skip
+
+
+def damage(chance, raw, other):
+    """Return the bytes of a file after one of the usual damages."""
+    at, length = chance.randrange(len(raw)), chance.choice([1, 4, 16, 512])
+    block = raw[at : at + length]
+    kinds = [
+        lambda: raw[:at] + bytes([raw[at] ^ 1 << chance.randrange(8)]) + raw[at + 1 :],
+        lambda: raw[:at] + bytes(len(block)) + raw[at + length :],
+        lambda: raw[:at] + chance.randbytes(len(block)) + raw[at + length :],
+        lambda: raw[:at],
+        lambda: raw[:at] + other[at:],  # torn: the rest is of another file
+        lambda: raw[:at] + raw[at + length :],
+        lambda: raw + block,
+        lambda: b"",
+        lambda: other,
+    ]
+    return chance.choice(kinds)()
+
+
+def test_no_random_damage_changes_a_value_that_is_read(stored):
+    chance, whole = random.Random(15), content_of(stored)
+    assert None not in whole
+    folder = stored.run_folder(KEY)
+    files = {name: (folder / name).read_bytes() for name in (RESULT, STEPS, SCORES, GRID, ERRORS)}
+    noticed = 0
+    for _ in range(DAMAGES):
+        name = chance.choice(list(files))
+        damaged = damage(chance, files[name], files[chance.choice(list(files))])
+        (folder / name).write_bytes(damaged)
+        for part, expected in zip(content_of(stored), whole, strict=True):
+            assert part is None or part == expected, f"{name}: {damaged[:200]!r}"
+        noticed += content_of(stored) != whole
+        (folder / name).write_bytes(files[name])
+    assert noticed > 0.8 * DAMAGES  # the rest are spaces in a text, and damages that change nothing
+
+
+def test_a_seal_is_of_the_values_and_not_of_their_order_or_spaces():
+    content = {"b": [1.5, None, float("nan")], "a": {"x": "ä"}}
+    text = seal(content, {"f": b"1"})
+    again = json.loads(text)
+    check_seal(dict(sorted(again.items())))
+    for changed in ({**again, "b": [1.5, None, 2.0]}, {**again, "more": 1}, {**again, "files": {}}, {"a": 1}):
+        with pytest.raises(ValueError, match="damaged: its values do not agree with its checksum"):
+            check_seal(changed)
