@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from evalkit_docs import command_reference, metric_reference, plugin_reference
+from evalkit_docs import command_reference, metric_reference, plugin_reference, tuning_reference
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"
@@ -16,6 +16,7 @@ GENERATED: Mapping[str, Callable[[], str]] = {
     "reference/commands.md": command_reference.write_commands,
     "reference/back-ends.md": plugin_reference.write_back_ends,
     "reference/data-sets.md": plugin_reference.write_data_sets,
+    "reference/tuning.md": tuning_reference.write_tuning,
 }
 """Pages generated from the program."""
 

@@ -234,3 +234,14 @@ def test_the_search_of_a_site_opened_from_disk_finds_a_metric_without_a_network(
         page.wait_for_selector(".md-search-result__item a[href*='reference/metrics.html']", timeout=20_000)
         browser.close()
     assert [url for url in asked_for if not url.startswith(("file:", "data:", "about:"))] == []
+
+
+def test_the_page_on_tuning_lists_every_method_that_was_tuned_and_on_what():
+    written = site.GENERATED["reference/tuning.md"]()
+    for name in registry.names("backends"):
+        tuned = registry.backend(name).tuned_on
+        assert (f"<td><code>{name}</code></td><td>{', '.join(tuned)}</td>" in written) == bool(tuned)
+        assert (f"`{name}`" in written) == (not tuned)
+    lasting = [line for line in written.splitlines() if "small-gicp, lasting map" in line]
+    assert [line.count("fr079, intel") for line in lasting] == [1, 1]
+    assert all("<code>local_map = voxels</code>" in line for line in lasting)

@@ -157,7 +157,8 @@ def _build_methods(comparison: Comparison, strokes: Strokes) -> list[Block]:
 
 def _method_card(label: str, card: MethodCard, place: int, strokes: Strokes) -> Card:
     facts = [("Initial guess", card.guess)] if card.guess else []
-    facts += [("Settings chosen on", ", ".join(card.tuned_on))] if card.tuned_on else []
+    chosen = f"{', '.join(card.tuned_on)} (documentation: How each method was tuned, on what)"
+    facts += [("Settings chosen on", chosen)] if card.tuned_on else []
     facts += [("Licence", card.licence), ("Source", card.citation)]
     blocks: list[Block] = [Text(capitalise(card.summary))]
     blocks += [Text(card.missing, "warn")] if card.missing else []
