@@ -31,6 +31,8 @@ CODES_M = (32.767,)
 MILLIMETRE_CODES_M = (8.18, 8.183, 8.187, 8.19, 8.191)
 """No-return values of a SICK LMS in millimetre mode; ordinary ranges in a log with longer ones."""
 
+UNUSABLE_STAMPS = "scans with unusable stamps, placed one second apart in line order"
+
 POSES_FROM = {
     "gmapping": "GMapping's poses from the log (particle filter; about 6 cm against relations)",
     "graph": "graph-optimised poses from the log (about 3 to 4 cm against relations)",
@@ -153,20 +155,13 @@ class Carmen:
             raise self._no_scan_error(log)
         order = order_stamps(scans.stamps_ns)
         if len(order.keep) < 0.5 * len(scans):
-            return self._order_by_lines(log, scans, len(order.keep))
+            return self._order_by_lines(scans)
         self._counts |= {"scans out of order": order.backwards, "scans with a repeated stamp dropped": order.repeated}
         return scans[order.keep]
 
-    def _order_by_lines(self, log: Log, scans: _Scans, distinct: int) -> _Scans:
-        """Return the scans one second apart in line order, for corrected logs, whose stamps have six digits or none."""
-        if not log.poses_from:
-            raise BadData(
-                str(self._path),
-                "",
-                f"{len(scans)} scans share {distinct} stamps",
-                "the ipc_timestamp (third word from the end) must differ between scans; use the original log",
-            )
-        self._counts["scans with unusable stamps, placed one second apart in line order"] = len(scans)
+    def _order_by_lines(self, scans: _Scans) -> _Scans:
+        """Return the scans one second apart in line order, for logs whose stamps are absent or have too few digits."""
+        self._counts[UNUSABLE_STAMPS] = len(scans)
         return replace(scans, stamps_ns=np.arange(len(scans), dtype=np.int64) * 10**9)
 
     def _no_scan_error(self, log: Log) -> BadData:
@@ -195,9 +190,11 @@ class Carmen:
                 f"the poses in this log are not odometry: {POSES_FROM[log.poses_from]}",
                 "use odometry 'none' (or 'auto')",
             )
-        if wanted == "odom-lines" and not len(log.odometry):
-            raise BadData(str(self._path), "odometry 'odom-lines'", "no ODOM line", "use 'scan-poses' or 'none'")
-        source = _select_odometry(log, scans) if wanted == "auto" else wanted
+        timed = UNUSABLE_STAMPS not in self._counts
+        if wanted == "odom-lines" and not (timed and len(log.odometry)):
+            what = "no usable stamps" if len(log.odometry) else "no ODOM line"
+            raise BadData(str(self._path), "odometry 'odom-lines'", what, "use 'scan-poses' or 'none'")
+        source = _select_odometry(log, scans, timed) if wanted == "auto" else wanted
         if source == "odom-lines":
             return self._interpolate_lines(log)
         if source == "scan-poses":
@@ -231,11 +228,11 @@ def _select_no_return_codes(scans: _Scans) -> Floats:
     return np.array([*CODES_M, *(MILLIMETRE_CODES_M if longest in MILLIMETRE_CODES_M else ())])
 
 
-def _select_odometry(log: Log, scans: _Scans) -> str:
-    """Return the source of odometry for "auto"."""
+def _select_odometry(log: Log, scans: _Scans, timed: bool) -> str:
+    """Return the source of odometry for "auto"; ``timed``: whether the stamps of the scans are usable."""
     if log.poses_from:
         return "none"
-    if len(log.odometry):
+    if timed and len(log.odometry):
         return "odom-lines"
     return "scan-poses" if (scans.robot != scans.robot[0]).any() else "none"
 
@@ -273,6 +270,7 @@ SPEC = DatasetSpec(
     citation="CARMEN, the Carnegie Mellon Robot Navigation Toolkit (Montemerlo, Roy, Thrun, IROS 2003)",
     licence="that of the recording",
     suffixes=(".log", ".clf", ".log.gz", ".clf.gz", ".gfs"),
+    recognises=carmen_parser.is_carmen,
     parameters=(
         Parameter("path", "", "", "the log"),
         *truth_files.PARAMETERS,

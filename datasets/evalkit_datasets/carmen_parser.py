@@ -10,11 +10,12 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from evalkit.core.errors import BadData
+from evalkit.core.errors import BadData, DataMissing
 from evalkit.core.se2 import Floats
 from evalkit.io.text_lines import iter_lines
 from evalkit.io.timestamps import parse_stamp_ns
@@ -22,6 +23,9 @@ from evalkit_datasets.buffers import PoseBuffer
 
 STEP_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5}
 """Degrees between beams by number of beams, for a SICK LMS: FLASER lines do not contain it."""
+
+MAX_LINES_BEFORE = 2000
+"""Lines of a log among which the first scan or pose is looked for: parameters and comments come before."""
 
 Row = tuple[float, float, float]
 
@@ -101,6 +105,15 @@ def iter_readings_at(path: Path, layout: Layout, numbers: Iterable[int]) -> Iter
             number = next(wanted, None)
     if number is not None:
         raise _changed_error(path)
+
+
+def is_carmen(path: Path) -> bool:
+    """Return whether one of the first lines of a file, plain or gzip, is a scan or an odometry pose of a CARMEN log."""
+    try:
+        return any(line.split(maxsplit=1)[:1] and line.split(maxsplit=1)[0] in _KNOWN_LINES
+                   for line in islice(iter_log_lines(path), MAX_LINES_BEFORE))  # fmt: skip
+    except (BadData, DataMissing):
+        return False
 
 
 def iter_log_lines(path: Path) -> Iterator[bytes]:
@@ -189,6 +202,9 @@ _LINES: dict[bytes, Callable[[Log, list[bytes]], None]] = {
     b"PARAM": _add_param,
     b"RLASER": _count_rear,
 }
+
+
+_KNOWN_LINES = frozenset({*_LASERS, b"ODOM"})
 
 
 def _parse_beams(words: list[bytes], at: int, others: int) -> int:

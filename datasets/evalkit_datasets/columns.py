@@ -24,18 +24,21 @@ from evalkit.plugins.parameters import Parameter
 from evalkit.plugins.specs import DatasetSpec
 from evalkit_datasets import reader_common, truth_files
 from evalkit_datasets.buffers import sort_by_rank
+from evalkit_datasets.carmen_parser import is_carmen
 from evalkit_datasets.columns_layout import (
     ANGLE_UNITS,
     LENGTH_UNITS,
     TIME_DIGITS,
     ColumnsLayout,
     TickColumns,
+    is_described,
     layout_from_table,
     read_layout,
 )
 from evalkit_datasets.truth_files import TruthPaths
 
 EXPECTED = "a text log in columns"
+MAX_CLOCK_NS = 4e18
 _SEPARATORS = bytes.maketrans(b",;\t", b"   ")
 
 
@@ -150,6 +153,8 @@ class Columns:
             )
             raise BadData(str(self._path), place, what, "describe its columns in the layout, or give another file")
         range_ns = layout.time.wraps_at * 10 ** (9 - TIME_DIGITS[layout.time.unit])
+        if len(counts) * float(range_ns) > MAX_CLOCK_NS:
+            raise BadData(str(self._path), "", f"{len(counts)} wraps of the clock are too long", "check time.wraps_at")
         stamps = _unwrap(np.array(counts, dtype=np.int64), range_ns, backwards=False)
         table = np.array(values, dtype=np.float64).reshape(len(lines), len(layout.odometry_columns))
         return stamps, np.array(lines, dtype=np.int64), table, damaged
@@ -224,6 +229,10 @@ def integrate_ticks(wheels: TickColumns, counts: Floats) -> Floats:
     return np.column_stack([x, y, wrap(headings)])
 
 
+def _is_described(path: Path) -> bool:
+    return is_described(path) and not is_carmen(path)
+
+
 SPEC = DatasetSpec(
     make=Columns,
     summary="A text log in columns (CSV, TSV, blanks), described by a TOML file",
@@ -232,6 +241,7 @@ SPEC = DatasetSpec(
     citation="-",
     licence="that of the recording",
     suffixes=(".csv", ".tsv", ".txt", ".csv.gz", ".tsv.gz", ".txt.gz"),
+    recognises=_is_described,
     parameters=(
         Parameter("path", "", "", "the log"),
         Parameter("layout", "", "", "path of the TOML file that describes the columns; empty: <path>.toml"),
@@ -240,4 +250,5 @@ SPEC = DatasetSpec(
     ),
     missing=partial(reader_common.describe_missing_files, "columns"),
     thinned_by="every",
+    choose=reader_common.choose_parameters,
 )

@@ -126,6 +126,11 @@ class ColumnsLayout:
         return max(self.time.column, self.scan.first - 1 + max(self.scan.beams, 2), odometry)
 
 
+def is_described(path: Path) -> bool:
+    """Return whether a description of its columns lies beside a log."""
+    return path.with_name(f"{path.name}.toml").is_file()
+
+
 def read_layout(path: Path) -> ColumnsLayout:
     """Return the layout of a TOML file; raises DataMissing if there is none and BadData if it is not valid."""
     try:

@@ -47,7 +47,7 @@ class Recording:
 
 
 def open_recording(path: Path, settings: Mapping[str, str]) -> Recording:
-    """Find the reader of a recording by the suffix of the file; ``settings``: parameters of the reader, as text.
+    """Find the reader of a recording by its content or suffix; ``settings``: parameters of the reader, as text.
 
     Raises BadData if no reader fits.
     """
@@ -129,7 +129,11 @@ def _find_recording(path: Path) -> tuple[Path, str, DatasetSpec]:
 
 
 def _find_reader(path: Path, readers: Mapping[str, DatasetSpec]) -> tuple[str, DatasetSpec] | None:
-    """The first reader with the suffix of the file, or of a file in the folder."""
+    """The reader that recognises the file, else the first with the suffix of the file, or of a file in the folder."""
+    if path.is_file():
+        for name, spec in readers.items():
+            if spec.recognises is not None and spec.recognises(path):
+                return name, spec
     names = [path.name, *(file.name for file in _list_folder(path))]
     fits = ((name, spec) for name, spec in readers.items() if any(n.lower().endswith(spec.suffixes) for n in names))
     return next(fits, None)

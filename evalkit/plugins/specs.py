@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, is_dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from evalkit.plugins.parameters import EXCERPT, NUISANCE, Parameter, Value, declared_parameters
@@ -197,6 +198,7 @@ class DatasetSpec:
     ``thinned_by``: name of the parameter n that takes every n-th scan of the sensor, "" where every scan is taken;
     without it the period of the sensor is estimated too long. ``excerpts``: parameters of a part of the data that is
     long enough to validate an implementation; commands without a given sequence use the data sets that have one.
+    ``recognises(path)``: whether a file is one of a reader's by its content, whatever its suffix; None: never.
     ``choose(parameters)``: what a reader finds in a file and beside it; ``parameters``: those given, the path included.
     """
 
@@ -211,6 +213,7 @@ class DatasetSpec:
     published: tuple[Published, ...] = ()
     seeded: bool = False
     suffixes: tuple[str, ...] = ()
+    recognises: Callable[[Path], bool] | None = None
     parameters: tuple[Parameter, ...] = ()
     missing: Callable[..., str] = nothing_missing
     thinned_by: str = ""

@@ -145,9 +145,21 @@ def test_start_every_and_limit_choose_scans(tmp_path):
         Carmen(path, start=10)
 
 
-def test_a_raw_log_with_repeated_scan_stamps_is_rejected(tmp_path):
-    with pytest.raises(BadData, match="3 scans share 1 stamps"):
-        Carmen(log(tmp_path, *[flaser(0)] * 3))
+@pytest.mark.parametrize("tail", [[], ["NEFF 3"]])
+def test_scans_without_usable_stamps_are_placed_in_line_order_in_every_log(tmp_path, tail):
+    lines = [flaser(0, robot=(float(at), 0, 0)) for at in range(3)]
+    sequence = Carmen(log(tmp_path, "ODOM 9 9 9 0 0 0 0 h 0", *lines, *tail))
+    frames = list(sequence.frames())
+    assert [frame.scan.stamp_ns // 10**9 for frame in frames] == [0, 1, 2]
+    assert sequence.notes()["scans with unusable stamps, placed one second apart in line order"] == 3
+    # raw poses are odometry: those in the lines of the scans, since an ODOM line cannot be related to a scan
+    assert [frame.odom_from_base and frame.odom_from_base.x for frame in frames] == ([None] * 3 if tail else [0, 1, 2])
+
+
+def test_odometry_lines_without_usable_stamps_cannot_be_chosen(tmp_path):
+    path = log(tmp_path, "ODOM 9 9 9 0 0 0 0 h 0", *[flaser(0)] * 3)
+    with pytest.raises(BadData, match="odometry 'odom-lines': no usable stamps; use 'scan-poses'"):
+        Carmen(path, odometry="odom-lines")
 
 
 def test_frames_can_be_iterated_again(tmp_path):

@@ -1,9 +1,12 @@
 """The inspection of recordings: recordings with one known defect each, and real ones with known properties."""
 
+import gzip
 import json
 import math
 import os
+import shlex
 import tomllib
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +14,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from evalkit import cli
 from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.errors import BadData
 from evalkit.plugins import registry
+from evalkit_datasets.example_bag import write_example
 from evalkit_datasets.inspection import odometry_stats
 from evalkit_datasets.inspection.command import inspect
 from evalkit_datasets.inspection.inspector import inspect_recording
@@ -287,6 +292,114 @@ def test_the_command_prints_json_and_writes_a_page(tmp_path):
     assert "[[sequence]]" in told
 
 
+@pytest.mark.parametrize("last", [4.29e9, 1e6])
+def test_stamps_over_a_century_do_not_fill_the_memory(tmp_path, last):
+    """A grid of half seconds over these times would have 8.6e9 cells."""
+    stamps = [-208.0, *(1000.0 + 0.1 * at for at in range(60)), last]
+    poses = arc(count=62).poses
+    lines = [flaser(f"{stamp:.6f}", walls(1)[0], pose) for stamp, pose in zip(stamps, poses, strict=True)]
+    path = log(tmp_path, *lines)
+    tracemalloc.start()
+    found = inspect_recording(path)
+    build_document(found, suggest_config(found))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2**28
+    assert found.lidars[0].timing.duration_s == pytest.approx(last + 208.0)
+    assert found.odometries[0].fastest_m_s == pytest.approx(0.3, abs=0.02)  # as between the usual stamps
+
+
+def test_poses_with_equal_stamps_are_all_on_the_path():
+    poses = np.stack([0.1 * np.arange(100.0), np.zeros(100), np.zeros(100)], axis=-1)
+    for stamps in (np.arange(100) // 2 * S, np.zeros(100, dtype=np.int64)):  # pairs, and all of them
+        found = measure_odometry(OdometryStream("x", "odom", "base", stamps, poses))
+        assert found.path_m == pytest.approx(9.9)
+        assert found.median_step_m == pytest.approx(0.1)
+        assert found.jump_count == 0
+        assert found.net[0] == pytest.approx(9.9)
+
+
+def test_raw_odometry_of_a_gmapping_log_is_not_taken_for_poses_of_a_filter(tmp_path):
+    """Half a metre and more apart, wheels do not stay on one arc; the ODOM line carries the previous reading's pose."""
+    rng = np.random.default_rng(0)
+    heading = np.cumsum(0.1 * rng.standard_normal(4000))
+    fine = np.stack([np.cumsum(0.02 * np.cos(heading)), np.cumsum(0.02 * np.sin(heading)), heading], axis=-1)
+    poses, lines = fine[::30], []
+    for at, row in enumerate(walls(len(poses))):
+        x, y, theta = poses[at]
+        x0, y0, theta0 = poses[max(at - 1, 0)]
+        ranges = " ".join(f"{value:.2f}" for value in row)
+        lines += [f"ODOM {x0} {y0} {theta0} {at}.5", f"LASER_READING 180 {ranges} {x} {y} {theta} {at}.5"]
+    found = inspect_recording(log(tmp_path, *lines, name="made.gfs"))
+    (odometry,) = found.odometries
+    assert odometry.median_step_m > 0.3
+    assert odometry.like_wheels
+    assert "filter" not in run_inspection(found)
+    assert "odometry" not in suggest_config(found).parameters
+    assert odometry.net[0] == pytest.approx(poses[-1, 0] - poses[0, 0], abs=2.0)
+
+
+def write_columns(folder):
+    path = folder / "drive.csv"
+    path.write_text("t,x,y,h,ranges\n" + "".join(
+        f"{0.1 * at},{pose[0]},{pose[1]},{pose[2]},{','.join(f'{r:.2f}' for r in row)}\n"
+        for at, (pose, row) in enumerate(zip(arc(count=60).poses, walls(60), strict=True))
+    ))  # fmt: skip
+    path.with_name("drive.csv.toml").write_text(
+        "header_lines = 1\n[time]\ncolumn = 1\n[scan]\nfirst = 5\nstep_deg = 1\n[pose]\nx = 2\ny = 3\nheading = 4\n"
+    )
+    return path
+
+
+RECORDINGS = {
+    "odometry": lambda folder: log(folder, *drive()),
+    "a code": lambda folder: log(folder, *drive(code=30.0)),
+    "another suffix": lambda folder: log(folder, *drive(), name="drive.txt"),
+    "blanks in its name": lambda folder: log(folder, *drive(), name="my drive's log"),
+    "no suffix, gzip": lambda folder: packed(log(folder, *drive())),
+    "filter poses": lambda folder: log(folder, *(flaser(f"{1000 + at}", row, pose) for at, (row, pose) in enumerate(
+        zip(walls(60), arc(count=60, noise=0.01).poses, strict=True)))),
+    "no stamps": lambda folder: log(folder, *(flaser("0", row, pose) for row, pose in zip(
+        walls(60), arc(count=60).poses, strict=True))),
+    "corrected": lambda folder: log(folder, *(flaser(f"{at}", row, (0.9 * at, 0, 0), "pippo")
+        for at, row in enumerate(walls(30))), "NEFF 1"),
+    "columns": write_columns,
+    "bag": lambda folder: write_example(folder / "drive", "lab", {"laps": 0.05}).bag,
+}  # fmt: skip
+
+
+def packed(path):
+    target = path.with_name("drive")
+    target.write_bytes(gzip.compress(path.read_bytes()))
+    return target
+
+
+def run_suggested(found):
+    """Run the suggested command, without its runs, and return its result."""
+    advice = suggest_config(found)
+    words = shlex.split(advice.command)
+    assert words[:2] == ["evalkit", "compare"]
+    return CliRunner().invoke(cli.app, [*words[1:], "--backends", "wheel-odometry", "--collect"])
+
+
+@pytest.mark.parametrize("kind", RECORDINGS)
+def test_the_suggested_command_is_accepted(kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = inspect_recording(RECORDINGS[kind](tmp_path))
+    assert suggest_config(found).problem == ""
+    result = run_suggested(found)
+    assert "1 not run yet" in result.output or "no wheel odometry" in result.output, result.output
+
+
+@pytest.mark.parametrize("name", ["static-2xhokuyo.bag"])
+@pytest.mark.slow
+def test_the_suggested_command_of_a_real_bag_is_accepted(name, tmp_path, monkeypatch):
+    path = recorded("bags", name)
+    monkeypatch.chdir(tmp_path)
+    result = run_suggested(inspect_recording(path))
+    assert "1 not run yet" in result.output or "no wheel odometry" in result.output, result.output
+
+
 # --- known properties of real recordings
 
 
@@ -333,7 +446,7 @@ def test_pseudo_odometry_is_rejected():
     assert "1211.00 to 1211.51 s" in run_inspection(found)
     assert advice.parameters["odometry"] == "none"
     assert advice.parameters["relations"].endswith("fr079.relations")
-    assert (advice.scans, advice.catalogued) == (4791, "fr079")
+    assert (advice.scans, advice.catalogued) == (4791, "")  # a file made otherwise than the catalogued one
     assert any("x -0.040 m" in reason for reason in advice.reasons)
     assert "360 beams are assumed to begin at -90 deg" in run_inspection(found)
     assert build_document(found, advice).title == "fr079-fullrate.clf.gz"

@@ -118,7 +118,8 @@ def _check_lidars(lidars: Sequence[LidarStats]) -> Iterator[InspectionFinding]:
 def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
     found, about = lidar.timing, lidar.topic
     if not found.usable:
-        yield _problem(about, f"{found.repeated} of {found.count} scans have the stamp of another scan")
+        advice = "the reader places the scans one second apart in the order of the file: times and speeds are unknown"
+        yield _problem(about, f"{found.repeated} of {found.count} scans have the stamp of another scan", advice)
     elif found.repeated or found.backwards:
         what = f"stamps decrease {found.backwards} times, {found.repeated} are repeated"
         yield _warning(about, what, "the reader sorts the scans and keeps the first of equal stamps")
@@ -195,7 +196,9 @@ def advise_on_code(low_m: float, range_max_m: float | None) -> str:
     if range_max_m is not None:
         return "the driver should send inf; the reader treats it as a hit"
     return (
-        HANDLED if low_m >= 50.0 or is_default_code(low_m) else f"set range_max_m = {math.floor(low_m * 100) / 100:g}"
+        HANDLED
+        if low_m >= 50.0 or is_default_code(low_m)
+        else f"set range_max_m = {math.floor(low_m * 100) / 100:g} (m)"
     )
 
 
@@ -266,7 +269,7 @@ def _check_frames(tree: FrameTree, streams: RecordingStreams) -> Iterator[Inspec
         return
     if not tree.names and streams.lasers:
         yield _warning("tf", "no transforms in it: the lidar's pose on the base is unknown",
-                      "give base_from_sensor = 'x y theta'")  # fmt: skip
+                      "give base_from_sensor = 'x y theta' (m, m, rad)")  # fmt: skip
     for child, parents in tree.contested.items():
         yield _warning("tf", f"frame '{child}' has several parents: {', '.join(parents)}")
     siblings = [child for parent, child in streams.tree.moving if parent == "odom"]

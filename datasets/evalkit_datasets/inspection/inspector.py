@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evalkit_datasets import rosbag_parser
+from evalkit_datasets.carmen_parser import is_carmen
+from evalkit_datasets.columns_layout import is_described
 from evalkit_datasets.inspection import bag_streams, findings, log_streams
 from evalkit_datasets.inspection.findings import InspectionFinding, LidarStats
 from evalkit_datasets.inspection.frame_tree import FrameTree, build_frame_tree
@@ -39,9 +41,13 @@ class Inspection:
 
 
 def inspect_recording(path: Path) -> Inspection:
-    """Return the inspection of a bag (ROS 1 or 2) or a CARMEN log; raises BadData or DataMissing as the readers."""
-    is_bag = path.is_dir() or path.suffix in rosbag_parser.SUFFIXES
-    streams = bag_streams.read_bag_streams(path) if is_bag else log_streams.read_log_streams(path)
+    """Return the inspection of a bag (ROS 1 or 2) or a text log; raises BadData or DataMissing as the readers."""
+    if path.is_dir() or path.suffix in rosbag_parser.SUFFIXES:
+        streams = bag_streams.read_bag_streams(path)
+    elif is_described(path) and not is_carmen(path):
+        streams = log_streams.read_column_streams(path)
+    else:
+        streams = log_streams.read_log_streams(path)
     lidars = tuple(_measure_lidar(laser) for laser in streams.lasers)
     odometries = tuple(measure_odometry(wheels) for wheels in streams.wheels)
     best = max(range(len(lidars)), key=lambda at: measured_directions(lidars[at]), default=None)

@@ -12,6 +12,7 @@ from evalkit.core.se2 import Stamps
 from evalkit.io.timestamps import parse_stamp_ns
 from evalkit_datasets import carmen_parser
 from evalkit_datasets.carmen_parser import Log, Reading
+from evalkit_datasets.columns import Columns
 from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, RecordingStreams, Topic
 
 OTHER_FILES = {
@@ -23,6 +24,8 @@ OTHER_FILES = {
 }
 """What to do with files that are not recordings, by suffix."""
 
+COLUMNS_KIND = "log in columns"
+
 LASER_LINES = (b"FLASER", b"ROBOTLASER1")
 MAX_REMARKS = 5
 SCAN_POSES = "robot pose of each scan"
@@ -33,7 +36,11 @@ def read_log_streams(path: Path) -> RecordingStreams:
     log, readings = carmen_parser.read_log(path)
     if not (readings or len(log.odometry) or log.damaged):
         what = "no line begins with FLASER, ROBOTLASER1, LASER_READING or ODOM"
-        remedy = OTHER_FILES.get(path.suffix, "give a bag (.bag, .db3, .mcap, or the folder of one) or a CARMEN log")
+        remedy = OTHER_FILES.get(
+            path.suffix,
+            "give a bag (.bag, .db3, .mcap, or the folder of one), a CARMEN log, "
+            f"or describe the columns of a text log in {path.name}.toml",
+        )
         raise BadData(str(path), "", what, remedy)
     kinds: Counter[str] = Counter()
     remarks: list[str] = []
@@ -58,6 +65,26 @@ def read_log_streams(path: Path) -> RecordingStreams:
         path, "CARMEN log", topics, lasers, _make_odometry_streams(log, readings), poses_from=log.poses_from,
         digits=digits, damaged=log.damaged, remarks=comments,
     )  # fmt: skip
+
+
+def read_column_streams(path: Path) -> RecordingStreams:
+    """Return the streams of a log in columns with its layout beside it; raises as ``Columns``."""
+    sequence = Columns(str(path))
+    frames = list(sequence.frames())
+    first = frames[0].scan
+    stamps = np.array([frame.scan.stamp_ns for frame in frames], dtype=np.int64)
+    laser = LaserStream(
+        "columns", "columns", "laser", stamps, None, [frame.scan.ranges for frame in frames], first.angles,
+        first.range_min_m, first.range_max_m, first.time_increment_ns,
+    )  # fmt: skip
+    poses = [frame.odom_from_base.row for frame in frames if frame.odom_from_base is not None]
+    wheels = [OdometryStream("columns", "odom", "base", stamps, np.array(poses))] if poses else []
+    seconds = float(stamps[-1] - stamps[0]) * 1e-9
+    rate = len(frames) / seconds if seconds > 0.0 else float("nan")
+    topics = [Topic("lines", "a scan each", len(frames), rate)]
+    return RecordingStreams(
+        path, COLUMNS_KIND, topics, [laser], wheels, damaged=sequence.notes().get("damaged lines dropped", 0)
+    )
 
 
 def _make_laser_stream(readings: list[Reading], tails: list[tuple[bytes, bytes]]) -> LaserStream:

@@ -11,7 +11,13 @@ from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets.inspection.streams import LaserStream, OdometryStream
-from evalkit_datasets.inspection.timing import ClockOffset, StreamTiming, measure_clock_offset, measure_timing
+from evalkit_datasets.inspection.timing import (
+    ClockOffset,
+    StreamTiming,
+    measure_clock_offset,
+    measure_timing,
+    seconds_since_first,
+)
 
 STANDING = (0.005, 0.005)
 """Speeds (m/s, rad/s) below this are standing."""
@@ -32,6 +38,10 @@ MIN_STILL = 0.002
 """Share of exactly equal poses expected of wheels that stand at times; noisy poses are never equal."""
 
 MIN_STEP_M = 0.005
+
+MAX_ARC_M = 0.3
+"""A robot driven by wheels may change its curvature within longer steps, so that they do not lie on an arc."""
+
 MAX_LISTED_JUMPS = 10
 
 
@@ -93,19 +103,21 @@ class OdometryStats:
 
 def measure_odometry(wheels: OdometryStream) -> OdometryStats:
     """Return the statistics of an odometry with at least one pose."""
-    stamps, first = np.unique(wheels.stamps_ns, return_index=True)
-    poses = wheels.poses[first]
+    timing = measure_timing(wheels.stamps_ns)
+    # poses with equal stamps are all on the path; where most stamps are equal, only the order of the file is usable
+    order = np.argsort(wheels.stamps_ns, kind="stable") if timing.usable else np.arange(len(wheels.stamps_ns))
+    poses = wheels.poses[order]
     steps = se2.between(poses[:-1], poses[1:])
     metres, turns = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
-    seconds = np.diff(stamps) * 1e-9
-    jumps = _find_jumps(stamps, metres, turns, seconds)
-    _, speeds, rates = _measure_speeds(stamps, poses)
+    jumps = _find_jumps(wheels.stamps_ns[order], metres, turns) if timing.usable else []
+    stamps, first = np.unique(wheels.stamps_ns, return_index=True)
+    _, speeds, rates = _measure_speeds(stamps, wheels.poses[first])
     net = se2.between(poses[0], poses[-1])
     return OdometryStats(
         wheels.topic,
         wheels.parent,
         wheels.child,
-        measure_timing(wheels.stamps_ns),
+        timing,
         None if wheels.recorded_ns is None else measure_clock_offset(wheels.stamps_ns, wheels.recorded_ns),
         float(metres.sum()),
         math.degrees(float(turns.sum())),
@@ -179,8 +191,9 @@ def compare_turns(wheels: OdometryStream, laser: LaserStream) -> TurnComparison 
 def _select_pairs(times: Stamps, poses: Floats, middle_m: float) -> list[tuple[int, int]]:
     """Return pairs of scans within 3 s between which the odometry rotates by 3 to 35 deg, nearly on the spot."""
     pairs = []
+    seconds = seconds_since_first(times)
     for one in range(len(times)):
-        last = int(np.searchsorted(times, times[one] + int(MAX_PAIR_S * 1e9), side="right"))
+        last = int(np.searchsorted(seconds, seconds[one] + MAX_PAIR_S, side="right"))
         for other in range(one + 1, min(last, one + 12)):
             turn = abs(float(se2.wrap(poses[other, 2] - poses[one, 2])))
             if turn > MAX_TURN:
@@ -223,29 +236,45 @@ def _shift_cost(one: Floats, other: Floats, shift: int) -> float:
     return float(np.median(apart[known])) if known.sum() >= 20 else float("nan")
 
 
-def _find_jumps(stamps: Stamps, metres: Floats, turns: Floats, seconds: Floats) -> list[Jump]:
+def _find_jumps(stamps: Stamps, metres: Floats, turns: Floats) -> list[Jump]:
+    """Return the implausible steps between sorted times; steps without a time between them are none."""
+    times = seconds_since_first(stamps)
+    seconds = np.diff(times)
     far = (metres > MIN_JUMP[0]) & (metres > MAX_SPEED[0] * seconds)
     turned = (turns > MIN_JUMP[1]) & (turns > MAX_SPEED[1] * seconds)
     return [
-        Jump(float(stamps[at + 1] - stamps[0]) * 1e-9, float(metres[at]), math.degrees(float(turns[at])))
-        for at in np.flatnonzero(far | turned)
+        Jump(float(times[at + 1]), float(metres[at]), math.degrees(float(turns[at])))
+        for at in np.flatnonzero((far | turned) & (seconds > 0.0))
     ]
 
 
 def _measure_speeds(stamps: Stamps, poses: Floats) -> tuple[Stamps, Floats, Floats]:
-    """Return starts (K,) of intervals of half a second, forward speed (m/s) and yaw rate (rad/s) in each."""
-    if len(stamps) < 2 or stamps[-1] - stamps[0] < 2 * BIN_NS:
-        return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
-    length = max(BIN_NS, int(np.median(np.diff(stamps))))
-    edges = np.arange(stamps[0], stamps[-1], length)
-    rows = se2.interpolate(stamps, poses, edges)
-    moved = se2.between(rows[:-1], rows[1:])
-    return edges[:-1], moved[:, 0] / (length * 1e-9), moved[:, 2] / (length * 1e-9)
+    """Return starts (K,) of intervals of half a second, forward speed (m/s) and yaw rate (rad/s) in each.
+
+    Only intervals that contain a pose are used: at most as many as there are poses, however far apart their times are.
+    """
+    none = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
+    times = seconds_since_first(stamps)
+    length = max(BIN_NS * 1e-9, float(np.median(np.diff(times)))) if len(stamps) > 1 else 0.0
+    if len(stamps) < 2 or times[-1] < 2.0 * length:
+        return none
+    begins = stamps[0] + np.unique((times / length).astype(np.int64)) * np.int64(length * 1e9)
+    begins = begins[begins + np.int64(length * 1e9) < stamps[-1]]
+    if not len(begins):
+        return none
+    ends = begins + np.int64(length * 1e9)
+    moved = se2.between(se2.interpolate(stamps, poses, begins), se2.interpolate(stamps, poses, ends))
+    return begins, moved[:, 0] / length, moved[:, 2] / length
 
 
 def _measure_sideways(steps: Floats) -> float:
-    """Return the median slip: the deviation from an arc that starts along x and ends at y = x tan(theta / 2)."""
+    """Return the median slip: the deviation from an arc that starts along x and ends at y = x tan(theta / 2).
+
+    It is nan if the median step is longer than ``MAX_ARC_M``: between such poses wheels do not drive a single arc.
+    """
     moving = np.abs(steps[:, 0]) > MIN_STEP_M
+    if moving.any() and np.median(np.abs(steps[moving, 0])) > MAX_ARC_M:
+        return float("nan")
     along, across = steps[moving, 0], steps[moving, 1] - steps[moving, 0] * np.tan(0.5 * steps[moving, 2])
     return float(np.median(np.abs(across)) / np.median(np.abs(along))) if moving.sum() >= 20 else float("nan")
 

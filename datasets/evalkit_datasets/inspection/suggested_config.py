@@ -5,18 +5,21 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from evalkit.core.errors import BadData, DataMissing, EvalkitError
 from evalkit.core.pose import Pose
 from evalkit.plugins.parameters import Value
+from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import Choice
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.carmen import Carmen
+from evalkit_datasets.columns import Columns
 from evalkit_datasets.inspection.findings import LidarStats, is_default_code
 from evalkit_datasets.inspection.inspector import Inspection, inspect_recording, measured_directions
+from evalkit_datasets.inspection.log_streams import COLUMNS_KIND
 from evalkit_datasets.rosbag import RosBag
 
 TILT_WORDS = ("vertical",)
@@ -72,7 +75,7 @@ def choose_parameters(given: Mapping[str, Value]) -> tuple[Choice, ...]:
 def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Choice, ...], _Trial]:
     """Return the choices beside the given parameters, and the result of opening the recording with both."""
     lidar = next((one for one in recording.lidars if one.topic == given.get("topic")), best_lidar(recording)[0])
-    choose = _choose_for_log if recording.kind == "CARMEN log" else _choose_for_bag
+    choose = {"carmen": _choose_for_log, "rosbag": _choose_for_bag}.get(_find_reader(recording), _choose_for_columns)
     choices = [*choose(recording), *_find_truth_files(recording, given), *_choose_cells(lidar)]
     choices = [one for one in choices if one.name not in given]
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
@@ -84,8 +87,11 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     return tuple(choices), tried
 
 
+READERS: Mapping[str, Callable[..., Sequence]] = {"carmen": Carmen, "columns": Columns, "rosbag": RosBag}
+
+
 def _find_reader(recording: Inspection) -> str:
-    return "carmen" if recording.kind == "CARMEN log" else "rosbag"
+    return {"CARMEN log": "carmen", COLUMNS_KIND: "columns"}.get(recording.kind, "rosbag")
 
 
 def best_lidar(recording: Inspection) -> tuple[LidarStats, str]:
@@ -131,10 +137,14 @@ def _choose_for_log(recording: Inspection) -> Iterator[Choice]:
     codes = [code.low_m for code in recording.lidars[0].returns.codes if code.low_m < 50.0]
     unknown = [low for low in codes if not is_default_code(low)]
     if unknown:
-        why = f"range_max_m {min(unknown):g}: ranges of this length or more mean no return"
+        why = f"range_max_m {min(unknown):g} m: ranges of this length or more mean no return"
         yield Choice("range_max_m", min(unknown), why)
     if not recording.poses_from and recording.odometries and not recording.odometries[0].like_wheels:
         yield Choice("odometry", "none", "odometry none: the motion of its poses is not that of wheels")
+
+
+def _choose_for_columns(_recording: Inspection) -> Iterator[Choice]:
+    return iter(())
 
 
 def _choose_cells(lidar: LidarStats) -> Iterator[Choice]:
@@ -162,8 +172,11 @@ def _find_truth_files(recording: Inspection, given: Mapping[str, Value]) -> Iter
 
 
 def _minimal_parameters(recording: Inspection) -> dict[str, Value]:
-    parameters: dict[str, Value] = {"path": str(recording.path), "odometry": "none"}
-    return parameters if recording.kind == "CARMEN log" else parameters | {"topic": recording.lidars[0].topic}
+    own: dict[str, dict[str, Value]] = {
+        "carmen": {"odometry": "none"},
+        "rosbag": {"odometry": "none", "topic": recording.lidars[0].topic},
+    }
+    return {"path": str(recording.path), **own.get(_find_reader(recording), {})}
 
 
 @dataclass(frozen=True)
@@ -178,9 +191,8 @@ class _Trial:
 
 
 def _try_reader(reader: str, parameters: Mapping[str, Value]) -> _Trial:
-    make = Carmen if reader == "carmen" else RosBag
     try:
-        sequence = make(**parameters)  # type: ignore[arg-type]  # names and types are those of the reader's spec
+        sequence = READERS[reader](**parameters)
         first = next(iter(sequence.frames()))
     except EvalkitError as error:
         return _Trial(problem=str(error))

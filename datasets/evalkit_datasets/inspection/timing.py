@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.core.se2 import Stamps
+from evalkit.core.se2 import Floats, Stamps
 
 GAP_PERIODS = 3.0
 """A longer time between two messages, in typical periods, is a gap: at least two scans are missing."""
@@ -61,10 +61,16 @@ class ClockOffset:
     drift_ppm: float
 
 
+def seconds_since_first(stamps_ns: Stamps) -> Floats:
+    """Return the seconds (N,) since the first of stamps (N,)."""
+    return np.asarray((stamps_ns - stamps_ns[:1]) * 1e-9, dtype=np.float64)
+
+
 def measure_timing(stamps_ns: Stamps) -> StreamTiming:
     """Return the timing of stamps (N,) in file order, N >= 1."""
     distinct = np.unique(stamps_ns)
-    periods = np.diff(distinct) * 1e-9
+    seconds = seconds_since_first(distinct)
+    periods = np.diff(seconds)
     period = float(np.median(periods)) if len(periods) else 0.0
     low, high = np.percentile(periods, [16, 84]) if len(periods) else (0.0, 0.0)
     typical = max(period, float(periods.mean())) if len(periods) else 0.0  # messages may come in bunches
@@ -74,13 +80,13 @@ def measure_timing(stamps_ns: Stamps) -> StreamTiming:
         len(stamps_ns),
         int(distinct[0]),
         int(distinct[-1]),
-        float(distinct[-1] - distinct[0]) * 1e-9,
+        float(seconds[-1]),
         period,
         1.0 / period if period > 0.0 else 0.0,
         0.5 * float(high - low),
         len(gap_indices),
-        tuple(Gap(float(distinct[at] - distinct[0]) * 1e-9, float(periods[at])) for at in longest),
-        int(np.count_nonzero(np.diff(stamps_ns) < 0)),
+        tuple(Gap(float(seconds[at]), float(periods[at])) for at in longest),
+        int(np.count_nonzero(stamps_ns[1:] < stamps_ns[:-1])),
         len(stamps_ns) - len(distinct),
     )
 
@@ -89,7 +95,7 @@ def measure_clock_offset(stamps_ns: Stamps, recorded_ns: Stamps) -> ClockOffset:
     """Return the offset of stamps (N,) from the times of recording (N,), N >= 1."""
     offsets = (stamps_ns - recorded_ns) * 1e-9
     low, middle, high = np.percentile(offsets, [5, 50, 95])
-    seconds = (recorded_ns - recorded_ns[0]) * 1e-9
+    seconds = seconds_since_first(recorded_ns)
     spread = float(seconds.std())
     slope = float(np.polyfit(seconds, offsets - middle, 1)[0]) if spread > 1.0 else 0.0
     return ClockOffset(float(middle), float(low), float(high), float(offsets.min()), float(offsets.max()), 1e6 * slope)
