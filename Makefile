@@ -5,6 +5,7 @@ EXTRAS ?= all
 VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PYTHON
 
 .PHONY: help install report report-quick system test check bench faults paper paper-quick metric-validation calibrate tune docs fuzz clean distclean
 
@@ -13,13 +14,19 @@ help:  ## print this list
 
 install: $(VENV)/evalkit  ## install evalkit into .venv, with Open3D and KISS-ICP (EXTRAS= omits them)
 
-report: $(VENV)/evalkit  ## run the full comparison: reports/build/default/index.html
+report: $(VENV)/evalkit system  ## run the full comparison: reports/build/default/index.html
+	$(BIN)/evalkit datasets fetch --for reports/default.toml
 	$(BIN)/evalkit compare reports/default.toml --resume --out reports/build/default
 
-report-quick: $(VENV)/evalkit  ## run a small comparison in under 90 s: reports/build/quick/index.html
+report-quick: $(VENV)/evalkit system  ## run a small comparison in under 60 s: reports/build/quick/index.html
+	$(BIN)/evalkit datasets fetch --for reports/quick.toml
 	$(BIN)/evalkit compare reports/quick.toml --resume --out reports/build/quick
 
+system:  ## install the system libraries that Open3D needs, where that is possible
+	@.ci/system-packages open3d
+
 test: $(VENV)/test  ## run the tests
+	@.ci/system-packages open3d browser
 	$(BIN)/pytest -n auto --maxprocesses 4 --dist loadfile
 
 check: $(VENV)/dev  ## check style, formatting, types and import layers
@@ -69,6 +76,7 @@ distclean: clean  ## remove the environment as well
 	rm -rf $(VENV)
 
 $(VENV)/python: $(MAKEFILE_LIST)
+	@.ci/system-packages python
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "evalkit needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) -V 2>&1). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

@@ -54,3 +54,14 @@ def test_a_failed_installation_does_not_stop_the_report(run):
     found, _ = run("open3d", ldconfig="", id="echo 0", **{"apt-get": "exit 100"})
     assert "not installed; install them yourself: apt-get install" in found.stdout
     assert found.returncode == 0
+
+
+@pytest.mark.parametrize("target", ["report", "report-quick"])
+def test_a_report_installs_and_fetches_what_it_needs_first(target):
+    done = subprocess.run(["make", "-n", target], cwd=SCRIPT.parents[1], capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    system, fetched, compared = (
+        next(at for at, line in enumerate(lines) if part in line)
+        for part in (".ci/system-packages open3d", "datasets fetch --for reports/", "evalkit compare reports/")
+    )
+    assert system < fetched < compared
