@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,9 +15,13 @@ from evalkit.terminal import options
 from evalkit.terminal.options import Json, err, out
 
 if TYPE_CHECKING:
+    from evalkit.commands.export.latex import Width
     from evalkit.commands.export.results import ExportSelection
 
+    Writers = dict[str, Callable[[ExportSelection, Path], Iterator[Path]]]
+
 FORMATS = ("csv", "json", "latex", "markdown", "pdf", "svg", "tum", "kitti", "g2o", "map", "mcap", "rerun")
+WIDTHS: Mapping[str, Width] = {"column": "column", "text": "text"}
 WITH_SCANS = {"pdf", "svg", "tum", "kitti", "mcap", "rerun"}
 """Formats with ground truth or scans, for which the sequences are opened."""
 
@@ -41,10 +45,15 @@ def export(
         list[str] | None,
         typer.Option(
             help="A column of the tables (repeatable).",
-            show_default="the headline metrics",
+            show_default="error, drift, CPU time",
             autocompletion=options.complete_metric,
         ),
     ] = None,
+    width: Annotated[
+        str,
+        typer.Option(help="Width of tables and figures: column or text.", autocompletion=lambda: list(WIDTHS)),
+    ] = "column",
+    font: Annotated[str, typer.Option(help="Font family of the figures.", show_default="DejaVu Sans")] = "",
     as_json: Json = False,
 ) -> None:
     """Export a finished comparison to other file formats.
@@ -54,11 +63,14 @@ def export(
     from evalkit.commands.export.results import load_selection  # noqa: PLC0415 - loaded only to export
 
     wanted = _check_formats(formats)
+    if width not in WIDTHS:
+        raise typer.BadParameter(f"--width: found '{width}', expected one of: {', '.join(WIDTHS)}")
+    writers = _make_writers(WIDTHS[width], font)
     scans = bool(WITH_SCANS & set(wanted))
     selection = load_selection(results, sequence or [], method or [], metric or [], scans)
     for remark in selection.remarks:
         err.print(remark, markup=False, highlight=False)
-    written = [path for name in wanted for path in _write_format(name, selection, folder, "all" in formats)]
+    written = [path for name in wanted for path in _write_format(name, writers, selection, folder, "all" in formats)]
     if as_json:
         options.print_json({"written": [str(path) for path in written], "remarks": list(selection.remarks)})
     else:
@@ -72,11 +84,13 @@ def _check_formats(formats: list[str]) -> list[str]:
     return list(FORMATS) if "all" in formats else list(dict.fromkeys(formats))
 
 
-def _write_format(name: str, selection: ExportSelection, folder: Path, all_formats: bool) -> list[Path]:
+def _write_format(
+    name: str, writers: Writers, selection: ExportSelection, folder: Path, all_formats: bool
+) -> list[Path]:
     try:
         with as_store_error(folder):
             create_folder(folder / name, folder)
-            return list(_writers()[name](selection, folder / name))
+            return list(writers[name](selection, folder / name))
     except NotInstalled as error:
         if not all_formats:
             raise
@@ -84,16 +98,17 @@ def _write_format(name: str, selection: ExportSelection, folder: Path, all_forma
         return []
 
 
-def _writers() -> dict[str, Callable[[ExportSelection, Path], Iterator[Path]]]:
-    from evalkit.commands.export import latex, numbers, poses  # noqa: PLC0415 - loads matplotlib
+def _make_writers(width: Width, font: str) -> Writers:
+    """Return the function that writes each format; ``width`` and ``font``: of tables and figures for a paper."""
+    from evalkit.commands.export import figures, latex, numbers, poses  # noqa: PLC0415 - loads matplotlib
 
     return {
         "csv": lambda selection, folder: _write_files(numbers.format_csv(selection), folder),
         "json": lambda selection, folder: _write_files(numbers.format_json(selection), folder),
-        "latex": lambda selection, folder: _write_files(latex.format_latex(selection), folder),
+        "latex": lambda selection, folder: _write_files(latex.format_latex(selection, width), folder),
         "markdown": lambda selection, folder: _write_files(latex.format_markdown(selection), folder),
-        "pdf": lambda selection, folder: _write_files(latex.draw_figures(selection, "pdf"), folder),
-        "svg": lambda selection, folder: _write_files(latex.draw_figures(selection, "svg"), folder),
+        "pdf": lambda selection, folder: _write_files(figures.draw_figures(selection, "pdf", width, font), folder),
+        "svg": lambda selection, folder: _write_files(figures.draw_figures(selection, "svg", width, font), folder),
         "tum": lambda selection, folder: _write_files(poses.format_tum_files(selection), folder),
         "kitti": lambda selection, folder: _write_files(poses.format_kitti(selection), folder),
         "g2o": lambda selection, folder: _write_files(poses.format_g2o(selection), folder),

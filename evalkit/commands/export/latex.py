@@ -1,19 +1,23 @@
-"""Export the headline tables as LaTeX (booktabs) and Markdown, and the figures as PDF or SVG."""
+"""Export a table for each sequence as LaTeX (booktabs, siunitx) and Markdown: error, drift, CPU time, rank."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 from evalkit.commands.export.results import ExportSelection, MetricColumn, SummaryRow
 from evalkit.report.formatting import escape_markdown
-from evalkit.report.html import run_figures
 
-WIDE = 4
-"""A table with more metrics than this is scaled to the width of the text."""
+Width = Literal["column", "text"]
 
 ARROWS = {"lower": r" $\downarrow$", "higher": r" $\uparrow$", "": ""}
 SIGNS = {"lower": " ↓", "higher": " ↑", "": ""}
+SHORT = {"cpu_median_ms": "CPU per scan", "drift_percent": "drift"}
+"""Headings of columns that are short enough for one column of a page."""
+
+CAPTION = "medians over complete runs, 95 % intervals in brackets; bold: the best, and methods tied with it"
 _SPECIAL = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
@@ -24,39 +28,78 @@ Files = Iterator[tuple[str, bytes]]
 """Name and content of each file."""
 
 
-def format_latex(results: ExportSelection) -> Files:
-    r"""Yield one table per sequence, and ``tables.tex``, which inputs them all; needs booktabs and graphicx."""
+@dataclass(frozen=True)
+class PaperTable:
+    """The table of one sequence, of which LaTeX and Markdown differ only in mark-up.
+
+    ``rows``: label, cells (None without a value) and rank ("--" without one) of each method, the best first.
+    ``intervals``: the number of columns that show intervals, from the first on.
+    """
+
+    columns: tuple[MetricColumn, ...]
+    rows: tuple[tuple[str, tuple[SummaryRow | None, ...], str], ...]
+    intervals: int
+
+    def has_bounds(self, column: int) -> bool:
+        """Whether a method has an interval in a column."""
+        return any(self.bounds(column, cells[column]) for _, cells, _ in self.rows)
+
+    def bounds(self, column: int, cell: SummaryRow | None) -> str:
+        """Return the bounds of a cell as printed, "" without an interval."""
+        if column >= self.intervals or cell is None or cell.low is None or cell.high is None:
+            return ""
+        digits = self.columns[column].digits
+        return f"{cell.low:.{digits}f}, {cell.high:.{digits}f}"
+
+    def label(self, column: int) -> str:
+        """Return the heading of a column without its unit."""
+        return SHORT.get(self.columns[column].name, self.columns[column].label)
+
+
+def build_table(results: ExportSelection, sequence: str) -> PaperTable:
+    """Return the table of a sequence: methods by rank in the metric that decides it, then those without a rank."""
+    known = {(cell.method, cell.metric): cell for cell in results.rows if cell.sequence == sequence}
+    valued = {metric for (_, metric), cell in known.items() if cell.median is not None}
+    columns = tuple(one for one in results.columns_of(sequence) if one.name in valued)
+    deciding = results.deciding(sequence)
+    ranks = {method: known[method, deciding].rank if (method, deciding) in known else None for method, _ in known}
+    methods = sorted(dict.fromkeys(method for method, _ in known), key=lambda label: ranks[label] or len(known))
+    return PaperTable(
+        columns,
+        tuple(
+            (label, tuple(known.get((label, one.name)) for one in columns), str(ranks[label] or "--"))
+            for label in methods
+        ),
+        len(columns) if results.columns else 1,
+    )
+
+
+def format_latex(results: ExportSelection, width: Width = "column") -> Files:
+    r"""Yield one table per sequence, and ``tables.tex``, which inputs them all; needs booktabs and siunitx.
+
+    ``width``: of one column, or of the text (``table*``). Nothing is scaled: the text of a table is \footnotesize.
+    """
     names = []
     for sequence in results.scored_sequences:
         names.append(f"table-{file_name(sequence)}")
-        yield f"{names[-1]}.tex", _latex_table(results, sequence).encode()
+        yield f"{names[-1]}.tex", _latex_table(build_table(results, sequence), sequence, width).encode()
     inputs = "\n".join(rf"\input{{{name}}}" for name in names)
-    head = "% Needs \\usepackage{booktabs,graphicx}; in the text: \\input{tables}."
+    head = "% Needs \\usepackage{booktabs,siunitx}; in the text: \\input{tables}."
     yield "tables.tex", f"{head}\n{inputs}\n".encode()
 
 
 def format_markdown(results: ExportSelection) -> Files:
-    """Yield ``summary.md``: the verdict over each sequence and its headline table."""
+    """Yield ``summary.md``: the verdict over each sequence and its table."""
     parts = [f"# {_one_line(str(results.content['title']))}", _one_line(str(results.content["description"]))]
     sentences = {verdict["sequence"]: verdict["sentences"] for verdict in results.content["verdicts"]}
     for sequence in results.sequences:
-        parts += [f"## {_escape_cell(sequence)}", _list(sentences.get(sequence, ()))]
+        listed = "\n".join(f"- {_one_line(text)}" for text in sentences.get(sequence, ()))
+        parts += [f"## {_escape_cell(sequence)}", listed]
         if sequence in results.scored_sequences:
-            parts.append(_markdown_table(results, sequence))
-    parts.append("Medians over complete runs, 95 % intervals in brackets. Bold: the best, and methods tied with it.")
+            parts.append(_markdown_table(build_table(results, sequence)))
+    parts.append(f"{CAPTION[0].upper()}{CAPTION[1:]}.")
     parts.append(f"Command: `{_one_line(str(results.content['command']))}`.")
     yield "summary.md", ("\n\n".join(part for part in parts if part) + "\n").encode()
-
-
-def draw_figures(results: ExportSelection, form: str) -> Files:
-    """Yield trajectories, errors, run times and residuals of each sequence's lowest seed; ``form``: pdf or svg."""
-    kinds = (("trajectories", run_figures.draw_trajectories), ("errors", run_figures.draw_errors),
-             ("runtimes", run_figures.draw_runtimes), ("residuals", run_figures.draw_residuals))  # fmt: skip
-    for sequence in results.sequences:
-        for kind, draw in kinds:
-            drawn = draw(results.first_runs(sequence), results.strokes)
-            if drawn is not None:
-                yield f"{file_name(sequence)}-{kind}.{form}", drawn.pdf() if form == "pdf" else drawn.svg
 
 
 def file_name(label: str) -> str:
@@ -69,72 +112,66 @@ def escape_latex(text: str) -> str:
     return "".join(_SPECIAL.get(letter, letter) for letter in text)
 
 
-def _latex_table(results: ExportSelection, sequence: str) -> str:
-    columns, rows = _select_table(results, sequence)
-    titles = [f"{escape_latex(one.label)}{_format_unit(one, escape_latex)}{ARROWS[one.better]}" for one in columns]
-    body = [" & ".join([escape_latex(label), runs, *map(_latex_cell, columns, own)]) for label, runs, own in rows]
-    wide = len(columns) > WIDE
+def _latex_table(table: PaperTable, sequence: str, width: Width) -> str:
+    kinds, titles = ["l"], [""]
+    for at, one in enumerate(table.columns):
+        bounds = table.has_bounds(at)
+        kinds.append(_number_column(table, at) + (r"@{\;}l" if bounds else ""))
+        title = f"{escape_latex(table.label(at))}{_format_unit(one, escape_latex)}{ARROWS[one.better]}"
+        titles.append(rf"\multicolumn{{2}}{{c}}{{{title}}}" if bounds else f"{{{title}}}")
+    body = [
+        " & ".join([escape_latex(label), *(_latex_cell(table, at, cell) for at, cell in enumerate(cells)), rank])
+        for label, cells, rank in table.rows
+    ]
+    kind = "table*" if width == "text" else "table"
     lines = [
-        r"\begin{table}", r"  \centering",
-        rf"  \caption{{{escape_latex(sequence)}: medians over complete runs, 95\,\% intervals in brackets. "
-        r"Bold: the best, and methods tied with it.}",
+        rf"\begin{{{kind}}}", r"  \centering\footnotesize\setlength{\tabcolsep}{3pt}\sisetup{detect-weight=true}",
+        rf"  \caption{{{escape_latex(f'{sequence}: {CAPTION}.')}}}",
         rf"  \label{{tab:{file_name(sequence)}}}",
-        *([r"  \resizebox{\textwidth}{!}{%"] if wide else []),
-        rf"  \begin{{tabular}}{{lr{'r' * len(columns)}}}", r"    \toprule",
-        rf"    & {' & '.join(['runs', *titles])} \\", r"    \midrule",
+        rf"  \begin{{tabular}}{{{' '.join(kinds)} r}}", r"    \toprule",
+        rf"    {' & '.join([*titles, 'Rank'])} \\", r"    \midrule",
         *(rf"    {line} \\" for line in body),
-        r"    \bottomrule", r"  \end{tabular}" + ("}" if wide else ""), r"\end{table}",
+        r"    \bottomrule", r"  \end{tabular}", rf"\end{{{kind}}}",
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
 
 
-def _latex_cell(column: MetricColumn, cell: SummaryRow | None) -> str:
+def _number_column(table: PaperTable, column: int) -> str:
+    """Return the column of siunitx that aligns the values at their decimal points."""
+    known = (cells[column] for _, cells, _ in table.rows)
+    values = [cell.median for cell in known if cell is not None and cell.median is not None]
+    digits = table.columns[column].digits
+    whole = max(len(f"{abs(value):.{digits}f}".partition(".")[0]) for value in values)
+    return f"S[table-format={'-' if min(values) < 0.0 else ''}{whole}.{digits}]"
+
+
+def _latex_cell(table: PaperTable, column: int, cell: SummaryRow | None) -> str:
+    one = table.columns[column]
+    between = " & " if table.has_bounds(column) else ""
     if cell is None or cell.median is None:
-        return "--"
-    value, bounds = _format_values(column, cell)
-    value = value.replace("-", "$-$")
-    value = rf"\textbf{{{value}}}" if cell.best else value
-    return value + (rf" {{\scriptsize [{bounds.replace('-', '$-$')}]}}" if bounds else "")
+        return f"{{--}}{between}"
+    bounds = table.bounds(column, cell).replace("-", "$-$")
+    bold = r"\bfseries " if cell.best else ""
+    return f"{bold}{cell.median:.{one.digits}f}{between}{f'[{bounds}]' if bounds else ''}"
 
 
-def _markdown_table(results: ExportSelection, sequence: str) -> str:
-    columns, rows = _select_table(results, sequence)
-    labels = (f"{_escape_cell(one.label)}{_format_unit(one, _escape_cell)}{SIGNS[one.better]}" for one in columns)
-    titles = ["", "runs", *labels]
-    lines = [_format_row(titles), _format_row(["---", *["---:"] * (len(titles) - 1)])]
-    for label, runs, own in rows:
-        cells = [_markdown_cell(one, cell) for one, cell in zip(columns, own, strict=True)]
-        lines.append(_format_row([_escape_cell(label), runs, *cells]))
+def _markdown_table(table: PaperTable) -> str:
+    labels = [
+        f"{_escape_cell(table.label(at))}{_format_unit(one, _escape_cell)}{SIGNS[one.better]}"
+        for at, one in enumerate(table.columns)
+    ]
+    lines = [_format_row(["", *labels, "rank"]), _format_row(["---", *["---:"] * (len(labels) + 1)])]
+    for label, cells, rank in table.rows:
+        texts = [_markdown_cell(table, at, cell) for at, cell in enumerate(cells)]
+        lines.append(_format_row([_escape_cell(label), *texts, rank]))
     return "\n".join(lines)
 
 
-def _markdown_cell(column: MetricColumn, cell: SummaryRow | None) -> str:
+def _markdown_cell(table: PaperTable, column: int, cell: SummaryRow | None) -> str:
     if cell is None or cell.median is None:
         return "–"
-    value, bounds = _format_values(column, cell)
+    value, bounds = f"{cell.median:.{table.columns[column].digits}f}", table.bounds(column, cell)
     return (f"**{value}**" if cell.best else value) + (f" [{bounds}]" if bounds else "")
-
-
-def _select_table(
-    results: ExportSelection, sequence: str
-) -> tuple[list[MetricColumn], list[tuple[str, str, list[SummaryRow | None]]]]:
-    """Return the headline metrics with a value here, and a row for each method: label, runs, cells."""
-    known = {(cell.method, cell.metric): cell for cell in results.rows if cell.sequence == sequence}
-    valued = {metric for (_, metric), cell in known.items() if cell.median is not None}
-    columns = [one for one in results.columns if one.name in valued]
-    rows: list[tuple[str, str, list[SummaryRow | None]]] = []
-    for label in dict.fromkeys(method for method, _ in known):
-        some = next(cell for (method, _), cell in known.items() if method == label)
-        rows.append((label, f"{some.complete}/{some.expected}", [known.get((label, one.name)) for one in columns]))
-    return columns, rows
-
-
-def _format_values(column: MetricColumn, cell: SummaryRow) -> tuple[str, str]:
-    """Return median and bounds as printed; no bounds without an interval."""
-    value = f"{cell.median:.{column.digits}f}"
-    if cell.low is None or cell.high is None:
-        return value, ""
-    return value, f"{cell.low:.{column.digits}f}, {cell.high:.{column.digits}f}"
 
 
 def _format_unit(column: MetricColumn, safe: Callable[[str], str]) -> str:
@@ -147,10 +184,6 @@ def _format_row(cells: Sequence[str]) -> str:
 
 def _escape_cell(text: str) -> str:
     return escape_markdown(_one_line(text))
-
-
-def _list(sentences: Sequence[str]) -> str:
-    return "\n".join(f"- {_one_line(text)}" for text in sentences)
 
 
 def _one_line(text: str) -> str:

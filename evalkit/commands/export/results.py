@@ -11,16 +11,20 @@ from evalkit.core.errors import EvalkitError, StoreError, UnknownName
 from evalkit.core.ground_truth import Truth
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence as SensorSequence
+from evalkit.report.analysis.scores import DECIDING
 from evalkit.report.html.palette import Stroke, assign_strokes
 from evalkit.results.reader import REMEDY, load_results_json, load_run, load_table
 from evalkit.results.run_record import RunRecord
+
+IN_PAPERS = ("drift_percent", "cpu_median_ms")
+"""Columns of a table beside the metric that decides the sequence."""
 
 
 @dataclass(frozen=True, slots=True)
 class SummaryRow:
     """One metric of one method over one sequence, in the metric's unit; None without a value.
 
-    ``best``: the best, or without a clear difference from it. ``complete`` of ``expected`` runs completed.
+    ``best``: the best, or without a clear difference from it. ``rank``: 1 for the best, None without a rank.
     """
 
     sequence: str
@@ -30,8 +34,7 @@ class SummaryRow:
     low: float | None
     high: float | None
     best: bool
-    complete: int
-    expected: int
+    rank: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +52,9 @@ class MetricColumn:
 class ExportSelection:
     """What is exported of a report.
 
-    ``columns``: the metrics of the tables. ``runs``: every run that answered a scan, with its ground truth. ``opened``:
-    the sequences by label and seed. ``remarks``: what is missing (a sequence without files, an incomplete run).
+    ``columns``: the chosen metrics of the tables, () for those of a paper. ``runs``: every run that answered a scan,
+    with its ground truth. ``opened``: the sequences by label and seed. ``remarks``: what is missing (a sequence without
+    files, an incomplete run).
     """
 
     folder: Path
@@ -77,9 +81,31 @@ class ExportSelection:
     @property
     def scored_sequences(self) -> tuple[str, ...]:
         """The labels of the sequences with a value in any column."""
-        shown = {column.name for column in self.columns}
-        valued = {row.sequence for row in self.rows if row.median is not None and row.metric in shown}
-        return tuple(label for label in self.sequences if label in valued)
+        valued = {(row.sequence, row.metric) for row in self.rows if row.median is not None}
+        return tuple(
+            label for label in self.sequences if any((label, c.name) in valued for c in self.columns_of(label))
+        )
+
+    def column(self, metric: str) -> MetricColumn | None:
+        """Return a metric as a column, None for an unknown one."""
+        card = next((one for one in self.content["metrics"] if one["name"] == metric), None)
+        return None if card is None else make_column(card)
+
+    def deciding(self, sequence: str) -> str:
+        """Return the metric that decides a sequence: the one compared, else the first headline metric with a value."""
+        compared = [one["metric"] for one in self.content["differences"] if one["sequence"] == sequence]
+        valued = {row.metric for row in self.rows if row.sequence == sequence and row.median is not None}
+        groups = {group: place for place, group in enumerate(DECIDING)}
+        cards = [one for one in self.content["metrics"] if one["headline"] and one["name"] in valued]
+        ordered = sorted(cards, key=lambda one: groups.get(one["group"], len(groups)))
+        return str(compared[0]) if compared else str(ordered[0]["name"]) if ordered else ""
+
+    def columns_of(self, sequence: str) -> tuple[MetricColumn, ...]:
+        """Return the columns of a sequence's table: the chosen ones, or error, drift and CPU time."""
+        if self.columns:
+            return self.columns
+        names = dict.fromkeys((self.deciding(sequence), *IN_PAPERS))
+        return tuple(column for name in names if (column := self.column(name)) is not None)
 
     def first_runs(self, sequence: str) -> tuple[RunRecord, ...]:
         """Return the runs of a sequence's lowest seed, which figures show."""
@@ -94,8 +120,8 @@ def load_selection(
 ) -> ExportSelection:  # fmt: skip
     """Load a results folder, or the part of it with these labels.
 
-    ``metrics``: the columns in this order; empty: the headline metrics. ``scans``: open the sequences, for ground truth
-    and scans. Raises StoreError if the folder holds no report, UnknownName for an unknown label.
+    ``metrics``: the columns in this order; empty: error, drift and CPU time. ``scans``: open the sequences, for
+    ground truth and scans. Raises StoreError if the folder holds no report, UnknownName for an unknown label.
     """
     content = load_results_json(folder)
     known = {one["name"]: one for one in content["metrics"]}
@@ -121,12 +147,13 @@ def load_selection(
     shown = {(one["sequence"], one["method"]) for one in entries}
     rows = tuple(row for row in _load_summary(folder / "summary.csv") if (row.sequence, row.method) in shown)
     valued = {row.metric for row in rows if row.median is not None}
-    chosen = metrics or [name for name, one in known.items() if one["headline"]]
-    columns = tuple(
-        MetricColumn(name, *(known[name][key] for key in ("label", "unit", "better", "digits")))
-        for name in chosen if name in valued
-    )  # fmt: skip
+    columns = tuple(make_column(known[name]) for name in metrics if name in valued)
     return ExportSelection(folder, content, columns, rows, tuple(runs), opened, tuple(remarks))
+
+
+def make_column(card: Mapping[str, Any]) -> MetricColumn:
+    """Return a column from the card of a metric in results.json."""
+    return MetricColumn(*(card[key] for key in ("name", "label", "unit", "better", "digits")))
 
 
 def _load_summary(path: Path) -> list[SummaryRow]:
@@ -138,9 +165,9 @@ def _load_summary(path: Path) -> list[SummaryRow]:
 
 def _summary_row(row: Mapping[str, str]) -> SummaryRow:
     median, low, high = (float(row[name]) if row[name] else None for name in ("median", "low_95", "high_95"))
-    counts = int(row["runs_complete"]), int(row["runs_expected"])
+    rank = int(row["rank"]) if row["rank"] else None
     names = row["sequence"], row["method"], row["metric"]
-    return SummaryRow(*names, median, low, high, row["mark"] in ("best", "tied"), *counts)
+    return SummaryRow(*names, median, low, high, row["mark"] in ("best", "tied"), rank)
 
 
 def _open_sequences(

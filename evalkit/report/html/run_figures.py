@@ -24,11 +24,11 @@ Strokes = Mapping[str, Stroke]
 
 @dataclass(frozen=True, slots=True)
 class RunFigure:
-    """An SVG file and what its caption must admit ("" if nothing). ``pdf()``: the same drawn again for a paper."""
+    """An SVG file and what its caption must admit ("" if nothing). ``draw(form, paper)``: the same for a paper."""
 
     svg: bytes
-    remark: str = ""
-    pdf: Callable[[], bytes] = bytes
+    remark: str
+    draw: Callable[..., bytes]
 
 
 def draw_trajectories(records: Sequence[RunRecord], strokes: Strokes) -> RunFigure | None:
@@ -65,7 +65,7 @@ def draw_errors(records: Sequence[RunRecord], strokes: Strokes) -> RunFigure | N
     def draw(axes: Axes) -> None:
         for label, (seconds, values) in lines.items():
             axes.plot(seconds, np.maximum(values, 1e-4) if wide else values, **_line(strokes, label))
-        axes.set(xlabel="time [s]", ylabel="distance to the ground truth [m]")
+        axes.set(xlabel="time [s]", ylabel="distance to the truth [m]")
         if wide:
             axes.set_yscale("log")
             format_log_axis(axes.yaxis)
@@ -137,9 +137,7 @@ def _residual_panel(
 
 
 def _run_figure(panels: Sequence[Draw], remark: str = "", min_legend: int | None = 1) -> RunFigure:
-    return RunFigure(
-        render_figure(panels, SIZE, min_legend), remark, partial(render_figure, panels, SIZE, min_legend, "pdf")
-    )
+    return RunFigure(render_figure(panels, SIZE, min_legend), remark, partial(render_figure, panels, SIZE, min_legend))
 
 
 def _line(strokes: Strokes, label: str) -> dict[str, Any]:

@@ -7,15 +7,17 @@ import subprocess
 import sys
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from typer.testing import CliRunner
 
 from evalkit import report
 from evalkit.cli import app
-from evalkit.commands.export import latex, mcap, rerun_file
+from evalkit.commands.export import figures, latex, mcap, rerun_file
 from evalkit.commands.export.results import load_selection
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import DataMissing, NotInstalled, StoreError, UnknownName
@@ -28,6 +30,7 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.plugins import registry
 from evalkit.plugins.specs import DatasetSpec
 from evalkit.report.formatting import escape_markdown
+from evalkit.report.html import chart_style, run_figures
 from evalkit.results.run_record import RunRecord
 from evalkit.results.seal import seal
 from evalkit.results.store import Store
@@ -198,10 +201,16 @@ def test_a_latex_table_has_complete_rows_and_no_unescaped_special_character(fini
     text = files["table-50-more-x.tex"]
     assert Counter(re.findall(r"\\begin\{(\w+)\}", text)) == Counter(re.findall(r"\\end\{(\w+)\}", text))
     assert text.count("{") - text.count(r"\{") == text.count("}") - text.count(r"\}")
-    columns = len(re.search(r"\\begin\{tabular\}\{(\w+)\}", text)[1])
-    rows = [line for line in text.splitlines() if line.endswith(r"\\")]
-    assert len(rows) == 3
+    specification = re.sub(r"\[.*?\]|@\{.*?\}", "", re.search(r"\\begin\{tabular\}\{(.+)\}", text)[1])
+    columns = len(specification.replace(" ", ""))
+    head, *rows = [line for line in text.splitlines() if line.endswith(r"\\")]
+    assert [row.split("&")[0].strip() for row in rows] == ["paper", "wheel"]  # by rank
     assert {len(re.findall(r"(?<!\\)&", row)) + 1 for row in rows} == {columns}
+    assert len(re.findall(r"(?<!\\)&", head)) + 1 + head.count("multicolumn") == columns
+    assert [title.strip() for title in head.split("&")][-2:] == [
+        r"{CPU per scan [ms] $\downarrow$}", r"Rank \\",
+    ]  # fmt: skip
+    assert "resizebox" not in text
     assert r"\caption{50 \% \& more\_\$x:" in text
     assert [text.count(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")] == [1, 1, 1]
 
@@ -211,7 +220,7 @@ def test_latex_compiles_the_tables_and_the_figures(finished_folder):
         pytest.skip("pdflatex is not installed")
     tables, figures = (run_export(finished_folder, form)[0].parent for form in ("latex", "pdf"))
     (tables / "paper.tex").write_text(
-        r"\documentclass{article}\usepackage{booktabs,graphicx}\begin{document}\input{tables}"
+        r"\documentclass{article}\usepackage{booktabs,graphicx,siunitx}\begin{document}\input{tables}"
         rf"\includegraphics[width=\textwidth]{{{figures / '50-more-x-trajectories.pdf'}}}\end{{document}}",
         encoding="utf-8",
     )
@@ -229,8 +238,7 @@ def test_tables_contain_exactly_the_intervals_of_results_json(finished_folder):
     )
     rows = {line.split("&")[0].strip(): line for line in path.read_text(encoding="utf-8").splitlines() if "&" in line}
     assert f"[{wheel['low']:.3f}, {wheel['high']:.3f}]" in rows["wheel"]
-    assert r"\textbf{0.008}" in rows["paper"]
-    assert r"\textbf" not in rows["wheel"]
+    assert rows["paper"].split("&")[1].strip() in ("0.008", r"\bfseries 0.008")
     (path,) = run_export(finished_folder, "markdown", "--metric", "ate_rmse_m")
     table = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
     assert {line.count("|") for line in table} == {4}
@@ -255,14 +263,51 @@ def test_a_name_cannot_include_a_file_in_latex():
 
 def test_figures_are_vector_graphics_with_embedded_fonts_and_reproducible_bytes(finished_folder):
     found = load_selection(finished_folder)
-    drawn = dict(latex.draw_figures(found, "pdf"))
-    assert set(drawn) == {f"50-more-x-{kind}.pdf" for kind in ("trajectories", "errors", "runtimes")}
-    for content in drawn.values():
+    drawn = dict(figures.draw_figures(found, "pdf"))
+    kinds = ("trajectories", "errors", "runtimes", "maps", "accuracy-time")
+    assert set(drawn) == {f"50-more-x-{kind}.pdf" for kind in kinds}
+    for name, content in drawn.items():
         assert content.startswith(b"%PDF-")
         assert b"/FontFile2" in content
-        assert b"/Subtype /Image" not in content
-    assert drawn == dict(latex.draw_figures(found, "pdf"))
-    assert all(content.startswith(b"<?xml") for _, content in latex.draw_figures(found, "svg"))
+        assert (b"/Subtype /Image" in content) == name.endswith("maps.pdf")
+    assert drawn == dict(figures.draw_figures(found, "pdf"))
+    assert all(content.startswith(b"<?xml") for _, content in figures.draw_figures(found, "svg"))
+
+
+@pytest.mark.parametrize(("width", "inches"), [("column", 3.4), ("text", 7.0)])
+def test_figures_have_their_final_width_and_no_text_below_7_pt(finished_folder, monkeypatch, width, inches):
+    sizes = []
+    save = chart_style._save
+
+    def note_sizes(figure, form):
+        figure.canvas.draw()
+        shown = [text for text in figure.findobj(Text) if text.get_text().strip() and text.get_visible()]
+        sizes.extend(text.get_fontsize() for text in shown)
+        assert figure.get_figwidth() == pytest.approx(inches)
+        return save(figure, form)
+
+    found = load_selection(finished_folder)
+    monkeypatch.setattr(chart_style, "render_figure", chart_style.render_figure)
+    monkeypatch.setattr(run_figures, "_run_figure", lambda panels, remark="", min_legend=1: run_figures.RunFigure(
+        b"", remark, partial(chart_style.render_figure, panels, run_figures.SIZE, min_legend)))  # fmt: skip
+    monkeypatch.setattr(chart_style, "_save", note_sizes)
+    assert len(list(figures.draw_figures(found, "pdf", width))) == 5
+    assert min(sizes) >= 7.0
+
+
+def test_an_unknown_font_or_width_is_named(finished_folder):
+    with pytest.raises(UnknownName, match=r"no font family named 'DejaVu Sanz' .did you mean 'DejaVu Sans'"):
+        next(figures.draw_figures(load_selection(finished_folder), "pdf", "column", "DejaVu Sanz"))
+    result = CliRunner().invoke(app, ["export", str(finished_folder), "-f", "latex", "--width", "page"])
+    assert (result.exit_code, "found 'page', expected one of: column, text" in " ".join(result.output.split())) == (
+        2,
+        True,
+    )
+
+
+def test_a_table_for_the_text_width_spans_both_columns(finished_folder):
+    (path, _) = run_export(finished_folder, "latex", "--width", "text")
+    assert path.read_text(encoding="utf-8").startswith(r"\begin{table*}")
 
 
 # --- viewers
@@ -376,7 +421,7 @@ def test_a_sequence_without_its_files_gives_a_remark_and_the_rest_is_written(fin
     assert len(found.remarks) == 1
     assert "fetch it" in found.remarks[0]
     assert [record.truth.trajectory for record in found.runs] == [None, None]
-    assert "50-more-x-trajectories.pdf" in dict(latex.draw_figures(found, "pdf"))
+    assert "50-more-x-trajectories.pdf" in dict(figures.draw_figures(found, "pdf"))
 
 
 def test_a_parameter_that_the_reader_no_longer_has_gives_a_remark(finished_folder, monkeypatch):
