@@ -78,12 +78,15 @@ class Call:
 class Cluster:
     """The workers of a Dask scheduler; "" starts ``workers`` local processes for the duration of the calls.
 
-    ``timed``: use only workers with the resource ``TIMED``.
+    ``timed``: use only workers with the resource ``TIMED``. ``insecure``: accept a scheduler without TLS. ``security``:
+    a ``distributed.Security`` with the keys of the scheduler, None for those of Dask's configuration.
     """
 
     scheduler: str = ""
     workers: int = 1
     timed: bool = False
+    insecure: bool = False
+    security: Any = None
 
     def answers(self, calls: Iterable[Call]) -> Generator[tuple[Call, Future[Any]]]:
         """Yield every call with its result as it finishes; WorkerLost as the exception of a call that killed workers.
@@ -96,13 +99,22 @@ class Cluster:
     @contextmanager
     def _client(self) -> Iterator[Any]:
         distributed = dask()
+        address, security = self.scheduler, self.security
+        if address and not address.startswith(("tls://", "inproc://")) and not self.insecure:
+            what = "it has no TLS: everybody who reaches it can run code as its workers and as you"
+            raise NoCluster(
+                address, what, "give it keys and use tls://HOST:PORT, or add --insecure in a trusted network"
+            )
         with ExitStack() as stack:
-            address = self.scheduler or stack.enter_context(_local(self.workers)).scheduler_address
+            if not address:
+                local = stack.enter_context(_local(self.workers))
+                address, security = local.scheduler_address, local.security
+            options = {"timeout": CONNECT_S, "set_as_default": False, "security": security}
             try:
-                client = stack.enter_context(distributed.Client(address, timeout=CONNECT_S, set_as_default=False))
+                client = stack.enter_context(distributed.Client(address, **options))
             except (OSError, ValueError) as error:
                 raise NoCluster(
-                    address, f"no scheduler answers ({error})", "is it running, and on this port?"
+                    address, f"no scheduler answers ({error})", "is it running, on this port, and with these keys?"
                 ) from error
             yield client
 
@@ -117,17 +129,25 @@ def dask() -> Any:
 
 @contextmanager
 def _local(workers: int) -> Iterator[Any]:
-    """A cluster of local processes with one thread each, restarted when they die and closed after the block."""
+    """A cluster of local processes with one thread each, restarted when they die and closed after the block.
+
+    Its connections are encrypted with keys made for it: no other user of the machine can run code on it. Raises
+    NotInstalled without the library that makes them.
+    """
     always_restart = {
         "distributed.deploy.lost-worker-timeout": "1 day"
     }  # by default a worker that dies twice in 15 s is not restarted
     distributed = dask()  # first: the import defines the settings
+    try:
+        security = distributed.Security.temporary()
+    except ImportError as error:
+        raise NotInstalled("dask", f"cannot encrypt ({error})", "pip install 'evalkit[dask]'") from error
     with (
         import_module("dask").config.set(always_restart),
         tempfile.TemporaryDirectory(prefix="evalkit-workers-", ignore_cleanup_errors=True) as folder,
         distributed.LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0",
-            resources={TIMED: 1}, memory_limit=0, local_directory=folder, silence_logs=50,
+            security=security, resources={TIMED: 1}, memory_limit=0, local_directory=folder, silence_logs=50,
         ) as cluster,
     ):  # fmt: skip
         yield cluster

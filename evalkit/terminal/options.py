@@ -133,10 +133,16 @@ Engine = Annotated[
 Scheduler = Annotated[
     str,
     typer.Option(
-        help="A Dask scheduler, tcp://HOST:PORT.", show_default="a new cluster on this machine",
+        help="A Dask scheduler, tls://HOST:PORT.", show_default="a new cluster on this machine",
         rich_help_panel=EXECUTION,
     ),
 ]  # fmt: skip
+Insecure = Annotated[
+    bool,
+    typer.Option(
+        "--insecure", help="Accept a scheduler without TLS, in a trusted network only.", rich_help_panel=EXECUTION
+    ),
+]
 AccuracyOnly = Annotated[
     bool,
     typer.Option("--accuracy-only", help="Discard times, so that runs may share a core.", rich_help_panel=EXECUTION),
@@ -164,6 +170,7 @@ class RunOptions:
         collect: bool,
         engine: str = "local",
         scheduler: str = "",
+        insecure: bool = False,
     ) -> RunOptions:
         """Return the checked options. Raises typer.BadParameter for an unknown status or engine."""
         from evalkit.core.run_result import BROKEN, DISTURBED, RunStatus  # noqa: PLC0415 - loads numpy
@@ -176,10 +183,12 @@ class RunOptions:
                 raise typer.BadParameter(f"--rerun: found '{name}', expected one of: {', '.join(known)}")
             again.update(BROKEN if name == "failed" else [name])
         workers = jobs or physical_cores()
-        return cls(workers, resume or bool(rerun), frozenset(again), collect, cluster(engine, scheduler, workers))
+        return cls(
+            workers, resume or bool(rerun), frozenset(again), collect, cluster(engine, scheduler, workers, insecure)
+        )
 
 
-def cluster(engine: str, scheduler: str, jobs: int) -> Cluster | None:
+def cluster(engine: str, scheduler: str, jobs: int, insecure: bool = False) -> Cluster | None:
     """Return the requested cluster, None for this machine. Raises typer.BadParameter if the options contradict."""
     from evalkit.execution.dask_cluster import Cluster  # noqa: PLC0415 - rarely used
 
@@ -187,7 +196,7 @@ def cluster(engine: str, scheduler: str, jobs: int) -> Cluster | None:
         raise typer.BadParameter(f"--engine: found '{engine}', expected one of: {', '.join(ENGINES)}")
     if engine == "local" and scheduler:
         raise typer.BadParameter("--scheduler: needs --engine dask")
-    return Cluster(scheduler, jobs) if engine == "dask" else None
+    return Cluster(scheduler, jobs, insecure=insecure) if engine == "dask" else None
 
 
 def settings(items: list[str], option: str = "--set") -> dict[str, str]:

@@ -133,7 +133,7 @@ def return_bytes(size: int, _slot: Slot) -> bytes:
 def tasks(_folder: Path) -> None:
     """Measure the cost of an empty task: client, scheduler and worker together on this machine."""
     with _local(2) as local:
-        cluster = Cluster(local.scheduler_address)
+        cluster = Cluster(local.scheduler_address, security=local.security)
         for size in (0, 100_000):
             count = 500
             before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -155,7 +155,7 @@ def workers(folder: Path) -> None:
     for turn in range(3):
         for count in (1, 2) if turn % 2 == 0 else (2, 1):
             with _local(count) as local:
-                executor = DaskExecutor(Cluster(local.scheduler_address))
+                executor = DaskExecutor(Cluster(local.scheduler_address, security=local.security))
                 warm = plan(count, 1, 1, laps=0.05)
                 run(warm, Store(folder / f"warm {turn} {count}"), executor)
                 begun, used = time.perf_counter(), _cpu_s()

@@ -57,13 +57,14 @@ def plan(*faults, timed=True, **sequence):
 def workers(strangers):
     """Start a cluster of two processes that offer to measure times."""
     distributed = pytest.importorskip("distributed")
+    pytest.importorskip("cryptography")
     with dask_cluster._local(2) as local:
         yield local
     assert distributed
 
 
 def run_on_cluster(workers):
-    return DaskExecutor(Cluster(workers.scheduler_address, timed=True))
+    return DaskExecutor(Cluster(workers.scheduler_address, timed=True, security=workers.security))
 
 
 def rows(plan, folder, executor=None, resume=False, progress=None, rerun=frozenset()):
@@ -204,7 +205,24 @@ def test_an_unreachable_scheduler_is_named(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(dask_cluster, "CONNECT_S", 0.5)
     with pytest.raises(NoCluster, match=r"tcp://127\.0\.0\.1:9: no scheduler answers"):
-        list(Cluster("tcp://127.0.0.1:9").answers([]))
+        list(Cluster("tcp://127.0.0.1:9", insecure=True).answers([]))
+
+
+def test_a_scheduler_without_encryption_is_refused_unless_asked_for():
+    pytest.importorskip("distributed")
+    with pytest.raises(NoCluster, match=r"tcp://10\.0\.0\.1:8786: it has no TLS: .* or add --insecure"):
+        list(Cluster("tcp://10.0.0.1:8786").answers([]))
+
+
+def test_nobody_without_the_keys_reaches_the_cluster_that_evalkit_starts(workers):
+    distributed = pytest.importorskip("distributed")
+    assert workers.scheduler_address.startswith("tls://127.0.0.1:")
+    plain = workers.scheduler_address.replace("tls://", "tcp://")
+    with pytest.raises((OSError, TimeoutError)):
+        distributed.Client(plain, timeout=1.0, set_as_default=False)
+    other = distributed.Security.temporary()  # keys of somebody else
+    with pytest.raises((OSError, TimeoutError)):
+        distributed.Client(workers.scheduler_address, timeout=1.0, set_as_default=False, security=other)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])

@@ -190,6 +190,7 @@ def test_a_worker_with_other_code_stops_the_run_instead_of_failing_tasks(squares
 
 def test_a_cluster_computes_the_same_and_a_task_that_ends_two_workers_is_reported(squares, tmp_path):
     pytest.importorskip("distributed")
+    pytest.importorskip("cryptography")
     tasks = [squares("three", "square", number=3), squares("deadly", "die"), squares("bad", "refuse", why="no")]
     tasks.append(squares("slow", "give_up"))
     with pytest.raises(TasksFailed) as failed:

@@ -73,6 +73,7 @@ def compare(
     collect: options.Collect = False,
     engine: options.Engine = "local",
     scheduler: options.Scheduler = "",
+    insecure: options.Insecure = False,
     accuracy_only: options.AccuracyOnly = False,
     as_json: options.Json = False,
 ) -> None:
@@ -93,7 +94,7 @@ def compare(
     experiment = experiment.untimed() if accuracy_only else experiment
     experiment = experiment.select(sequence or [], method or [], seed or [])
     store = Store(folder or RESULTS / experiment.name)
-    how = RunOptions.of(jobs, resume, rerun, collect, engine, scheduler)
+    how = RunOptions.of(jobs, resume, rerun, collect, engine, scheduler, insecure)
     (_run if no_page else _run_and_report)(experiment, store, how, as_json)
 
 

@@ -29,6 +29,7 @@ def study(
     jobs: options.Jobs = None,
     engine: options.Engine = "local",
     scheduler: Scheduler = "",
+    insecure: options.Insecure = False,
     as_json: Json = False,
 ) -> None:
     """Run a designed experiment: main effects, interactions, operating envelope.
@@ -47,7 +48,7 @@ def study(
         return
     folder = folder or RESULTS / file.stem
     workers = jobs or environment.physical_cores()
-    cluster = options.cluster(engine, scheduler, workers)
+    cluster = options.cluster(engine, scheduler, workers, insecure)
     if cluster:
         cluster = replace(cluster, timed=any(response.metric.group == "runtime" for response in plan.responses))
     ran_on = environment.describe(jobs=workers)
