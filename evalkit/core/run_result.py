@@ -194,8 +194,8 @@ class RunResult:
     @property
     def is_scorable(self) -> bool:
         """Whether metrics are computed for the run: it answered a scan or completed, and may be scored."""
-        excluded = (Cause.QUARANTINED, Cause.SCORING_FAILED)
-        return (len(self.steps) > 0 or self.is_complete) and self.cause not in excluded
+        excluded = self.cause in (Cause.QUARANTINED, Cause.SCORING_FAILED) or self.status == RunStatus.INTERRUPTED
+        return (len(self.steps) > 0 or self.is_complete) and not excluded
 
     @property
     def estimate(self) -> Trajectory:

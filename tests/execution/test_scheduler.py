@@ -1,5 +1,6 @@
 """Runs of an experiment on this machine: a row for every outcome, resumed where they stopped."""
 
+import errno
 import itertools
 import json
 import multiprocessing
@@ -23,6 +24,7 @@ from evalkit.execution import environment, executors, run_process, run_task, sub
 from evalkit.execution.executors import LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.plugins import registry
+from evalkit.results.seal import seal
 from evalkit.results.store import Store
 
 pytestmark = pytest.mark.usefixtures("strangers")
@@ -311,7 +313,8 @@ def test_no_run_is_quarantined_if_no_scoring_process_can_start(tmp_path, monkeyp
 
     monkeypatch.setattr(subprocesses, "start_process", lambda core: Broken(1))
     record = records(plan("none"), tmp_path)["none"]
-    assert record.result.reason == "scoring failed: RuntimeError: no process for scoring can be started here"
+    assert record.result.status == "interrupted"  # by the machine; not counted against the method
+    assert record.result.reason.startswith("scoring: no process can be started here; free disk, memory, /dev/shm or")
     monkeypatch.setattr(subprocesses, "start_process", lambda core: ThreadPoolExecutor(1))
     assert records(plan("none"), tmp_path, resume=True)["none"].result.status == "complete"
 
@@ -348,10 +351,28 @@ def test_a_full_results_folder_stops_everything_and_keeps_finished_runs(tmp_path
     assert written_times(tmp_path).keys() == {"none"}
 
 
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO, errno.ENOMEM, errno.EMFILE])
+def test_a_fault_of_the_machine_interrupts_a_run_and_resume_repeats_it(tmp_path, threaded_scoring, monkeypatch, number):
+    """The same fault once while the process starts and once while the run is scored."""
+
+    def fail(*_arguments, **_options):
+        raise OSError(number, os.strerror(number))
+
+    for module, name in ((run_process, "ChildProcess"), (run_task, "score_and_save")):
+        with monkeypatch.context() as broken:
+            broken.setattr(module, name, fail)
+            result = records(plan("none"), tmp_path, resume=True)["none"].result
+        assert result.status == "interrupted"
+        assert f"the machine failed ({os.strerror(number)}); free disk, memory" in result.reason
+        assert "repeat with --resume" in result.reason
+    assert records(plan("none"), tmp_path, resume=True)["none"].result.status == "complete"
+
+
 def test_a_failed_rescoring_leaves_no_scores_of_other_code(tmp_path, threaded_scoring, monkeypatch):
     key = records(plan("none"), tmp_path)["none"].key
     store, path = Store(tmp_path), tmp_path / "runs" / key / "scores.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "fingerprint": "other code"}))
+    content = {name: value for name, value in json.loads(path.read_text()).items() if name not in ("sha256", "files")}
+    path.write_text(seal({**content, "fingerprint": "other code"}, {}))
     assert store.load_score_values(key)
 
     def refuse(*_arguments):

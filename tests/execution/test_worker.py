@@ -1,23 +1,27 @@
 """A run executed by the worker, in this process: its times, files and notes."""
 
+import errno
+import io
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from evalkit import metrics
+from evalkit.core.errors import MachineFault
 from evalkit.core.ground_truth import Truth
 from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import Score
+from evalkit.core.run_result import STEP, Score
 from evalkit.execution import worker
 from evalkit.execution.worker import Request
 from evalkit.metrics.table import Evidence
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.specs import OdometrySpec
-from evalkit.results.store import read_steps
+from evalkit.results.store import read_steps, whole_records
 
 pytestmark = pytest.mark.usefixtures("strangers")
 
@@ -127,3 +131,34 @@ def test_missing_libraries_and_missing_data_have_their_own_statuses(tmp_path):
     assert len(steps) == 0
     outcome, _ = execute_request(tmp_path, sequence={"file": str(tmp_path / "gone")})
     assert outcome.status == "data-missing"
+
+
+class FullDisk(io.RawIOBase):
+    """A file on a disk that is full after some bytes: the write that does not fit is cut short, the next one fails."""
+
+    def __init__(self, space):
+        self.space, self.content = space, b""
+
+    def writable(self):
+        return True
+
+    def write(self, data):
+        if not self.space:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written = bytes(data)[: self.space]
+        self.space -= len(written)
+        self.content += written
+        return len(written)
+
+
+@pytest.mark.parametrize("space", [3 * STEP.itemsize, 3 * STEP.itemsize + 7])
+def test_a_full_disk_is_a_fault_of_the_machine_and_no_record_begins_inside_another(space):
+    parameters = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0}
+    sequence = registry.dataset("straight").make(**parameters)
+    odometry = registry.backend("faulty").make(fault="none", at=0)
+    disk = FullDisk(space)
+    with pytest.raises(MachineFault, match="repeat with --resume") as raised:
+        worker.record_run(odometry, sequence, worker.Request("faulty", {}, "straight", {}), disk)
+    assert worker.cause_of(raised.value)[0] == "machine fault"
+    assert len(whole_records(disk.content)) == 3
+    assert worker.cause_of(OSError(errno.ENOSPC, "in the back end's own code"))[0] == "exception"
