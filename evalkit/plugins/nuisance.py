@@ -7,15 +7,15 @@ the method by one factor within 1 %.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, partial
 from itertools import islice
 
 import numpy as np
 
-from evalkit.core.ground_truth import Truth
 from evalkit.core.scan import Frame
+from evalkit.plugins.changed_sequence import ChangedSequence
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.protocols import Sequence as SensorSequence
 
@@ -44,43 +44,28 @@ def perturb_parameters(
     return changed
 
 
-class PerturbedSequence:
-    """A recording under a perturbation; ``scans``: an excerpt of so many scans, 0 for the whole recording."""
+def perturb_sequence(sequence: SensorSequence, perturbation: int, scans: int = 0) -> ChangedSequence:
+    """Return a recording under a perturbation; ``scans``: an excerpt of so many scans, 0 for the whole recording."""
+    length, later = len(sequence), int(np.random.default_rng([0, perturbation]).integers(1, MAX_LATER + 1))
+    count = min(scans, length) if scans else length
+    first = min(int((length - count) * (perturbation * GOLDEN % 1.0)) + later, max(length - 1, 0))
+    resolution_m = cache(partial(_find_resolution, sequence))  # reads scans: not before the first frame is wanted
 
-    def __init__(self, sequence: SensorSequence, perturbation: int, scans: int = 0) -> None:
-        self._sequence, self._perturbation = sequence, perturbation
-        rng = np.random.default_rng([0, perturbation])
-        length, later = len(sequence), int(rng.integers(1, MAX_LATER + 1))
-        count = min(scans, length) if scans else length
-        self._first = min(int((length - count) * (perturbation * GOLDEN % 1.0)) + later, max(length - 1, 0))
-        self._count = min(count, length - self._first)
+    def change(index: int, frame: Frame) -> Frame:
+        scan, rng = frame.scan, np.random.default_rng([2, perturbation, index])
+        noise = resolution_m() * rng.uniform(-0.5, 0.5, len(scan.ranges))
+        ranges = np.where(scan.hits, np.clip(scan.ranges + noise, scan.range_min_m, scan.range_max_m), scan.ranges)
+        ranges[rng.random(len(ranges)) < DROPPED] = np.nan
+        return replace(frame, scan=replace(scan, ranges=ranges))
 
-    def __len__(self) -> int:
-        return self._count
+    return ChangedSequence(sequence, change, first, min(count, length - first))
 
-    def frames(self) -> Iterator[Frame]:
-        """Yield the perturbed frames; every call yields the same ones."""
-        for index, frame in enumerate(islice(self._sequence.frames(), self._first, self._first + self._count)):
-            scan, rng = frame.scan, np.random.default_rng([2, self._perturbation, index])
-            noise = self._resolution_m * rng.uniform(-0.5, 0.5, len(scan.ranges))
-            ranges = np.where(scan.hits, np.clip(scan.ranges + noise, scan.range_min_m, scan.range_max_m), scan.ranges)
-            ranges[rng.random(len(ranges)) < DROPPED] = np.nan
-            yield replace(frame, scan=replace(scan, ranges=ranges))
 
-    def truth(self) -> Truth:
-        """Return the ground truth of the recording."""
-        return self._sequence.truth()
-
-    def notes(self) -> Mapping[str, int]:
-        """Return the notes of the recording."""
-        return self._sequence.notes()
-
-    @cached_property
-    def _resolution_m(self) -> float:
-        """The smallest difference between two ranges in one scan, the median over the first scans."""
-        steps = []
-        for frame in islice(self._sequence.frames(), SEEN_SCANS):
-            differences = np.diff(np.unique(np.round(frame.scan.ranges[frame.scan.hits], 6)))
-            if len(differences):
-                steps.append(float(differences.min()))
-        return float(np.clip(np.median(steps) if steps else 0.0, *RESOLUTION_M))
+def _find_resolution(sequence: SensorSequence) -> float:
+    """Return the smallest difference (m) between two ranges in one scan, the median over the first scans."""
+    steps = []
+    for frame in islice(sequence.frames(), SEEN_SCANS):
+        differences = np.diff(np.unique(np.round(frame.scan.ranges[frame.scan.hits], 6)))
+        if len(differences):
+            steps.append(float(differences.min()))
+    return float(np.clip(np.median(steps) if steps else 0.0, *RESOLUTION_M))

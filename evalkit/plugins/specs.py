@@ -226,9 +226,9 @@ class DatasetSpec:
         sequence = self.make(**own)
         if NUISANCE not in parameters:
             return sequence
-        from evalkit.plugins.nuisance import PerturbedSequence  # noqa: PLC0415 - loads NumPy
+        from evalkit.plugins.nuisance import perturb_sequence  # noqa: PLC0415 - loads NumPy
 
-        return PerturbedSequence(sequence, int(parameters[NUISANCE]), int(parameters.get(EXCERPT, 0)))
+        return perturb_sequence(sequence, int(parameters[NUISANCE]), int(parameters.get(EXCERPT, 0)))
 
 
 def make_first_stage_parameter(parameter: Parameter, default: Value) -> Parameter:

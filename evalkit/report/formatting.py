@@ -60,13 +60,13 @@ def format_bounds(interval: Interval, digits: int) -> str:
 def format_median(metric: Metric, score: MethodScore) -> str:
     """Format the median of the runs with its interval: "0.014 m (95 % interval 0.012 to 0.017)".
 
-    Of a recording: "0.45 m (0.35 to 0.64 in 9 perturbed runs)".
+    Of a recording: "0.45 m (0.35 to 0.64 in 9 repeated runs)".
     One run: "0.014 m (95 % interval of this run 0.012 to 0.017)". Two runs: "0.95 (0.94 to 0.96 in 2 runs)".
     """
     middle = format_amount(metric, median(score.values))
     if score.band is not None:
         low, high = (format_number(value, metric.digits) for value in (score.band.low, score.band.high))
-        return f"{middle} ({low} to {high} in {score.band.runs} perturbed runs)"
+        return f"{middle} ({low} to {high} in {score.band.runs} repeated runs)"
     if score.interval is not None:
         of = " of this run" if len(score.values) == 1 else ""
         return f"{middle} (95\u00a0% interval{of} {format_bounds(score.interval, metric.digits)})"

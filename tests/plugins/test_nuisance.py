@@ -7,7 +7,7 @@ import pytest
 
 from evalkit.core.ground_truth import Truth
 from evalkit.core.scan import Frame, Scan
-from evalkit.plugins.nuisance import CHANGE, MAX_LATER, PerturbedSequence, perturb_parameters
+from evalkit.plugins.nuisance import CHANGE, MAX_LATER, perturb_parameters, perturb_sequence
 from evalkit.plugins.parameters import Parameter
 from evalkit.plugins.specs import DatasetSpec
 
@@ -37,7 +37,7 @@ class Recording:
 def test_a_perturbed_recording_starts_later_with_fewer_beams_and_noise_of_one_digit():
     whole = list(Recording().frames())
     for number in (1, 2, 9):
-        changed = PerturbedSequence(Recording(), number)
+        changed = perturb_sequence(Recording(), number)
         frames = list(changed.frames())
         later = len(whole) - len(frames)
         assert 1 <= later <= MAX_LATER
@@ -57,7 +57,7 @@ def test_a_perturbed_recording_starts_later_with_fewer_beams_and_noise_of_one_di
 
 def test_a_perturbation_is_repeatable_and_differs_from_the_others():
     def first(number):
-        return next(iter(PerturbedSequence(Recording(), number).frames())).scan.ranges
+        return next(iter(perturb_sequence(Recording(), number).frames())).scan.ranges
 
     assert np.array_equal(first(3), first(3), equal_nan=True)
     assert not np.array_equal(first(3), first(4), equal_nan=True)
@@ -66,12 +66,12 @@ def test_a_perturbation_is_repeatable_and_differs_from_the_others():
 def test_excerpts_have_the_given_length_and_lie_all_over_the_recording():
     firsts = []
     for number in range(1, 9):
-        changed = PerturbedSequence(Recording(1000), number, 100)
+        changed = perturb_sequence(Recording(1000), number, 100)
         assert len(changed) == 100
         firsts.append(next(iter(changed.frames())).scan.stamp_ns / 1e8)
     assert min(firsts) < 150
     assert max(firsts) > 750
-    assert len(PerturbedSequence(Recording(3), 1, 100)) in (1, 2)
+    assert len(perturb_sequence(Recording(3), 1, 100)) in (1, 2)
 
 
 def test_lengths_change_by_one_factor_within_one_percent_and_within_their_bounds():

@@ -242,9 +242,10 @@ def test_a_recording_is_judged_by_its_perturbed_runs(record, build):
     score = analyse_sequence(comparison, "room").deciding.of("a")
     assert score.band == NuisanceBand(pytest.approx(0.10), pytest.approx(0.103), 4)
     said = _verdict_text(comparison)
-    assert "a is ahead on halves of the run apart: 0.102 m (0.100 to 0.103 in 4 perturbed runs)" in said
+    assert "a is ahead on halves of the run apart: 0.102 m (0.100 to 0.103 in 4 repeated runs)" in said
     assert "The spread is that of 4 runs of this recording" in said
-    assert "perturbed" not in _verdict_text(plain)
+    assert "repeated runs)" not in _verdict_text(plain)
+    assert "perturb" not in _verdict_text(plain)
     assert "spread is that of" not in _verdict_text(plain)
     assert analyse_sequence(plain, "room").deciding.of("a").band is None
 

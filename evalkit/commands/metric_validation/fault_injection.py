@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,12 +19,13 @@ from evalkit.commands.metric_validation.map_rebuilding import (
     make_run,
 )
 from evalkit.core import se2
-from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Frame, Scan
+from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.metrics.table import Metric
+from evalkit.plugins.changed_sequence import ChangedSequence
 from evalkit.plugins.protocols import Sequence
 
 Steps = NDArray[np.void]
@@ -47,7 +48,7 @@ class Fault:
 
     what: str
     change_steps: Callable[[Steps], Steps] | None = None
-    change_frame: Callable[[Frame], Frame] | None = None
+    change_frame: Callable[[int, Frame], Frame] | None = None
 
 
 @dataclass(frozen=True)
@@ -60,64 +61,33 @@ class Detection:
     factor: float
 
 
-class FaultySequence:
-    """A sequence with modified frames and unchanged ground truth."""
-
-    def __init__(self, sequence: Sequence, change: Callable[[Frame], Frame]) -> None:
-        self._sequence, self._change = sequence, change
-
-    def __len__(self) -> int:
-        return len(self._sequence)
-
-    def frames(self) -> Iterator[Frame]:
-        """Return the modified frames."""
-        return map(self._change, self._sequence.frames())
-
-    def truth(self) -> Truth:
-        """Return the ground truth of the sequence."""
-        return self._sequence.truth()
-
-    def notes(self) -> Mapping[str, int]:
-        """Return the notes of the sequence."""
-        return self._sequence.notes()
-
-
-def _swap_axes(steps: Steps) -> Steps:
-    turned = steps.copy()
-    turned["x"], turned["y"] = steps["y"], steps["x"]
-    return turned
-
-
-def _flip_yaw(steps: Steps) -> Steps:
-    turned = steps.copy()
-    turned["theta"] = -steps["theta"]
-    return turned
-
-
 def _shift_stamps(steps: Steps) -> Steps:
     shifted = steps[:-1].copy()
     shifted["stamp_ns"] = steps["stamp_ns"][1:]
     return shifted
 
 
-def _convert_to_degrees(steps: Steps) -> Steps:
-    turned = steps.copy()
-    turned["theta"] = se2.wrap(np.degrees(steps["theta"]))
-    return turned
+def _change_poses(change: Callable[[Floats], Floats]) -> Callable[[Steps], Steps]:
+    """Return a fault of the poses (N, 3) as a function of the steps."""
+
+    def change_steps(steps: Steps) -> Steps:
+        changed = steps.copy()
+        poses = np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1)
+        changed["x"], changed["y"], changed["theta"] = change(poses).T
+        return changed
+
+    return change_steps
 
 
-def _invert_poses(steps: Steps) -> Steps:
-    turned = steps.copy()
-    rows = se2.inverse(np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1))
-    turned["x"], turned["y"], turned["theta"] = rows.T
-    return turned
+def _convert_to_degrees(poses: Floats) -> Floats:
+    return np.column_stack([poses[:, :2], se2.wrap(np.degrees(poses[:, 2]))])
 
 
-def _drop_extrinsics(frame: Frame) -> Frame:
+def _drop_extrinsics(_index: int, frame: Frame) -> Frame:
     return replace(frame, base_from_sensor=Pose())
 
 
-def _mirror_beams(frame: Frame) -> Frame:
+def _mirror_beams(_index: int, frame: Frame) -> Frame:
     scan = frame.scan
     other = Scan(
         scan.stamp_ns, scan.ranges, -scan.angles, scan.range_min_m, scan.range_max_m, scan.time_increment_ns
@@ -126,11 +96,13 @@ def _mirror_beams(frame: Frame) -> Frame:
 
 
 FAULTS: dict[str, Fault] = {
-    "axes swapped": Fault("x and y of the poses are exchanged", _swap_axes),
-    "yaw flipped": Fault("the heading of the poses has the wrong sign", _flip_yaw),
+    "axes swapped": Fault("x and y of the poses are exchanged", _change_poses(lambda poses: poses[:, [1, 0, 2]])),
+    "yaw flipped": Fault(
+        "the heading of the poses has the wrong sign", _change_poses(lambda poses: poses * [1, 1, -1])
+    ),
     "stamps one scan late": Fault("every pose has the stamp of the next scan", _shift_stamps),
-    "degrees for radians": Fault("the heading of the poses is in degrees", _convert_to_degrees),
-    "pose inverted": Fault("the poses are base_from_start", _invert_poses),
+    "degrees for radians": Fault("the heading of the poses is in degrees", _change_poses(_convert_to_degrees)),
+    "pose inverted": Fault("the poses are base_from_start", _change_poses(se2.inverse)),
     "extrinsics dropped": Fault(
         "scans are mapped with the lidar at the origin of the base", change_frame=_drop_extrinsics
     ),
@@ -159,7 +131,7 @@ def inject_fault(run: RunResult, sequence: Sequence, fault: Fault) -> tuple[RunR
     """Return the run and the sequence with a fault."""
     if fault.change_steps is not None:
         run = replace(run, steps=fault.change_steps(run.steps))
-    return run, sequence if fault.change_frame is None else FaultySequence(sequence, fault.change_frame)
+    return run, sequence if fault.change_frame is None else ChangedSequence(sequence, fault.change_frame)
 
 
 def compare_scores(

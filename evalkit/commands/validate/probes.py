@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -23,7 +23,6 @@ from evalkit.commands.validate.equivalence.margins import (
 from evalkit.commands.validate.rules import runner
 from evalkit.commands.validate.rules.state_rules import match_bits
 from evalkit.commands.validate.scan_pairs import ScanPair, TwoScans
-from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
@@ -31,6 +30,7 @@ from evalkit.execution.sandbox import note_place
 from evalkit.execution.task import Result
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
+from evalkit.plugins.changed_sequence import ChangedSequence
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.protocols import NoAnswer, Odometry, Registration, Sequence
 from evalkit.plugins.specs import RegistrationSpec
@@ -154,31 +154,16 @@ def compare_maps(a: Plugin, b: Plugin, on: Data, scans: int, margin: str) -> Res
     """Two mappers drawing the same scans, compared cell by cell, from a start off the corners of cells."""
     spec, sequence = registry.dataset(on["dataset"]), load_sequence(on)
     note_place(f"{on['label']}: {a['name']} and {b['name']}")
-    moved = replace(spec, make=lambda: _FromStart(sequence), parameters=())
+    moved = replace(spec, make=lambda: ChangedSequence(sequence, _move_odometry), parameters=())
     result = comparison.mapper_equivalence(
         a["name"], b["name"], moved, set_a=a["given"], set_b=b["given"], margin=parse_margin(margin), scans=scans
     )
     return {"cells": result.as_json()}
 
 
-class _FromStart:
-    """A sequence with its wheel odometry moved to begin at ``START``; without any, the odometry stays there."""
-
-    def __init__(self, sequence: Sequence) -> None:
-        self._sequence = sequence
-
-    def __len__(self) -> int:
-        return len(self._sequence)
-
-    def frames(self) -> Iterator[Frame]:
-        for frame in self._sequence.frames():
-            yield replace(frame, odom_from_base=START @ (frame.odom_from_base or Pose()))
-
-    def truth(self) -> Truth:
-        return self._sequence.truth()
-
-    def notes(self) -> Mapping[str, int]:
-        return self._sequence.notes()
+def _move_odometry(_index: int, frame: Frame) -> Frame:
+    """Begin the wheel odometry at ``START``; without any, it stays there."""
+    return replace(frame, odom_from_base=START @ (frame.odom_from_base or Pose()))
 
 
 def parse_margin(text: str) -> MarginChoice:

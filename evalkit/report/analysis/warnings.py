@@ -38,9 +38,9 @@ def warn_of_evidence(ranking: Ranking) -> list[str]:
     band = next((score.band for score in ranking.ranked if score.band is not None), None)
     if band is not None:
         warnings.append(
-            f"The spread is that of {band.runs} runs of this recording with a later start, fewer beams, noise at the "
-            "resolution of the ranges, and lengths among the parameters changed by at most 1\u00a0%, the same for all "
-            "methods; another recording may differ by more."
+            f"The spread is that of {band.runs} runs of this recording under small perturbations (a later start, fewer "
+            "beams, noise at the resolution of the ranges, lengths of the methods changed by at most 1\u00a0%), the "
+            "same for all methods; another recording may differ by more."
         )
     return warnings
 
