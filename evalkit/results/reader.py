@@ -16,6 +16,7 @@ from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.arrays import Ints
 from evalkit.core.errors import StoreError, brief
 from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import DISTURBED, RunConditions
 from evalkit.core.se2 import Floats
 from evalkit.io import untrusted_io
 from evalkit.plugins.parameters import EXCERPT, NUISANCE
@@ -44,6 +45,7 @@ class StoredRun:
 
     ``parameters``: of the sequence, without the seed. ``scores``: values by metric, without those that have none.
     ``stamps_ns``, ``errors_m`` (N,): distance to the ground truth of each scan that has one; empty if not stored.
+    ``key``: equal for equal code, data and parameters. ``conditions``: of the machine during the run, if known.
     """
 
     status: str
@@ -52,6 +54,8 @@ class StoredRun:
     scores: Mapping[str, float]
     stamps_ns: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     errors_m: Floats = field(default_factory=lambda: np.zeros(0))
+    key: str = ""
+    conditions: RunConditions = field(default_factory=RunConditions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +167,7 @@ def _load_reported(folder: Path) -> StoredResults:
             for label, card in content["sequences"].items()
         }
         processor = str(content["environment"].get("processor", ""))
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         path = str(folder / "results.json")
         raise StoreError(path, f"is not complete ({error!r})", "write the report again") from error
     return StoredResults(str(folder), runs, processor, defaults=defaults)
@@ -172,7 +176,15 @@ def _load_reported(folder: Path) -> StoredResults:
 def _entry_run(folder: Path, entry: Mapping[str, Any]) -> StoredRun:
     parameters = {name: value for name, value in entry["dataset_parameters"].items() if name not in REPETITION}
     own = folder / "runs" / Path(str(entry["key"])).name  # stays inside the folder, whatever the file says
-    return StoredRun(entry["status"], entry["reason"], parameters, _score_values(entry["scores"]), *_load_errors(own))
+    return StoredRun(
+        entry["status"], entry["reason"], parameters, _score_values(entry["scores"]), *_load_errors(own),
+        entry["key"], _parse_conditions(entry["conditions"]),
+    )  # fmt: skip
+
+
+def _parse_conditions(values: Mapping[str, Any] | None) -> RunConditions:
+    """Return the stored conditions of a run, unknown ones if there are none. Raises TypeError or ValueError."""
+    return RunConditions(**{name: value for name, value in (values or {}).items() if name != DISTURBED})
 
 
 def _load_unreported(folder: Path) -> StoredResults:
@@ -190,7 +202,10 @@ def _load_unreported(folder: Path) -> StoredResults:
             when, processor = str(provenance.get("executed_at", "")), str(provenance.get("processor", processor))
             name = (result["method"], result["sequence"], parameters.pop("seed", None))
             errors = _load_errors(own)
-            run = StoredRun(result["status"], result["reason"], parameters, _score_values(scores), *errors)
+            conditions = _parse_conditions(result.get("conditions"))
+            run = StoredRun(
+                result["status"], result["reason"], parameters, _score_values(scores), *errors, own.name, conditions
+            )
         except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
             raise StoreError(str(own), f"is not complete ({error!r})", "repeat the run") from error
         if name not in runs or runs[name][0] <= when:

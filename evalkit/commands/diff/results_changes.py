@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from statistics import median
@@ -24,6 +25,12 @@ TICK_MS = 0.01
 
 MIN_FOR_SESSION = 3
 MIN_NAMED_SESSION = 0.03
+
+MAX_LOAD_CHANGE = 1.0
+"""A larger difference of the load averages means that other work shared caches and memory with one side."""
+
+MAX_MHZ_RATIO = 1.1
+"""Frequencies further apart make times differ by themselves."""
 
 ONE_RUN = 2.0
 """Factor on the time limit for a single run: it includes the noise of its session, whose size is unknown."""
@@ -245,6 +252,8 @@ def _metric_change(
     if metric.name == TIME:  # intervals within one session say nothing about another session
         difference = None
         verdict, reason = _judge_time(before, after, limits, session)
+        if verdict in ("regression", "improvement") and (why := _find_machine_change(runs)):
+            verdict, reason = "not comparable", why
     else:
         difference = compute_difference(after, before)
         verdict, reason = _judge_error(metric, before, after, difference, limits)
@@ -285,6 +294,29 @@ def _judge_time(
         return "no difference shown", "the runs before and after overlap"
     verdict: ChangeVerdict = "regression" if after > before else "improvement"
     return verdict, f"more than {100 * limit:g} % relative to all other methods"
+
+
+def _find_machine_change(runs: Sequence[tuple[RunName, StoredRun, StoredRun]]) -> str:
+    """Return why another CPU time is the machine's and not the code's, "" if nothing says so."""
+    pairs = [(one, other) for _, one, other in runs]
+    if all(one.key and one.key == other.key for one, other in pairs):
+        return "machine was busy or slower: code, data and parameters are identical"
+    if any(side.conditions.disturbed for pair in pairs for side in pair):
+        return "machine was busy: other processes took CPU time from the run"
+    old, new = [one for one, _ in pairs], [other for _, other in pairs]
+    loads = _median_condition(old, "load"), _median_condition(new, "load")
+    if abs(loads[1] - loads[0]) > MAX_LOAD_CHANGE:
+        return f"machine was busy: load {loads[0]:.1f} against {loads[1]:.1f}"
+    mhz = _median_condition(old, "mhz"), _median_condition(new, "mhz")
+    if max(mhz) > MAX_MHZ_RATIO * min(mhz):
+        return f"machine ran at another frequency: {mhz[0]:.0f} against {mhz[1]:.0f} MHz"
+    return ""
+
+
+def _median_condition(runs: Sequence[StoredRun], name: str) -> float:
+    """Return the median of a condition over runs; nan if it is not known for any."""
+    known = [value for run in runs if (value := getattr(run.conditions, name)) is not None]
+    return median(known) if known else math.nan
 
 
 def _score(method: str, metric: str, runs: Sequence[tuple[RunName, StoredRun, StoredRun]]) -> MethodScore:

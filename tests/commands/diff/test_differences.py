@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from evalkit import cli
 from evalkit.commands.diff.changes import format_markdown
 from evalkit.commands.diff.results_changes import DiffLimits, compare_results, describe_results_diff
 from evalkit.core.errors import StoreError
+from evalkit.core.run_result import RunConditions
 from evalkit.metrics import all_metrics
 from evalkit.report import write_report
 from evalkit.results.reader import StoredResults, StoredRun, load_stored_results
@@ -26,10 +28,12 @@ def _snapshot(runs, folder="old", processor="a processor", **more):
     return StoredResults(folder, runs, processor, **more)
 
 
-def _run(ate=0.02, ms=1.0, status="complete", errors=None, **parameters):
+def _run(ate=0.02, ms=1.0, status="complete", errors=None, key="", conditions=None, **parameters):
     scores = {ATE: ate, TIME: ms} if status == "complete" else {}
     kept = () if errors is None else (np.arange(len(errors)) * 10**8, errors)
-    return StoredRun(status, "" if status == "complete" else "signal 11", parameters, scores, *kept)
+    reason = "" if status == "complete" else "signal 11"
+    run = StoredRun(status, reason, parameters, scores, *kept)
+    return replace(run, key=key, conditions=conditions or RunConditions())
 
 
 def _seeds(ates, times=None, **parameters):
@@ -81,6 +85,34 @@ def test_a_single_run_is_compared_scan_by_scan():
 def test_time_must_increase_in_every_run_and_by_twice_the_limit_in_a_single_run(times, said):
     ates = [0.02] * len(times)
     assert _verdict(_between(_seeds(ates), _seeds(ates, times)), TIME) == said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ({"key": "k"}, {"key": "k"}, "machine was busy or slower: code, data and parameters are identical"),
+        ({"key": "k"}, {"key": "l"}, ""),
+        ({}, {"conditions": RunConditions(other_percent=40.0)}, "machine was busy: other processes took CPU time"),
+        ({"conditions": RunConditions(load=1.0)}, {"conditions": RunConditions(load=9.0)}, "load 1.0 against 9.0"),
+        ({"conditions": RunConditions(load=1.0)}, {"conditions": RunConditions(load=1.5)}, ""),
+        ({"conditions": RunConditions(mhz=3400.0)}, {"conditions": RunConditions(mhz=2100.0)}, "3400 against 2100 MHz"),
+        ({}, {"conditions": RunConditions(load=9.0, mhz=2100.0)}, ""),
+    ],
+)
+def test_a_longer_time_is_no_regression_where_the_machine_explains_it(old, new, reason):
+    """A third more CPU time in both runs: beyond the limit of 10 %."""
+    before, after = (
+        {("a", "room", seed): _run(ms=ms, **more) for seed in (0, 1)} for ms, more in ((1, old), (1.32, new))
+    )
+    found = _between(before, after)
+    (change,) = (one for one in found.changes if one.metric == TIME)
+    assert (change.verdict, found.regressions) == (("not comparable", 0) if reason else ("regression", 1))
+    assert reason in change.reason
+
+
+def test_a_busy_machine_does_not_hide_that_a_time_did_not_change():
+    before, after = ({("a", "room", 0): _run(ms=ms, key="k")} for ms in (1.0, 1.05))
+    assert _verdict(_between(before, after), TIME) == "within the limit"
 
 
 def test_a_change_common_to_all_methods_is_attributed_to_the_machine():
