@@ -1,0 +1,40 @@
+"""The GitHub Action: its summary of a validation, and the options of evalkit that it uses."""
+
+import importlib.util
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+from evalkit import cli
+
+ACTION = Path(__file__).resolve().parents[1] / ".github" / "actions" / "evalkit"
+
+
+def check(name, outcome, decides=True):
+    return {"name": name, "on": "lab, seed 0", "outcome": outcome, "decides": decides, "observed": "3 < 4 | <b>"}
+
+
+def test_the_summary_has_a_row_a_level_and_names_what_did_not_pass():
+    spec = importlib.util.spec_from_file_location("summary", ACTION / "summary.py")
+    summary = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(summary)
+    levels = [
+        {"name": "rules", "outcome": "passed", "checks": [check("a", "passed"), check("b", "informative", False)]},
+        {"name": "time", "outcome": "failed", "checks": [check("c", "failed"), check("d", "passed"),
+                                                         check("e", "not applicable")]},
+    ]  # fmt: skip
+    assert summary.summarise({"subject": "mine", "verdict": "No.", "levels": levels}).splitlines() == [
+        "## evalkit: mine", "", "No.", "",
+        "| level | outcome | decisive checks passed |", "|---|---|---|",
+        "| rules | passed | 1 of 1 |", "| time | **failed** | 1 of 2 |", "",
+        "* failed: c lab, seed 0 3 &lt; 4 \\| &lt;b>",
+    ]  # fmt: skip
+
+
+def test_the_commands_of_the_action_have_the_options_it_uses():
+    action = (ACTION / "action.yml").read_text(encoding="utf-8")
+    for command, options in (("validate", ("--quick", "--json", "--out")), ("diff", ("--markdown",))):
+        told = CliRunner().invoke(cli.app, [command, "--help"], env={"COLUMNS": "200"}).output
+        for option in options:
+            assert option in told
+            assert option in action
