@@ -50,7 +50,7 @@ class Tile:
 
 
 def find_hardest(analysis: Analysis) -> int | None:
-    """Return the index of the sequence whose maps differ most: recordings before simulations, counted before others."""
+    """Return the index of the sequence whose maps differ most: recordings before simulations, then counted ones."""
     counted = {one.sequence: one for one in analysis.answer.contests}
     found: list[tuple[bool, bool, float, int]] = []
     for number, sequence in enumerate(analysis.sequences):
@@ -59,7 +59,9 @@ def find_hardest(analysis: Analysis) -> int | None:
             continue
         values = [max(median(score.values), 1e-9) for score in sequence.deciding.scores if score.values]
         spread = max(values) / min(values) if values else 0.0
-        found.append((sequence.label in counted, drawn[0].seed is None, spread, -number))
+        found.append(
+            (not sequence.card.settings or drawn[0].truth.grid is None, sequence.label in counted, spread, -number)
+        )
     return -max(found)[-1] if found else None
 
 
@@ -75,7 +77,7 @@ def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[s
     ordered = [score.method for score in sorted(valued, key=lambda score: sign * median(score.values))]
     winners = [method for method in ordered if method in analysis.answer.winners]
     wanted = (
-        ("answer" if winners else "best here", winners or ordered),
+        *([("answer", [winner]) for winner in winners[:2]] or [("best here", ordered)]),
         ("worst", ordered[::-1]),
         ("best peer", [method for method in ordered if comparison.methods[method].role == "peer"]),
         ("baseline", comparison.methods_with_role("baseline")),
@@ -106,7 +108,7 @@ def build_tiles(analysis: Analysis, number: int, strokes: Strokes) -> list[Tile]
         cost = sequence.rankings[COST].of(method) if COST in sequence.rankings else None
         times = format_milliseconds(cost.median) if cost is not None and cost.median is not None else ""
         lost = f"lost at {score.lost.at_s:.0f} s" if score is not None and score.lost is not None else ""
-        caption = " · ".join(filter(None, (value, times, lost)))
+        caption = " · ".join(filter(None, (value, lost or times)))
         has_player = any(len(run.result.steps) for run in sequence.runs[method])
         anchor = f"sequence-{number + 1}"
         link = f"#{anchor}-player?by={quote(method)}&on=own&play=1" if has_player else f"#{anchor}"
@@ -199,9 +201,9 @@ def _dot(panel: _Panel, method: str) -> Markup:
         for tick in panel.ticks
     ]  # fmt: skip
     spread = score.band or score.interval
-    if spread is not None:
-        low, high = (_percent(panel.scale.share(bound)) for bound in (spread.low, spread.high))
-        parts.append(element("line", x1=low, x2=high, y1=ROW / 2, y2=ROW / 2, class_="span"))
+    bounds = (spread.low, spread.high) if spread else (min(score.values), max(score.values))
+    low, high = (_percent(panel.scale.share(bound)) for bound in bounds)
+    parts.append(element("line", x1=low, x2=high, y1=ROW / 2, y2=ROW / 2, class_="span"))
     if kind in SHAPES:
         shape = element("path", d=SHAPES[kind], class_=f"dot {kind}")
         parts.append(element("svg", shape, x=_percent(at), y=ROW / 2, overflow="visible"))
@@ -282,7 +284,7 @@ def draw_scatter(analysis: Analysis, strokes: Strokes) -> Markup | None:
         words = f"a scan every {format_milliseconds(period)}"
         parts.append(element("text", words, x=at - 4, y=bottom - 6, text_anchor="end", class_="tick"))
     labels = place_labels([(*place[one.method], one.method) for one in points], (right, bottom), 6.2, 9.0)
-    for one in points:
+    for one in reversed(points):  # the best on top
         px, py = place[one.method]
         kind = f"series{' led' if one.method in analysis.answer.winners else ''}"
         label = labels.get(one.method, (px, py - 9.0, "middle"))

@@ -13,14 +13,14 @@ from evalkit.plugins.specs import Published
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison, Setting
 from evalkit.report.analysis.ranking import Mark, Ranking, mark
-from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, NuisanceBand, unfinished
+from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.significance import MethodRecord, PairedComparison
 from evalkit.report.formatting import capitalise, format_bounds, format_number, format_quantity
 from evalkit.report.html.blocks import Block, Cell, Chips, Column, Fold, Table, Text, Tone
 from evalkit.report.html.palette import Stroke
 from evalkit.results.run_record import RunRecord
-from evalkit.stats.intervals import Interval, wilson_interval
+from evalkit.stats.intervals import wilson_interval
 
 Strokes = Mapping[str, Stroke]
 DASH = Cell("–", "")
@@ -134,8 +134,8 @@ def numbers_table(analysis: Analysis, strokes: Strokes) -> Table:
     for sequence in analysis.sequences:
         found = sequence.deciding.metric if sequence.deciding else None
         column = metric_column(found) if found else Column("", "", True)
-        columns.append(Column(f"{sequence.label}: {found.label}" if found else sequence.label, column.unit, True,
-                              column.tip, column.better))  # fmt: skip
+        told = f"{found.label}, {found.unit}" if found and column.unit else found.label if found else ""
+        columns.append(Column(sequence.label, told, True, column.tip, column.better))
     columns.append(Column("CPU a scan", "ms", True, "median over the sequences", "lower"))
     rows = []
     for standing in answer.standings:
@@ -185,7 +185,9 @@ def pairs_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes
                 cells += [DASH, Cell(one.verdict if one else "itself"), DASH]
                 continue
             bounds, metric = one.difference.interval, pairs.metric
-            value = Cell(_format(metric, bounds.value), bounds.value, extent=f"95 %: {_bounds(metric, bounds)}")
+            value = Cell(
+                _format(metric, bounds.value), bounds.value, extent=f"95 %: {_bounds(metric, bounds.low, bounds.high)}"
+            )
             detectable = one.difference.detectable
             cells += [value, Cell(one.verdict), DASH if detectable is None else Cell(_format(metric, detectable))]
         rows.append([method_cell(analysis.comparison, strokes, label), *cells])
@@ -359,20 +361,23 @@ def absent_note(rankings: Sequence[Ranking]) -> list[Block]:
 
 def _extent(metric: Metric, score: MethodScore) -> str:
     """Return the 95 % interval, or the lowest and highest of several runs, as printed below the number."""
-    count = f"{len(score.values)} of {score.expected} runs " if len(score.values) < score.expected else ""
+    parts = [f"{len(score.values)} of {score.expected} runs"] if len(score.values) < score.expected else []
     if score.band is not None:
-        return f"{count}perturbed: {_bounds(metric, score.band)}"
-    if score.interval is not None:
-        return f"{count}95 %: {_bounds(metric, score.interval)}"
-    if len(score.values) > 1:
-        return f"{count}{_format(metric, min(score.values))}–{_format(metric, max(score.values))}"
-    return count.rstrip()
+        parts.append(f"perturbed: {_bounds(metric, score.band.low, score.band.high)}")
+    elif score.interval is not None:
+        parts.append(f"95 %: {_bounds(metric, score.interval.low, score.interval.high)}")
+    elif len(score.values) > 1:
+        parts.append(_bounds(metric, min(score.values), max(score.values)))
+    return ", ".join(parts)
 
 
-def _bounds(metric: Metric, interval: Interval | NuisanceBand) -> str:
-    low, high = _format(metric, interval.low), _format(metric, interval.high)
-    unit = low.partition("\u00a0")[2]
-    return f"{low.removesuffix(unit).rstrip()}–{high}" if unit and high.endswith(unit) else f"{low}–{high}"
+def _bounds(metric: Metric, low: float, high: float) -> str:
+    """Return two bounds with their common unit once."""
+    first, last = _format(metric, low), _format(metric, high)
+    unit = first.partition("\u00a0")[2]
+    return (
+        f"{first.removesuffix(unit).rstrip()}–{last}" if unit and last.endswith(f"\u00a0{unit}") else f"{first}–{last}"
+    )
 
 
 def _format(metric: Metric, value: float) -> str:

@@ -37,7 +37,8 @@ function enhance(root) {
   for (const button of root.querySelectorAll("button.enlarge")) enlargeable(button);
   for (const row of root.querySelectorAll("table.wrapping tbody tr")) { // labels of the cards of a narrow screen
     const { cells } = row.closest("table").tHead.rows[0];
-    for (const cell of row.cells) if (cell.cellIndex) cell.dataset.label = cells[cell.cellIndex].textContent.trim();
+    const name = (heading) => (heading.querySelector("button") ?? heading).firstChild?.textContent.trim() ?? "";
+    for (const cell of row.cells) if (cell.cellIndex) cell.dataset.label = name(cells[cell.cellIndex]);
   }
   for (const command of root.querySelectorAll(".command")) {
     command.addEventListener("click", () => getSelection().selectAllChildren(command));
