@@ -81,7 +81,7 @@ def _render_config(advice: SuggestedConfig | None) -> Iterator[Block]:
         yield Text(f"Opened: {advice.scans} scans; ground truth: {advice.truth or 'none'}.")
     yield Command(advice.command)
     yield Text("The same as a sequence in an experiment file:")
-    yield from (Command(line) for line in advice.table.splitlines())  # one line each
+    yield Command(advice.table)
     yield Bullets(advice.reasons)
     if advice.notes:
         yield Bullets([f"the reader: {count} {name}" for name, count in advice.notes.items()])

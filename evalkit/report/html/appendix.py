@@ -12,7 +12,7 @@ from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison, MethodCard
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import capitalise
-from evalkit.report.html import report_tables
+from evalkit.report.html import appendix_tables, report_tables
 from evalkit.report.html.blocks import (
     Block,
     Bullets,
@@ -104,10 +104,10 @@ def _build_tests(analysis: Analysis, strokes: Strokes) -> list[Block]:
             f"(Friedman); two methods differ if their mean ranks are at least {found.ranks.critical_difference:.2f} "
             "apart (critical difference, Nemenyi)."
         )
-    blocks: list[Block] = [Text(text), report_tables.records_table(analysis, strokes), Text(QUANTILES, "note")]
+    blocks: list[Block] = [Text(text), appendix_tables.records_table(analysis, strokes), Text(QUANTILES, "note")]
     if found.comparisons:
         title = "Paired tests over all runs, every method against the best-ranked and the reference method"
-        table = report_tables.comparisons_table(analysis, strokes)
+        table = appendix_tables.comparisons_table(analysis, strokes)
         blocks.append(Fold(title, [Text(TESTS, "note"), table], "over-all-runs"))
     return blocks
 
@@ -130,7 +130,7 @@ def _build_metrics(metrics: Sequence[Metric]) -> list[Block]:
                 f"below 0 reverse order. Measured {found.created} with {found.command}."
             )
             blocks += [Heading("Rank agreement", "rank-agreement", 4), Text(told, "note")]
-            blocks.append(report_tables.agreement_table(found, members))
+            blocks.append(appendix_tables.agreement_table(found, members))
         headline = [_metric_card(metric) for metric in members if metric.headline]
         others = [_metric_card(metric) for metric in members if not metric.headline]
         blocks += [Cards(headline)] if headline else []
@@ -162,7 +162,7 @@ def _method_card(label: str, card: MethodCard, place: int, strokes: Strokes) -> 
     facts += [("Licence", card.licence), ("Source", card.citation)]
     blocks: list[Block] = [Text(capitalise(card.summary))]
     blocks += [Text(card.missing, "warn")] if card.missing else []
-    blocks += [Facts(facts), *report_tables.settings_fold(card.settings, f"settings-{place}")]
+    blocks += [Facts(facts), *appendix_tables.settings_fold(card.settings, f"settings-{place}")]
     chips = report_tables.CHIPS.get(card.role, ())
     return Card(label, blocks, f"method-{place}", strokes.get(label), chips)
 
@@ -178,7 +178,7 @@ def _build_data(sequences: Sequence[SequenceAnalysis]) -> list[Block]:
         if notes := count_notes(sequence.all_runs):
             listed = ", ".join(f"{count} {name}" for name, count in notes.items())
             blocks.append(Text(f"Counted while reading: {listed}", "note"))
-        blocks += report_tables.settings_fold(card.settings, f"sequence-{number}-settings")
+        blocks += appendix_tables.settings_fold(card.settings, f"sequence-{number}-settings")
         chips: Chips = (("degenerate geometry", "warn"),) if card.degenerate else ()
         cards.append(Card(sequence.label, blocks, chips=chips))
     return [Cards(cards, wide=True, level=3)]
@@ -187,7 +187,9 @@ def _build_data(sequences: Sequence[SequenceAnalysis]) -> list[Block]:
 def _build_provenance(analysis: Analysis, strokes: Strokes) -> list[Block]:
     comparison = analysis.comparison
     when = f"Started {comparison.started:%Y-%m-%d %H:%M:%S}, finished {comparison.finished:%Y-%m-%d %H:%M:%S}."
-    runs = [report_tables.runs_fold(analysis, one, number, strokes) for number, one in enumerate(analysis.sequences, 1)]
+    runs = [
+        appendix_tables.runs_fold(analysis, one, number, strokes) for number, one in enumerate(analysis.sequences, 1)
+    ]
     mapper: list[Block] = [Text(f"The mapper of all maps: {comparison.mapper}", "note")] if comparison.mapper else []
     return [
         Command(comparison.command),

@@ -139,7 +139,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command line."""
+    """A command line, or several lines that are copied as one block."""
 
     text: str
     kind: Literal["command"] = "command"

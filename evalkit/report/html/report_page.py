@@ -15,7 +15,7 @@ from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.verdict import SequenceVerdict
 from evalkit.report.formatting import capitalise, format_quantity
-from evalkit.report.html import appendix, first_screen, report_tables, run_charts
+from evalkit.report.html import appendix, cost_plot, dot_plot, map_strip, report_tables, run_charts
 from evalkit.report.html.blocks import (
     Block,
     Bullets,
@@ -55,8 +55,8 @@ def render_report(analysis: Analysis) -> str:
     comparison = analysis.comparison
     strokes = assign_strokes(comparison.method_labels, comparison.methods_with_role("baseline"))
     maps = [draw_maps(comparison, sequence, strokes) for sequence in analysis.sequences]
-    hardest = first_screen.find_hardest(analysis)
-    tiles = [] if hardest is None else first_screen.build_tiles(analysis, hardest, strokes)
+    hardest = map_strip.find_hardest(analysis)
+    tiles = [] if hardest is None else map_strip.build_tiles(analysis, hardest, strokes)
     folds = [
         build_sequence(analysis, number, maps[number], strokes, is_open=number == (hardest or 0))
         for number in range(len(analysis.sequences))
@@ -70,8 +70,8 @@ def render_report(analysis: Analysis) -> str:
         answer=analysis.answer,
         tiles=tiles,
         hardest="" if hardest is None else analysis.sequences[hardest].label,
-        dots=first_screen.draw_dots(analysis, strokes),
-        scatter=first_screen.draw_scatter(analysis, strokes),
+        dots=dot_plot.draw_dots(analysis, strokes),
+        scatter=cost_plot.draw_scatter(analysis, strokes),
         numbers=report_tables.numbers_table(analysis, strokes),
         overview=analysis.overview,
         folds=folds,

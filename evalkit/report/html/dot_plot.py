@@ -1,0 +1,166 @@
+"""The dot plot of a report: methods by rank in rows, data sets in columns, each error with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from statistics import median
+
+from markupsafe import Markup
+
+from evalkit.core.run_result import RunStatus
+from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.answer import Contest
+from evalkit.report.analysis.ranking import Ranking, mark
+from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, find_loss
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.formatting import format_quantity, format_tick
+from evalkit.report.html.palette import Stroke
+from evalkit.report.html.svg import Scale, element, join, log_scale
+
+Strokes = Mapping[str, Stroke]
+ROW = 22
+"""Height of a row of the dot plot (px)."""
+
+SHAPES = {"tuned": "M0 -5.5L5.5 0L0 5.5L-5.5 0Z", "lost": "M-4 -4L4 4M-4 4L4 -4"}
+"""Marks that are no circles: settings chosen there, track lost."""
+
+
+def draw_dots(analysis: Analysis, strokes: Strokes) -> Markup | None:
+    """Return the dot plot: methods by rank in rows, data sets in columns; None without a value."""
+    answer = analysis.answer
+    contests = {one.sequence: one for one in answer.contests}
+    shown = [s for s in analysis.sequences if s.deciding is not None and not s.card.degenerate]
+    if not shown:
+        return None
+    panels = [_panel(sequence, contests.get(sequence.label)) for sequence in shown]
+    last = len(answer.standings) + 2
+    heads = [_cell("columnheader", 0, 1, element("span", "Method", class_="unseen"), "corner")]
+    heads += [_cell("columnheader", at, 1, _head(one), "head") for at, one in enumerate(panels, 1)]
+    heads.append(_cell("columnheader", len(panels) + 1, 1, "best or tied" if contests else "", "count"))
+    rows = [element("div", join(heads), role="row", class_="dots-row")]
+    for place, standing in enumerate(answer.standings, start=2):
+        own = [_cell("rowheader", 0, place, standing.method, "who")]
+        own += [_cell("cell", at, place, _dot(panel, standing.method), "panel") for at, panel in enumerate(panels, 1)]
+        led = f"{standing.led}/{standing.counted}" if standing.counted else "–"
+        own.append(_cell("cell", len(panels) + 1, place, led if contests else "", "count"))
+        leads = " led" if standing.method in answer.winners else ""
+        css = strokes[standing.method].css
+        rows.append(
+            element("div", join(own), role="row", class_=f"dots-row series{leads}", data_of=standing.method,
+                    style=f"--own:{css}")
+        )  # fmt: skip
+    ticks = join(_cell("cell", at, last, _ticks(panel), "panel foot") for at, panel in enumerate(panels, 1))
+    rows.append(element("div", ticks, role="row", class_="dots-row", aria_hidden="true"))
+    style = f"--panels:{len(panels)};--rows:{last}"
+    return element("div", join(rows), role="table", class_="dots", style=style, aria_label=_describe_dots(analysis))
+
+
+@dataclass(frozen=True, slots=True)
+class _Panel:
+    """One column of the dot plot."""
+
+    sequence: str
+    ranking: Ranking
+    contest: Contest | None
+    scale: Scale
+    runs: SequenceAnalysis
+
+    @property
+    def ticks(self) -> tuple[float, ...]:
+        """At most two round values, far enough apart for their labels."""
+        found = self.scale.ticks(2)
+        near = len(found) > 1 and self.scale.share(found[-1]) - self.scale.share(found[0]) < 0.36
+        return found[:1] if near else found
+
+
+def _panel(sequence: SequenceAnalysis, contest: Contest | None) -> _Panel:
+    ranking = sequence.deciding
+    if ranking is None:
+        raise ValueError(f"{sequence.label}: no metric has a value")
+    values = [median(score.values) for score in ranking.scores if score.values]
+    return _Panel(sequence.label, ranking, contest, log_scale(values), sequence)
+
+
+def _head(panel: _Panel) -> Markup:
+    """Return the name of a data set, and in a word or two why it does not count."""
+    name = element("b", panel.sequence)
+    if panel.contest is not None:
+        return name
+    why = "one run" if panel.ranking.comparable and not panel.ranking.repeated else "not counted"
+    return join((name, Markup(" "), element("span", why, class_="tick")))
+
+
+def _cell(role: str, column: int, row: int, content: object, kind: str) -> Markup:
+    return element("div", content, role=role, class_=kind, style=f"--c:{column};--r:{row}")
+
+
+def _dot(panel: _Panel, method: str) -> Markup:
+    """Return name (for narrow screens), drawing and words of one method on one data set."""
+    score = panel.ranking.of(method)
+    name = element("span", method, class_="own-name", aria_hidden="true")
+    if score is None or not score.values:
+        why = _explain(panel, method)
+        return join((name, element("span", why, class_="why")))
+    words, kind = _mark(panel, score)
+    at = panel.scale.share(median(score.values))
+    parts = [
+        element("line", x1=_percent(panel.scale.share(tick)), x2=_percent(panel.scale.share(tick)), y1=0, y2=ROW,
+                class_="grid")
+        for tick in panel.ticks
+    ]  # fmt: skip
+    spread = score.band or score.interval
+    bounds = (spread.low, spread.high) if spread else (min(score.values), max(score.values))
+    low, high = (_percent(panel.scale.share(bound)) for bound in bounds)
+    parts.append(element("line", x1=low, x2=high, y1=ROW / 2, y2=ROW / 2, class_="span"))
+    if kind in SHAPES:
+        shape = element("path", d=SHAPES[kind], class_=f"dot {kind}")
+        parts.append(element("svg", shape, x=_percent(at), y=ROW / 2, overflow="visible"))
+    else:
+        parts.append(element("circle", cx=_percent(at), cy=ROW / 2, r=4.6, class_=f"dot {kind}"))
+    value = format_quantity(panel.ranking.metric, median(score.values))
+    title = element("title", f"{method} on {panel.sequence}: {value}, {words}")
+    drawing = element("svg", join((title, *parts)), width="100%", height=ROW, role="img")
+    return join((name, drawing, element("span", value, class_="own-value", aria_hidden="true")))
+
+
+def _mark(panel: _Panel, score: MethodScore) -> tuple[str, str]:
+    """Return what a score is on a data set, in words and as the class of its dot."""
+    if score.tuned:
+        return "settings chosen here: not counted", "tuned"
+    words = {
+        "best": ("best", "tied"), "tied": ("tied with the best", "tied"), "worse": ("worse than the best", ""),
+        "lost": ("lost the track", "lost"), "not comparable": ("not comparable", "unranked"),
+    }  # fmt: skip
+    return words[mark(panel.ranking, score.method)]
+
+
+def _explain(panel: _Panel, method: str) -> str:
+    """Return in a word or two why there is no value."""
+    runs = panel.runs.runs.get(method, ())
+    lost = find_loss(runs)
+    if lost is not None:
+        return f"lost at {lost.at_s:.0f} s"
+    broken = [run for run in runs if not run.result.is_complete]
+    if broken and broken[0].result.status == RunStatus.DATA_MISSING:
+        return "no input"  # the sequence exists for others
+    return STATUS_LABELS[broken[0].result.status] if broken else "no value" if runs else "not run"
+
+
+def _ticks(panel: _Panel) -> Markup:
+    unit = panel.ranking.metric.unit
+    texts = [format_tick(tick) if unit == "m" else f"{tick:g} {unit}".strip() for tick in panel.ticks]
+    spans = [
+        element("span", text, class_="tick", style=f"left:{_percent(panel.scale.share(tick))}")
+        for tick, text in zip(panel.ticks, texts, strict=True)
+    ]
+    return element("span", join(spans), class_="ticks")
+
+
+def _percent(share: float) -> str:
+    return f"{7.0 + 86.0 * share:.1f}%"
+
+
+def _describe_dots(analysis: Analysis) -> str:
+    first = analysis.answer.standings[0]
+    return f"Methods by data sets, error with its interval: {first.method} leads {first.led} of {first.counted}"

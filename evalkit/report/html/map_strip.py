@@ -1,0 +1,99 @@
+"""The map strip of a report: the hardest recording as the answer, a peer, a baseline and the worst method map it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from statistics import median
+from urllib.parse import quote
+
+from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.answer import COST
+from evalkit.report.analysis.pills import find_left_out
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.formatting import format_milliseconds, format_quantity
+from evalkit.report.html.blocks import Figure
+from evalkit.report.html.maps import find_window, measure_image, render_map
+from evalkit.report.html.palette import Stroke
+
+Strokes = Mapping[str, Stroke]
+MAX_TILES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One map of the strip: the method's map on the hardest recording. ``role``: why it is shown."""
+
+    method: str
+    role: str
+    figure: Figure
+    caption: str
+    link: str
+    stroke: Stroke
+
+
+def find_hardest(analysis: Analysis) -> int | None:
+    """Return the index of the sequence whose maps differ most: recordings before simulations, then counted ones."""
+    counted = {one.sequence for one in analysis.answer.contests}
+    found: list[tuple[bool, bool, float, int]] = []
+    for number, sequence in enumerate(analysis.sequences):
+        drawn = [own[0] for own in sequence.runs.values() if own[0].scores.grid is not None]
+        if len(drawn) < 2 or sequence.deciding is None or sequence.card.degenerate:
+            continue
+        values = [max(median(score.values), 1e-9) for score in sequence.deciding.scores if score.values]
+        spread = max(values) / min(values) if values else 0.0
+        recorded = drawn[0].seed is None or drawn[0].spec.sequence.perturbed
+        found.append((recorded, sequence.label in counted, spread, -number))
+    return -max(found)[-1] if found else None
+
+
+def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[str, str]]:
+    """Return method and role of each map, best first: the answer, the best peer, the baseline, the worst, others."""
+    comparison, ranking = analysis.comparison, sequence.deciding
+    if ranking is None:
+        return []
+    drawn = {label for label, own in sequence.runs.items() if own[0].scores.grid is not None}
+    drawn -= set(find_left_out(comparison, sequence))
+    valued = [score for score in ranking.scores if score.values and score.method in drawn]
+    sign = -1.0 if ranking.metric.better == "higher" else 1.0
+    ordered = [score.method for score in sorted(valued, key=lambda score: sign * median(score.values))]
+    winners = [method for method in ordered if method in analysis.answer.winners]
+    wanted = (
+        *([("answer", [winner]) for winner in winners[:2]] or [("best here", ordered)]),
+        ("worst", ordered[::-1]),
+        ("best peer", [method for method in ordered if comparison.methods[method].role == "peer"]),
+        ("baseline", comparison.methods_with_role("baseline")),
+        ("reference", comparison.methods_with_role("reference")),
+        *[("", ordered)] * MAX_TILES,
+    )
+    chosen: dict[str, str] = {}
+    for role, methods in wanted:
+        free = [method for method in methods if method in ordered and method not in chosen]
+        if free and len(chosen) < MAX_TILES:
+            chosen[free[0]] = role
+    return [(method, chosen[method]) for method in ordered if method in chosen]
+
+
+def build_tiles(analysis: Analysis, number: int, strokes: Strokes) -> list[Tile]:
+    """Return the map strip of a sequence, best first: each map in the window of the first one."""
+    sequence = analysis.sequences[number]
+    ranking, tiles = sequence.deciding, []
+    chosen = choose_tiles(analysis, sequence)
+    grids = {method: grid for method, _ in chosen if (grid := sequence.runs[method][0].scores.grid) is not None}
+    shown = find_window([grids[chosen[0][0]]]) if chosen else None
+    if shown is None:
+        return []
+    for method, role in chosen:
+        grid = grids[method]
+        score = ranking.of(method) if ranking else None
+        value = format_quantity(ranking.metric, median(score.values)) if ranking and score and score.values else ""
+        cost = sequence.rankings[COST].of(method) if COST in sequence.rankings else None
+        times = format_milliseconds(cost.median) if cost is not None and cost.median is not None else ""
+        lost = f"lost at {score.lost.at_s:.0f} s" if score is not None and score.lost is not None else ""
+        caption = " · ".join(filter(None, (value, lost or times)))
+        has_player = any(len(run.result.steps) for run in sequence.runs[method])
+        anchor = f"sequence-{number + 1}"
+        link = f"#{anchor}-player?by={quote(method)}&on=own&play=1" if has_player else f"#{anchor}"
+        image = Figure(render_map(grid, shown), method, media="png", size=measure_image(grid, shown))
+        tiles.append(Tile(method, role, image, caption, link, strokes[method]))
+    return tiles

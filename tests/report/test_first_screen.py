@@ -1,0 +1,166 @@
+"""The first screen: what is drawn where, and which maps are shown."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit.core.run_result import LostTrack
+from evalkit.report.analysis.analysis import analyse
+from evalkit.report.analysis.answer import Standing
+from evalkit.report.html.cost_plot import _find_front, draw_scatter
+from evalkit.report.html.dot_plot import draw_dots
+from evalkit.report.html.map_strip import build_tiles, choose_tiles, find_hardest
+from evalkit.report.html.palette import assign_strokes
+from evalkit.report.html.svg import Scale, element, log_scale, place_labels, polyline
+
+
+@pytest.fixture
+def room(record, build):
+    """Five methods on one sequence: ``plane`` is the best, ``lost`` the worst, ``lib`` a peer."""
+    errors = {"paper": 0.06, "plane": 0.01, "wheel": 0.4, "lost": 2.5, "lib": 0.03}
+    runs = [
+        record(name, "room", {"ate_rmse_m": error * (1 + 0.01 * seed), "cpu_median_ms": 10 * error}, seed=seed,
+               error_m=error)
+        for name, error in errors.items()
+        for seed in range(3)
+    ]  # fmt: skip
+    made = build(runs)
+    return replace(made, methods={**made.methods, "lib": replace(made.methods["lib"], role="peer")})
+
+
+def strokes_of(comparison):
+    return assign_strokes(comparison.method_labels, ("wheel",))
+
+
+def dots(comparison):
+    return draw_dots(analyse(comparison), strokes_of(comparison))
+
+
+def kinds(markup, method):
+    """The classes of the dots of a method."""
+    row = markup[markup.index(f'data-of="{method}"') :]
+    row = row[: row.index('role="row"')] if 'role="row"' in row else row
+    return re.findall(r'class="dot ?([a-z]*)"', row)
+
+
+def test_a_logarithmic_scale_places_decades_evenly():
+    scale = Scale(0.01, 1.0)
+    assert [scale.share(value) for value in (0.01, 0.1, 1.0)] == pytest.approx([0.0, 0.5, 1.0])
+    assert scale.share(1e9) == 1.02
+    assert scale.ticks(3) == (0.01, 0.1, 1.0)
+    assert Scale(0.01, 1.0).ticks(5) == (0.01, 0.03, 0.1, 0.3, 1.0)
+
+
+def test_a_linear_scale_has_round_ticks():
+    assert Scale(0.0, 47.0, log=False).ticks(5) == (0.0, 10.0, 20.0, 30.0, 40.0)
+    assert Scale(0.0, 0.5, log=False).share(0.25) == 0.5
+
+
+def test_equal_values_still_have_a_width():
+    scale = log_scale([0.2, 0.2])
+    assert scale.high / scale.low >= 1.5
+    assert scale.share(0.2) == pytest.approx(0.5)
+
+
+def test_a_line_is_interrupted_where_a_number_is_missing():
+    path = polyline(np.array([[0.0, 0.0], [1.0, 1.0], [np.nan, 2.0], [3.0, 3.0], [4.0, 4.0]]))
+    assert 'd="M0 0L1 1M3 3L4 4"' in path
+
+
+def test_elements_escape_text_and_attributes():
+    assert element("b", "<x>", title='"') == '<b title="&#34;">&lt;x&gt;</b>'
+
+
+def test_labels_cover_neither_points_nor_each_other():
+    points = [(50.0, 50.0, "first"), (58.0, 50.0, "second"), (54.0, 52.0, "third")]
+    placed = place_labels(points, (200.0, 100.0), 6.0, 9.0)
+    assert "first" in placed
+    boxes = []
+    for name, (x, y, anchor) in placed.items():
+        wide = 6.0 * len(name)
+        left = {"start": x, "end": x - wide, "middle": x - wide / 2}[anchor]
+        boxes.append((left, y - 9.0, left + wide, y + 3.0))
+    assert all(
+        a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1] for i, a in enumerate(boxes) for b in boxes[:i]
+    )
+
+
+def test_the_front_is_what_no_other_beats_in_both():
+    points = [("a", 1.0, 5.0), ("b", 1.2, 2.0), ("c", 3.0, 0.5), ("d", 2.0, 3.0), ("e", 3.0, 0.5)]
+    standings = [Standing(name, 0, 1, cost, ratio) for name, ratio, cost in points]
+    assert [one.method for one in _find_front(standings)] == ["c", "b", "a"]
+
+
+def test_filled_dots_are_best_or_tied_and_others_hollow(room):
+    markup = dots(room)
+    assert kinds(markup, "plane") == ["tied"]
+    assert kinds(markup, "paper") == kinds(markup, "lost") == [""]
+    assert "plane on room: 10\u00a0mm, best" in markup
+    assert "paper on room: 61\u00a0mm, worse than the best" in markup
+
+
+def test_methods_are_in_the_order_of_the_answer(room):
+    names = re.findall(r'class="dots-row series[a-z ]*" data-of="(\w+)"', dots(room))
+    assert names == [one.method for one in analyse(room).answer.standings]
+
+
+def test_a_method_on_its_own_tuning_data_and_a_lost_one_have_other_marks(room):
+    tuned = replace(room, methods={**room.methods, "plane": replace(room.methods["plane"], tuned_on=("room",))})
+    assert kinds(dots(tuned), "plane") == ["tuned"]
+    assert kinds(dots(tuned), "lib") == ["tied"]
+    lost = [
+        replace(run, scores=replace(run.scores, lost=LostTrack(212.0, "it slipped"))) if run.method == "lost" else run
+        for run in room.records
+    ]
+    assert kinds(dots(replace(room, records=tuple(lost))), "lost") == ["lost"]
+
+
+def test_single_runs_are_drawn_without_a_verdict(record, build):
+    once = build(
+        [record(name, "cave", {"ate_rmse_m": e}, seed=None, error_m=e) for name, e in (("a", 0.1), ("b", 0.9))]
+    )
+    markup = dots(once)
+    assert kinds(markup, "a") == kinds(markup, "b") == ["unranked"]
+    assert "one run" in markup
+
+
+def test_a_missing_value_has_its_reason(record, build, room):
+    failed = [record("z", "room", {}, seed=seed, status="crashed", reason="signal 11", answered=0) for seed in range(3)]
+    assert '<span class="why">crashed</span>' in dots(build([*room.records, *failed]))
+    assert "crashed" not in dots(room)
+
+
+def test_the_map_strip_has_answer_peer_baseline_and_worst_in_one_window(room):
+    analysis = analyse(room)
+    assert choose_tiles(analysis, analysis.sequences[0]) == [
+        ("plane", "answer"), ("lib", "best peer"), ("wheel", "baseline"), ("lost", "worst"),
+    ]  # fmt: skip
+    tiles = build_tiles(analysis, 0, strokes_of(room))
+    assert len({tile.figure.size for tile in tiles}) == 1
+    assert tiles[0].caption == "10\u00a0mm · 0.10\u00a0ms"
+    assert tiles[0].link == "#sequence-1-player?by=plane&on=own&play=1"
+
+
+def test_a_tuned_method_is_not_in_the_map_strip(room):
+    methods = {**room.methods, "plane": replace(room.methods["plane"], tuned_on=("room",))}
+    analysis = analyse(replace(room, methods=methods))
+    assert [method for method, _ in choose_tiles(analysis, analysis.sequences[0])] == ["lib", "paper", "wheel", "lost"]
+
+
+def test_the_hardest_sequence_is_a_recording_before_a_simulation(record, build, room):
+    drive = [record(name, "drive", {"ate_rmse_m": e}, seed=None, error_m=e) for name, e in (("a", 0.1), ("b", 0.2))]
+    assert find_hardest(analyse(build([*room.records, *drive]))) == 1
+    assert find_hardest(analyse(room)) == 0
+    nothing = build([record("a", "room", {}, status="failed", reason="no", answered=0)])
+    assert find_hardest(analyse(nothing)) is None
+    assert dots(nothing) is None
+    assert draw_scatter(analyse(nothing), strokes_of(nothing)) is None
+
+
+def test_the_scatter_plot_states_its_front_and_the_period_of_the_sensor(room):
+    markup = draw_scatter(analyse(room), strokes_of(room))
+    assert "no method is both cheaper and more accurate than plane" in markup
+    assert "a scan every 100\u00a0ms" in markup
+    assert markup.count('class="dot tied"') == 5
