@@ -94,14 +94,17 @@ def open_page(browser, page_file):
 
 
 def explore(page):
-    """The page with its second tab open."""
+    """The page with its second tab and the first sequence open."""
     page.click("#tab-explore")
+    if page.locator("#sequence-1").get_attribute("open") is None:
+        page.locator("#sequence-1 > summary").click()
+    wait_until(page, "location.hash.startsWith('#sequence-1')")
     return page
 
 
 def player_page(page):
     """The page with the player of the first sequence ready."""
-    if not page.locator("#explore").is_visible():
+    if not page.locator(PLAYER).is_visible():
         explore(page)
     page.locator(PLAYER).scroll_into_view_if_needed()
     page.wait_for_selector(f"{PLAYER}.ready")
@@ -161,7 +164,7 @@ def test_the_filter_applies_to_tables_and_legends_and_is_kept_in_the_link(open_p
     page = explore(open_page())
     page.fill("#find", "pa la")
     assert rows(page, "Results on room") == ["plane", "paper"]
-    assert page.evaluate("location.hash") == "#explore?find=pa%20la"
+    assert page.evaluate("location.hash") == "#sequence-1?find=pa%20la"
     page.fill("#find", "")
     page.locator("button.pick[value=plane]").focus()
     page.keyboard.press("Enter")
@@ -181,7 +184,7 @@ def test_the_filter_applies_to_tables_and_legends_and_is_kept_in_the_link(open_p
 
 
 def test_the_filter_applies_to_charts(open_page):
-    page = player_page(open_page("#explore?only=paper"))
+    page = player_page(open_page("#sequence-1?only=paper"))
     charts = page.locator("#sequence-1 .chart [data-of]:visible").evaluate_all(
         "all => all.map((one) => one.dataset.of)"
     )
@@ -222,7 +225,7 @@ def test_tabs_are_chosen_with_arrow_keys_and_built_when_opened(open_page, page_f
     page.keyboard.press("ArrowRight")
     assert page.locator("#explore").is_visible()
     assert page.locator("#explore .part").count() == 4
-    assert page.locator("#sequence-2 table").count() == 0  # closed: not built
+    assert page.locator("#sequence-1 table").count() == 0  # closed: not built
     page.keyboard.press("ArrowRight")
     assert page.locator("#appendix").is_visible()
     assert not page.locator("#explore").is_visible()
@@ -299,15 +302,15 @@ def test_a_hand_written_link_needs_only_a_scan_and_a_name(open_page):
 def test_opened_details_are_kept_in_the_link(open_page):
     page = explore(open_page())
     page.locator("#sequence-1-everything > summary").click()
-    page.locator("#sequence-2 > summary").click()
-    wait_until(page, "location.hash === '#explore?open=sequence-1-everything,sequence-2'")
+    page.locator("#sequence-1-more > summary").click()
+    wait_until(page, "location.hash === '#sequence-1?open=sequence-1-everything,sequence-1-more'")
     page.fill("#find", "plane")
     again = open_page(page.evaluate("location.hash"))
     opened = again.locator("details[open]:not([id$=failures])").evaluate_all("all => all.map((one) => one.id)")
-    assert opened == ["sequence-1", "sequence-1-everything", "sequence-2"]
+    assert opened == ["sequence-1", "sequence-1-everything", "sequence-1-more", "sequence-2"]
     assert rows(again, "Results on fr079") == ["plane"]
     again.evaluate("location.hash = '#sequence-2-results'")
-    wait_until(again, "location.hash === '#sequence-2-results?open=sequence-1-everything,sequence-2&find=plane'")
+    wait_until(again, "location.hash === '#sequence-2-results?open=sequence-1-everything,sequence-1-more&find=plane'")
 
 
 def test_columns_of_methods_are_filtered_too(open_page):
@@ -473,7 +476,7 @@ def test_print_shows_the_answer_on_two_pages(open_page):
 
 
 def test_a_truncated_link_still_opens(open_page):
-    page = open_page("#explore?only=%3Cscript&find=%E2%8")
+    page = open_page("#sequence-1?only=%3Cscript&find=%E2%8")
     assert len(rows(page, "Results on room")) == 6
 
 

@@ -47,9 +47,13 @@ function refold(named) {
 }
 
 document.addEventListener("built", ({ detail }) => register(detail));
-document.addEventListener("toggle", () => {
+document.addEventListener("toggle", ({ target }) => {
   if (printing) return;
-  const turned = [...folds].filter(([fold, first]) => fold.open !== first).map(([fold]) => fold.id);
+  if (target.matches(".part")) { // a sequence is a place
+    if (target.open && !folds.get(target) && !target.contains(document.getElementById(link.place))) link.write({}, target.id);
+    return;
+  }
+  const turned = [...folds].filter(([fold, first]) => fold.open !== first && !fold.matches(".part")).map(([fold]) => fold.id);
   link.write({ open: turned.length ? turned : undefined });
 }, true);
 addEventListener("hashchange", link.read);
