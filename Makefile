@@ -36,13 +36,8 @@ check: $(VENV)/dev  ## check style, formatting, types and import layers
 	$(BIN)/pyright
 	$(BIN)/lint-imports --no-cache
 
-bench: $(VENV)/evalkit  ## measure the overhead of the harness and the time of the back ends
-	$(BIN)/python tests/bench/overhead.py
-	$(BIN)/python tests/bench/backends.py
-	$(BIN)/python tests/bench/registration.py
-	$(BIN)/python tests/bench/mapper.py
-	$(BIN)/python tests/bench/metrics.py
-	$(BIN)/python tests/bench/growth.py
+bench: $(VENV)/evalkit  ## run every benchmark and print each figure beside its aim
+	$(BIN)/python tests/bench/run.py
 
 faults: $(VENV)/test  ## inject faults of back ends and check how each run ends
 	$(BIN)/python tests/bench/faults.py

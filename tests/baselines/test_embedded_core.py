@@ -218,10 +218,11 @@ def test_a_shifted_map_keeps_the_cells_inside_both_extents():
 
 
 @needs_core
-def test_two_threads_may_use_the_same_objects():
+@pytest.mark.parametrize("table", [0, 5000])
+def test_two_threads_may_use_the_same_objects(table):
     core = compiled.load_core("double")
     rng = np.random.default_rng(0)
-    targets = [core.Index(rng.uniform(-3.0, 3.0, (n, 2))) for n in (4000, 300)]
+    targets = [core.Index(rng.uniform(-3.0, 3.0, (n, 2)), table=table) for n in (4000, 300)]
     source, icp, answers = rng.uniform(-3.0, 3.0, (500, 2)), core.Icp(**PARAMETERS), [[], []]
 
     def ask(which):
@@ -235,6 +236,21 @@ def test_two_threads_may_use_the_same_objects():
         thread.join()
     assert [len(set(told)) for told in answers] == [1, 1]
     assert [len(told) for told in answers] == [60, 60]
+
+
+@needs_core
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_table_of_neighbours_changes_no_result(precision):
+    core = compiled.load_core(precision)
+    rng = np.random.default_rng(1)
+    points, source = (rng.uniform(-3.0, 3.0, (n, 2)).astype(core.REAL) for n in (4000, 500))
+    icp = core.Icp(**PARAMETERS | {"epsilon": 0.0, "max_iterations": 15})
+    indices = [core.Index(points, table=table) for table in (0, 1, 5000)]
+    for guess in rng.uniform(-0.2, 0.2, (12, 3)):
+        answers = [icp.register(index, source, tuple(guess))[:5] for index in indices]
+        assert answers[0] == answers[1] == answers[2]
+    with pytest.raises(ValueError, match="target: a parameter is outside its range"):
+        core.Index(points, table=2**30)
 
 
 CONSUMER = """

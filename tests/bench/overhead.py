@@ -65,7 +65,7 @@ def starts(rounds: int) -> dict[str, list[float]]:
     """Return the CPU seconds, in turns, of an interpreter with a back end's libraries, without and with the worker."""
     bare = LIBRARIES
     worker = (
-        f"{LIBRARIES}; import evalkit.execution.worker as w; from evalkit import registry as r; "
+        f"{LIBRARIES}; import evalkit.execution.worker as w; from evalkit.plugins import registry as r; "
         f"r.backend('wheel-odometry'); r.dataset('lab')"
     )
     taken: dict[str, list[float]] = {"libraries": [], "worker": []}

@@ -2,7 +2,8 @@
 
 Only the registration is timed: clouds are converted before, and libraries that can keep an index over the target do.
 "+ index" builds the index in the call: the core's cells, small_gicp's cloud and tree, KISS-ICP's voxel map, and
-Open3D's tree, which cannot be kept. So compare rows with "+ index" with each other, and rows without.
+Open3D's tree, which cannot be kept. So compare rows with "+ index" with each other, and rows without. "+ table" is a
+lasting target that was registered with before. The rows of cKDTree are its nearest-neighbour queries alone.
 The pairing differs (one-to-one in the core and the NumPy reference, many-to-one in the others) and KISS-ICP uses
 robust weights; clouds, guess, largest distance and iterations are the same.
 """
@@ -17,6 +18,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from evalkit import Cloud, Pose
 from evalkit.commands.diff import benchmark
@@ -33,6 +35,7 @@ ITERATIONS = 20
 LARGEST_M = 0.3
 SOURCES = 1000
 REFERENCE = "embedded"
+TILES = 20_000
 KISS_CELL_M, KISS_POINTS_PER_CELL, KISS_KERNEL_M = 0.12, 20, 0.1
 GUESS_OFF = Pose(0.06, -0.04, 0.03)
 
@@ -68,17 +71,25 @@ def core_methods(precision: Precision, name: str, target: Floats, source: Floats
     )  # fmt: skip
     to, points, row = to_real(target, module), to_real(source, module), (guess.x, guess.y, guess.theta)
     index = module.Index(to)
+    lasting = module.Index(to, table=TILES)
     return {
         name: lambda: icp.register(index, points, row),
+        f"{name} + table": lambda: icp.register(lasting, points, row),
         f"{name} + index": lambda: icp.register(module.Index(to), points, row),
     }
 
 
 def reference_methods(target: Floats, source: Floats, guess: Pose) -> Calls:
-    """Return the NumPy reference with a kept tree."""
+    """Return the NumPy reference with a kept tree, and the queries alone of as many iterations, from the guess."""
     twin = Icp(epsilon=0.0, max_iterations=ITERATIONS, max_correspondence_m=LARGEST_M)
     fixed, moving = Cloud(target), Cloud(source)
-    return {"paper (NumPy)": lambda: twin.register(fixed, moving, guess)}
+    tree, placed = cKDTree(target), guess.transform(source)
+
+    def queries() -> None:
+        for _ in range(ITERATIONS):
+            tree.query(placed, distance_upper_bound=LARGEST_M)
+
+    return {"paper (NumPy)": lambda: twin.register(fixed, moving, guess), "cKDTree, queries": queries}
 
 
 def small_gicp_methods(target: Floats, source: Floats, guess: Pose) -> Calls:

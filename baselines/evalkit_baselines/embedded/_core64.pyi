@@ -28,9 +28,9 @@ def defaults() -> dict[str, dict[str, float]]:
 
 class Index:
     """Immutable index for exact nearest neighbours among points (N, 2) in metres; for ``lines``, with normals from the
-    given number of neighbours."""
+    given number of neighbours (within ``radius``); with a table of so many tiles for many registrations (ek/table.h)."""
 
-    def __init__(self, points: Array, neighbours: int = 0) -> None: ...
+    def __init__(self, points: Array, neighbours: int = 0, radius: float = ..., table: int = 0) -> None: ...
     def __len__(self) -> int: ...
 
 def normals(points: Array, neighbours: int, radius: float) -> Array:

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from statistics import median
+from statistics import median, quantiles
 from typing import Any
 
 from evalkit.core.errors import BadData
@@ -18,7 +18,7 @@ from evalkit.io.output_files import write_text
 from evalkit.plugins import registry
 
 FOLDER = Path("reports") / "build" / "bench"
-SCHEMA = 2
+SCHEMA = 3
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,14 @@ class BenchmarkSeries:
         """The median of the samples."""
         return median(self.samples)
 
+    @property
+    def quartiles(self) -> tuple[float, float]:
+        """The lower and the upper quartile of the samples."""
+        if len(self.samples) == 1:
+            return self.samples[0], self.samples[0]
+        low, _, high = quantiles(self.samples, n=4, method="inclusive")
+        return low, high
+
 
 @dataclass(frozen=True)
 class Benchmark:
@@ -59,8 +67,8 @@ class Benchmark:
 def write_benchmark(
     name: str, series: Sequence[BenchmarkSeries], ran_on: Mapping[str, str], folder: Path = FOLDER
 ) -> Path:
-    """Write the samples, their medians and the environment (read before the measurement); return the file's path."""
-    measured = [{**asdict(one), "median": one.median} for one in series]
+    """Write samples, medians, quartiles and the environment (read before the measurement); return the file's path."""
+    measured = [{**asdict(one), "median": one.median, "quartiles": one.quartiles} for one in series]
     content = {"schema": SCHEMA, "name": name, "written": datetime.now(UTC).isoformat(), "environment": dict(ran_on)}
     path = folder / f"{name}.json"
     write_text(path, json.dumps({**content, "series": measured}, indent=1) + "\n", folder)

@@ -34,7 +34,9 @@ def test_a_written_benchmark_is_loaded_unchanged(tmp_path):
     assert found == load_benchmarks(tmp_path)
     assert found["speed"].series == tuple(series)
     assert (found["speed"].processor, found["speed"].environment["governor"]) == ("one", "performance")
-    assert json.loads(path.read_text())["series"][0]["median"] == 2.0
+    written, single = json.loads(path.read_text())["series"]
+    assert (written["median"], written["quartiles"]) == (2.0, [1.5, 2.5])
+    assert single["quartiles"] == [0.5, 0.5]
 
 
 @pytest.mark.parametrize(
@@ -42,15 +44,15 @@ def test_a_written_benchmark_is_loaded_unchanged(tmp_path):
     [
         ("nothing", "no JSON"),
         ("[]", "'schema'"),
-        ('{"schema": 1}', "1, expected 2"),
-        ('{"schema": 2, "name": "a"}', "no benchmark"),
+        ('{"schema": 1}', "1, expected 3"),
+        ('{"schema": 3, "name": "a"}', "no benchmark"),
         (
-            '{"schema": 2, "name": "a", "written": "", "environment": {}, '
+            '{"schema": 3, "name": "a", "written": "", "environment": {}, '
             '"series": [{"name": "b", "unit": "s", "samples": [NaN]}]}',
             "not finite",
         ),
         (
-            '{"schema": 2, "name": "a", "written": "", "environment": {}, '
+            '{"schema": 3, "name": "a", "written": "", "environment": {}, '
             f'"series": [{{"name": "b", "unit": "s", "samples": [1{"0" * 400}]}}]}}',
             "no benchmark",
         ),

@@ -5,20 +5,26 @@
 
 #include "ek/icp.h"
 #include "ek/normals.h"
+#include "ek/table.h"
 #include "memory.hpp"
 
 namespace EK_NAME(binding) {
 
 class Index {
 public:
-    // With neighbours (2 or more) also the normals of the points, from neighbours within the radius.
-    Index(const Points &points, int64_t neighbours, double radius = EK_FAR)
+    // With neighbours (2 or more) also the normals of the points, from neighbours within the radius; with tiles (1 or
+    // more) a table of neighbours, which makes registrations take turns.
+    Index(const Points &points, int64_t neighbours, double radius = EK_FAR, int64_t tiles = 0)
     {
         constexpr std::size_t cells_per_point = 16, max_cells = std::size_t{1} << 18; // as in the core's front end
+        constexpr std::size_t blocks_per_tile = 6;
         const nb::gil_scoped_release others_may_run;
         const std::size_t room = std::max<std::size_t>(points.shape(0), 1);
         memory_ = Memory("target", [&](ek_arena *arena) {
-            return ek_index_init(&index_, arena, room, std::min(cells_per_point * room, max_cells));
+            const ek_status status = ek_index_init(&index_, arena, room, std::min(cells_per_point * room, max_cells));
+            return status != EK_OK || tiles == 0
+                       ? status
+                       : ek_table_init(&table_, arena, &index_, natural(tiles), blocks_per_tile * natural(tiles));
         });
         require(ek_index_build(&index_, start_of(points), points.shape(0)), "target");
         if (neighbours != 0) {
@@ -33,10 +39,18 @@ public:
 
     const std::vector<ek_real> &normals() const { return normals_; }
 
+    // Searches of an index with a table change the table.
+    std::unique_lock<std::mutex> lock_table() const
+    {
+        return index_.table ? std::unique_lock<std::mutex>(mutex_) : std::unique_lock<std::mutex>();
+    }
+
 private:
     ek_index index_ = {};
+    ek_table table_ = {};
     Memory memory_;
     std::vector<ek_real> normals_;
+    mutable std::mutex mutex_;
 };
 
 // Normals (N, 2) of points from their nearest neighbours within a radius.
@@ -90,6 +104,7 @@ public:
         {
             const nb::gil_scoped_release others_may_run;
             const std::lock_guard<std::mutex> one_at_a_time(mutex_);
+            const std::unique_lock<std::mutex> table = target.lock_table();
             make_room(std::max<std::size_t>(source.shape(0), 1), std::max<std::size_t>(target.index().count, 1));
             require(ek_icp_register(&icp_, &target.index(), start_of(source), source.shape(0), pose_of(guess),
                                     &parameters_, trace ? note : nullptr, &history, &match),

@@ -20,11 +20,12 @@ ek_arena ek_arena_make(void *memory, size_t bytes)
 
 void *ek_arena_alloc(ek_arena *arena, size_t count, size_t size)
 {
-    const size_t start = arena->used, end = start + count * size;
-    if (size != 0u && count > (SIZE_MAX / 2u - start) / size) {
-        arena->used = SIZE_MAX / 2u;
+    const size_t start = arena->used;
+    if (start > EK_ARENA_MAX || (size != 0u && count > (EK_ARENA_MAX - start) / size)) {
+        arena->used = SIZE_MAX;
         return NULL;
     }
+    const size_t end = start + count * size;
     arena->used = (end + GAP + (EK_ALIGNMENT - 1u)) / EK_ALIGNMENT * EK_ALIGNMENT;
     if (!arena->memory || arena->used > arena->bytes) {
         return NULL;

@@ -43,8 +43,7 @@ ek_status ek_frontend_check(const ek_frontend_parameters *parameters)
 
 static size_t cells_for(size_t points)
 {
-    const size_t cells = CELLS_PER_POINT * points;
-    return cells < MAX_CELLS ? cells : MAX_CELLS;
+    return points < MAX_CELLS / CELLS_PER_POINT ? CELLS_PER_POINT * points : MAX_CELLS;
 }
 
 ek_status ek_frontend_init(ek_frontend *frontend, ek_arena *arena, const ek_frontend_parameters *parameters)

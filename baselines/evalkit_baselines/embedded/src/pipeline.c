@@ -28,7 +28,7 @@ static ek_status init(ek_pipeline *pipeline, ek_arena *arena, const ek_pipeline_
     if (status == EK_OK && parameters->map) {
         status = ek_grid_init(&pipeline->grid, arena, &parameters->grid);
     }
-    return status;
+    return status == EK_OK && arena->used > EK_ARENA_MAX ? EK_OUT_OF_RANGE : status;
 }
 
 ek_status ek_pipeline_bytes(const ek_pipeline_parameters *parameters, size_t *bytes)

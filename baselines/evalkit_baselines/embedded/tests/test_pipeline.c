@@ -118,8 +118,29 @@ static void a_damaged_log_is_refused(FILE *file)
     CHECK(ek_scanlog_open(file, &log) == EK_BAD_FILE);
 }
 
+/* 2^30 cells of two bytes: half of what 32 bits address. */
+static void sizes_that_cannot_be_addressed_are_refused(void)
+{
+    ek_pipeline_parameters parameters = ek_pipeline_default();
+    size_t bytes = 1u;
+    parameters.grid.columns = parameters.grid.rows = 32768u;
+    const ek_status status = ek_pipeline_bytes(&parameters, &bytes);
+    if (SIZE_MAX > UINT32_MAX) {
+        CHECK(status == EK_OK && bytes / 2u > (size_t)1 << 30);
+    } else {
+        CHECK(status == EK_OUT_OF_RANGE && bytes == 0u);
+    }
+    parameters.map = 0; /* and the points of all keyframes */
+    parameters.frontend.points = (size_t)1 << 20;
+    parameters.frontend.keyframes = 1024u;
+    CHECK(ek_pipeline_bytes(&parameters, &bytes) == (SIZE_MAX > UINT32_MAX ? EK_OK : EK_OUT_OF_RANGE));
+    parameters.frontend.keyframes = 16u; /* 2^24 points: 16 cells each would be 2^28, the most are 2^18 */
+    CHECK(ek_pipeline_bytes(&parameters, &bytes) == EK_OK && bytes < (size_t)1 << 31);
+}
+
 int main(void)
 {
+    sizes_that_cannot_be_addressed_are_refused();
     FILE *const file = tmpfile();
     if (!file) {
         return EXIT_FAILURE;

@@ -13,6 +13,10 @@ int main(void)
     CHECK(measured.used == 32u && given.used == 32u && ek_arena_check(&given) == EK_OK);
     CHECK(ek_arena_alloc(&given, 5u, 8u) == NULL && ek_arena_check(&given) == EK_TOO_LITTLE_MEMORY);
     CHECK(ek_arena_alloc(&given, SIZE_MAX / 2u, 8u) == NULL && ek_arena_check(&given) == EK_TOO_LITTLE_MEMORY);
+    for (size_t count = 0; count < 3u; count++) { /* no later allocation hides that a size did not fit */
+        CHECK(given.used > EK_ARENA_MAX && ek_arena_alloc(&given, count, 8u) == NULL);
+    }
+    CHECK(ek_arena_alloc(&measured, 2u, SIZE_MAX / 4u) == NULL && measured.used > EK_ARENA_MAX);
     free(given.memory);
     return verdict();
 }

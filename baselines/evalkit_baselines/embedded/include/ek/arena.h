@@ -12,11 +12,13 @@ extern "C" {
 #endif
 
 #define EK_ALIGNMENT 16u
+#define EK_ARENA_MAX (SIZE_MAX / 2u) /* bytes */
 
 typedef struct {
     unsigned char *memory; /* NULL: only count bytes */
     size_t bytes;          /* size of memory */
-    size_t used;           /* bytes allocated; more than `bytes` after a failed allocation */
+    size_t used;           /* bytes allocated; more than `bytes` after a failed allocation, more than EK_ARENA_MAX after
+                              one that no memory of this processor can hold */
 } ek_arena;
 
 #define ek_arena_make EK_NAME(arena_make)

@@ -35,7 +35,7 @@ typedef struct {
 ek_pipeline_parameters ek_pipeline_default(void);
 
 /* Compute how many bytes ek_pipeline_start needs besides the struct. EK_NOT_FINITE or EK_OUT_OF_RANGE for wrong
- * parameters; *bytes is then 0. */
+ * parameters and for more memory than this processor can address; *bytes is then 0. */
 ek_status ek_pipeline_bytes(const ek_pipeline_parameters *parameters, size_t *bytes);
 
 /* Initialise a pipeline in memory aligned to EK_ALIGNMENT, which must outlive it. EK_TOO_LITTLE_MEMORY, or what

@@ -1,0 +1,127 @@
+"""Run every benchmark, also after one that fails, and print each figure beside its aim: ``make bench``.
+
+Each script runs in its own process and writes its samples, the machine and its load to reports/build/bench. Exit code 1
+if a script wrote nothing; an aim that is missed is only reported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from evalkit.commands.diff.benchmark import FOLDER, Benchmark, BenchmarkSeries, load_benchmarks
+
+HERE = Path(__file__).resolve().parent
+SCRIPTS = ("overhead", "backends", "registration", "normals", "mapper", "metrics", "growth")
+
+
+@dataclass(frozen=True)
+class Aim:
+    """The largest median of a series; with ``beside`` the least ratio of the series to the series ``beside``."""
+
+    benchmark: str
+    series: str
+    limit: float
+    beside: str = ""
+
+
+def registration_aims(points: int, lasting_ms: float, built_ms: float) -> tuple[Aim, ...]:
+    """Return the aims for one size of the target, alone and as ratios to the other libraries."""
+    core, kept, built = (f"embedded{kind}, {points} points" for kind in ("", " + table", " + index"))
+    return (
+        Aim("registration", kept, lasting_ms),
+        Aim("registration", built, built_ms),
+        *(
+            Aim("registration", f"{name}, {points} points", ratio, beside)
+            for name, ratio, beside in (
+                ("small_gicp", 30.0, kept), ("Open3D + index", 50.0, kept), ("KISS-ICP", 60.0, kept),
+                ("small_gicp + index", 12.0, built), ("Open3D + index", 20.0, built),
+                ("KISS-ICP + index", 25.0, built), ("cKDTree, queries", 1.0, core),
+            )
+        ),
+    )  # fmt: skip
+
+
+AIMS: tuple[Aim, ...] = (
+    Aim("overhead", "start of the worker beyond its libraries", 0.08),
+    Aim("overhead", "around a scan of paper", 20.0),
+    *registration_aims(5000, 0.12, 0.35),
+    *registration_aims(50_000, 0.15, 0.6),
+    Aim("normals", "core, 5000 points", 2.0),
+    Aim("normals", "NumPy, 5000 points", 3.0, "core, 5000 points"),
+    Aim("mapper", "core, room 10 x 8 m, at once again", 300.0),
+    Aim("mapper", "core, 12 m all round, at once again", 630.0),
+    Aim("mapper", "core, polygon, 12 m all round, at once again", 100.0),
+    Aim("metrics", "together", 500.0),
+)
+
+
+def find_series(measured: Mapping[str, Benchmark], benchmark: str, name: str) -> BenchmarkSeries | None:
+    """Return a series, or None if it was not measured."""
+    found = measured.get(benchmark)
+    return next((one for one in found.series if one.name == name), None) if found else None
+
+
+def row(aim: Aim, measured: Mapping[str, Benchmark]) -> tuple[str, str, str, str, str]:
+    """Return figure, found, quartiles, aim and verdict of one aim."""
+    figure = aim.series if not aim.beside else f"{aim.series} / {aim.beside}"
+    series = find_series(measured, aim.benchmark, aim.series)
+    other = find_series(measured, aim.benchmark, aim.beside) if aim.beside else None
+    if series is None or (aim.beside and other is None):
+        return f"{aim.benchmark}: {figure}", "", "", f"{aim.limit:g}", "not measured"
+    low, high = series.quartiles
+    if other is None:
+        found, wanted, met = f"{series.median:.3g} {series.unit}", f"<= {aim.limit:g}", series.median <= aim.limit
+    else:
+        ratio = series.median / other.median
+        low, high = low / other.median, high / other.median
+        found, wanted, met = f"{ratio:.3g} x", f">= {aim.limit:g} x", ratio >= aim.limit
+    return f"{aim.benchmark}: {figure}", found, f"{low:.3g} - {high:.3g}", wanted, "met" if met else "missed"
+
+
+def run_scripts(names: Sequence[str]) -> list[str]:
+    """Run the benchmarks one after the other; returns those that wrote no measurement."""
+    failed = []
+    for name in names:
+        begun = time.time()
+        print(f"== {name}", flush=True)
+        subprocess.run([sys.executable, str(HERE / f"{name}.py")], check=False)
+        written = FOLDER / f"{name}.json"
+        if not written.exists() or written.stat().st_mtime < begun - 1.0:
+            failed.append(name)
+    return failed
+
+
+def main() -> int:
+    """Run the benchmarks and print the table; returns 1 if one of them failed."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"some of: {', '.join(SCRIPTS)}")
+    names = parser.parse_args().names or list(SCRIPTS)
+    if unknown := sorted(set(names) - set(SCRIPTS)):
+        parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(SCRIPTS)}")
+    failed = run_scripts(names)
+    measured = {name: load_benchmarks(FOLDER / f"{name}.json")[name] for name in names if name not in failed}
+    table = Table("figure", "median", "quartiles", "aim", "")
+    rows = [row(aim, measured) for aim in AIMS if aim.benchmark in names]
+    for one in rows:
+        table.add_row(*one)
+    console = Console(width=None if sys.stdout.isatty() else 160)
+    console.print(table)
+    load = next((one.environment.get("load before", "?") for one in measured.values()), "?")
+    met = sum(one[-1] == "met" for one in rows)
+    console.print(f"{met} of {len(rows)} aims met; load before {load}; all samples: {FOLDER}")
+    for name in failed:
+        console.print(f"{name} failed: it wrote no measurement")
+    return int(bool(failed))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
