@@ -28,7 +28,7 @@ def defaults() -> dict[str, dict[str, float]]:
 
 class Index:
     """Immutable index for exact nearest neighbours among points (N, 2) in metres; for ``lines``, with normals from the
-    given number of neighbours (within ``radius``); with a table of so many tiles for many registrations (ek/table.h)."""
+    given number of neighbours (within ``radius``); for many registrations, with a table of so many tiles."""
 
     def __init__(self, points: Array, neighbours: int = 0, radius: float = ..., table: int = 0) -> None: ...
     def __len__(self) -> int: ...
