@@ -39,6 +39,9 @@ def _wrap(text: str, width: int) -> str:
 out = WordConsole()
 err = WordConsole(stderr=True)
 
+MAX_TABLE = 80
+"""Columns of a table that is piped; on a terminal the smaller of this and its width counts."""
+
 ENGINES = ("local", "dask")
 EXECUTION = "Execution"
 """The panel of the options that say how runs are executed."""
@@ -211,6 +214,11 @@ def split_sequence(text: str) -> tuple[str, dict[str, str]]:
     """Return the data set and the parameters of "NAME laps=0.3". Raises typer.BadParameter for an item without "="."""
     name, *items = shlex.split(text) or [""]
     return name, settings(items, f"--on {name}")
+
+
+def table_width(console: Console) -> int:
+    """Return the width of a table: that of a terminal, at most 80 columns."""
+    return min(console.width, MAX_TABLE) if console.is_terminal else MAX_TABLE
 
 
 def print_json(content: object) -> None:

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from evalkit.config.experiment import Experiment, RunSpec
 from evalkit.core.run_result import RunResult
@@ -162,7 +163,9 @@ def announce_kept(console: Console, what: str, option: str = "") -> Iterator[Non
 
 
 def print_table(console: Console, table: Table) -> None:
-    """Print a table: fitted to a terminal, one line per row elsewhere."""
+    """Print a table: fitted to a terminal, one line per row elsewhere. Headings are no mark-up: "[m]" is a unit."""
+    for column in table.columns:
+        column.header = Text(column.header) if isinstance(column.header, str) else column.header
     (console if console.is_terminal else Console(width=WIDE)).print(table)
 
 

@@ -13,12 +13,10 @@ from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import format_milliseconds, format_quantity
+from evalkit.terminal.options import table_width
 
 MAX_LINES = 10
 """Lines of the table, its head included."""
-
-WIDTH = 80
-"""Columns of a table that is piped; on a terminal the smaller of this and its width counts."""
 
 BARS = (18, 8)
 """Widest and narrowest bar, in columns; a table without room for the narrowest has none."""
@@ -28,8 +26,13 @@ LINEAR_RATIO = 8.0
 """Bars are on a logarithmic scale if the largest value exceeds the smallest more than this."""
 
 STYLES = {
-    "best": "bold green", "best map": "bold green", "tied": "green", "lost": "red", "worse than the baseline": "yellow",
-}  # fmt: skip
+    "best": "bold green",
+    "best map": "bold green",
+    "tied": "green",
+    "lost": "red",
+    "broken": "red",
+    "worse than the baseline": "yellow",
+}
 """Style of a line by the beginning of its note."""
 
 
@@ -56,8 +59,7 @@ def print_answer(console: Console, analysis: Analysis) -> None:
     head, rows = build_rows(analysis)
     if rows:
         console.print()
-        width = min(console.width, WIDTH) if console.is_terminal else WIDTH
-        for line in format_rows(head, rows, width):
+        for line in format_rows(head, rows, table_width(console)):
             console.print(line, highlight=False)
         console.print()
     for pill in answer.pills:
@@ -128,27 +130,28 @@ def _cost(analysis: Analysis, method: str) -> str:
     return "" if cpu_ms is None else format_milliseconds(cpu_ms)
 
 
-def format_rows(head: str, rows: Sequence[RankedRow], width: int) -> Iterator[Text]:
+def format_rows(head: str, rows: Sequence[RankedRow], width: int, cost: str = CPU) -> Iterator[Text]:
     """Yield the lines of the table, at most ``MAX_LINES``, each of at most ``width`` columns if the names allow it.
 
-    Columns: method, error, its interval as a bar, error by the baseline's, CPU time a scan, note.
+    Columns: method, error, its interval as a bar, error by the baseline's, CPU time a scan, note. ``cost``: heading of
+    the column of the CPU time, "" without one.
     """
     shown = rows if len(rows) < MAX_LINES else rows[: MAX_LINES - 2]
     cells = [(row.method, row.error, row.against, row.cost, row.note) for row in shown]
     sizes = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    sizes[3] = max(sizes[3], len(CPU)) if sizes[3] else 0
+    sizes[3] = max(sizes[3], len(cost)) if sizes[3] else 0
     room = width - sum(size + 2 for size in sizes if size) - 2
     bar = min(room, BARS[0]) if room >= BARS[1] else 0
     scale = _Scale([value for row in shown for value in (row.low, row.value, row.high) if value is not None], bar)
     left = sum(size + 2 for size in (*sizes[:2], bar, sizes[2]) if size)
-    over = f"{f'  {head}':<{left}}  {CPU:>{sizes[3]}}" if sizes[3] and len(head) + 2 <= left else f"  {head}"
-    yield Text(over, style="dim")
+    over = f"{f'  {head}':<{left}}  {cost:>{sizes[3]}}" if sizes[3] and len(head) + 2 <= left else f"  {head}"
+    yield Text(over.rstrip(), style="dim")
     for row, own in zip(shown, cells, strict=True):
-        method, error, against, cost, note = (
+        method, error, against, spent, note = (
             text.ljust(size) if at in (0, 4) else text.rjust(size)
             for at, (text, size) in enumerate(zip(own, sizes, strict=True))
         )
-        parts = (method, error, scale.draw(row) if bar else "", against, cost, note)
+        parts = (method, error, scale.draw(row) if bar else "", against, spent, note)
         style = next((style for word, style in STYLES.items() if row.note.startswith(word)), "")
         line = f"  {'  '.join(part for part in parts if part)}".rstrip()
         yield Text(line.replace("\u00a0", " "), style=style)

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import pytest
 from rich.console import Console
+from rich.table import Table
 
 from evalkit.config.experiment import Method, SequenceSpec, experiment_from_tables
 from evalkit.core.run_result import NO_STEPS, Cause, RunResult
-from evalkit.terminal.progress import TaskLines, TimeLeft, format_unavailable, show_runs, show_tasks
+from evalkit.terminal.progress import TaskLines, TimeLeft, format_unavailable, print_table, show_runs, show_tasks
 
 
 @pytest.fixture
@@ -106,3 +107,12 @@ def test_the_time_left_of_tasks_is_their_mean_divided_by_the_workers():
     lines.EVERY_S = 0.0
     lines("first", 30.0)
     assert told.getvalue() == "[1/5] first, 1:00 left\n"
+
+
+def test_a_unit_in_the_heading_of_a_table_is_no_markup():
+    printed = io.StringIO()
+    print_table(
+        Console(file=printed, force_terminal=True, color_system=None, width=80), Table("reach [m]", "A50 [deg]")
+    )
+    assert "reach [m]" in printed.getvalue()
+    assert "A50 [deg]" in printed.getvalue()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+import shlex
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 from evalkit.commands.realtime.virtual_clock import POLICIES, BreakingRule, Policy, find_breaking_factor
 from evalkit.config.experiment import RESULTS
@@ -23,6 +23,7 @@ from evalkit.terminal.options import Json, err, out
 
 if TYPE_CHECKING:
     from evalkit.commands.realtime.simulation import RealtimeResult
+    from evalkit.terminal.ranked_table import RankedRow
 
 RULE = BreakingRule()
 
@@ -131,25 +132,37 @@ def _is_broken(device: dict[str, Any], reference: float | None) -> bool:
 
 
 def _print(content: dict[str, Any]) -> None:
-    columns = ("device factor", "answered", "dropped %", "late %", "age p95 ms", "ATE of answers m", "ATE at hand m")
-    title = f"{content['backend']} on {content['sequence']}"
-    table = Table(*columns, "", title=title, title_justify="left", expand=out.is_terminal)
-    for device in content["devices"]:
-        table.add_row(
-            f"{device['factor']:g}" if device["factor"] else "no drops", str(device["answered"]),
-            f"{100 * device['dropped']:.1f}", f"{100 * device['late']:.1f}", f"{device['age_ms'][1]:.1f}",
-            _format_ate(device["of_answers"]), _format_ate(device["at_hand"]),
-            f"broken {device['lost']}".strip() if device["broken"] else "",
-        )  # fmt: skip
-    progress.print_table(out, table)
+    """Print the limit of the device, a line for each factor (equal ones together), and the next command."""
+    from evalkit.terminal.ranked_table import format_rows  # noqa: PLC0415 - loads scipy
+
     breaks = "not broken at any factor" if content["breaks_at"] is None else f"broken from {content['breaks_at']:g} on"
-    out.print(
-        f"{content['median_cost_ms']:.2f} ms per scan on this machine (median); a device up to "
-        f"{content['headroom']:.3g} times slower answers every scan in time; {breaks}. Broken: {RULE}.",
-        markup=False, emoji=False, highlight=False,
-    )  # fmt: skip
+    for text in (
+        f"{content['backend']} on {content['sequence']}: a device up to {content['headroom']:.3g} times slower answers "
+        f"every scan in time; {breaks}.",
+        f"{content['median_cost_ms']:.2f} ms per scan on this machine (median). Broken: {RULE}.",
+    ):
+        out.print(text, markup=False, emoji=False, highlight=False)
+    out.print()
+    head = "device: error of the newest pose, dropped scans, age of an answer (95 %)"
+    for line in format_rows(head, _make_rows(content), options.table_width(out), cost=""):
+        out.print(line, highlight=False)
+    words = shlex.join(["evalkit", "tune", content["backend"], "--on", content["sequence"]])
+    out.print(f"\nnext: {words} (cheaper or better parameters)", markup=False, highlight=False, soft_wrap=True)
 
 
-def _format_ate(scores: dict[str, float | None]) -> str:
-    value = scores["ate_rmse_m"]
-    return "-" if value is None else f"{value:.3f}"
+def _make_rows(content: dict[str, Any]) -> list[RankedRow]:
+    """Return a row for each device; neighbours that answer the same scans equally well are one."""
+    from evalkit.terminal.ranked_table import RankedRow  # noqa: PLC0415 - as above
+
+    rows: dict[tuple[int, bool], RankedRow] = {}
+    for device in content["devices"]:
+        same = (device["answered"], device["broken"])
+        error = device["at_hand"]["ate_rmse_m"]
+        name = f"{device['factor']:g} x slower" if device["factor"] else "no drops"
+        rows[same] = RankedRow(
+            f"up to {name}" if same in rows else name,
+            "lost" if error is None else f"{1000.0 * error:.0f} mm", f"{100 * device['dropped']:.1f} % dropped",
+            f"{device['age_ms'][1]:.3g} ms", f"broken {device['lost']}".strip() if device["broken"] else "",
+            error or 0.0,
+        )  # fmt: skip
+    return list(rows.values())

@@ -25,8 +25,12 @@ def test_it_prints_the_devices_and_stores_the_measured_costs(tmp_path):
     assert [device["dropped"] > 0.5 for device in contents[0]["devices"]] == [False, False, True]
     assert contents[0]["headroom"] > 1.0
     shown = call(*ARGUMENTS, "--out", tmp_path).stdout
-    assert "device factor" in shown
     assert "answers every scan in time" in shown
+    rows = [line for line in shown.splitlines() if " slower " in line and line.startswith("  ")]
+    assert [row.split(" x")[0].strip() for row in rows] == ["up to 1", "1e+06"]  # neither 0 nor 1 drops a scan
+    assert max(map(len, rows)) <= 80
+    assert "100" not in rows[0]
+    assert rows[1].rstrip().endswith("broken fewer than two answers") or "% dropped" in rows[1]
 
 
 @pytest.mark.parametrize(
