@@ -42,6 +42,9 @@ bench: $(VENV)/evalkit  ## run every benchmark and print each figure beside its 
 faults: $(VENV)/test  ## inject faults of back ends and check how each run ends
 	$(BIN)/python tests/bench/faults.py
 
+planted: $(VENV)/test  ## validate a C library with each of 95 planted faults: found, named, time
+	$(BIN)/python tests/planted/run.py
+
 fuzz: $(VENV)/test  ## fuzz every reader for a minute (options: tests/fuzz/run.py --help)
 	$(BIN)/python tests/fuzz/run.py --seconds 60
 

@@ -4,16 +4,27 @@ from evalkit.testing import check_backend
 
 def test_my_icp_follows_the_rules():
     check_backend("mypackage.icp:SPEC", max_iterations=20)
+
+They also work in a script without a main guard, and in an interactive session.
 """
 
 from __future__ import annotations
 
-from evalkit.commands.validate.equivalence.comparison import NotEquivalent, assert_equivalent
+from functools import cache
+
+from evalkit.commands.validate.equivalence.comparison import NotEquivalent
+from evalkit.commands.validate.equivalence.comparison import assert_equivalent as _assert_equivalent
 from evalkit.commands.validate.rules import dataset_rules, runner
 from evalkit.commands.validate.rules.rule import RuleReport, RuleResult
+from evalkit.plugins.address import stop_loading
 from evalkit.plugins.specs import BackendSpec, DatasetSpec
 
-__all__ = ["NotEquivalent", "RulesBroken", "assert_equivalent", "check_backend", "check_dataset"]
+__all__ = [
+    "NotEquivalent", "RulesBroken", "assert_equivalent", "backend_rules", "check_backend", "check_dataset",
+    "check_rule",
+]  # fmt: skip
+
+assert_equivalent = _assert_equivalent
 
 
 class RulesBroken(AssertionError):
@@ -35,7 +46,31 @@ def check_backend(backend: str | BackendSpec, /, **parameters: object) -> RuleRe
 
     Raises RulesBroken with every broken rule, NotInstalled if the back end cannot run here.
     """
+    stop_loading()
     return _require_unbroken(runner.check(backend, parameters))
+
+
+def backend_rules(backend: str | BackendSpec, /) -> tuple[str, ...]:
+    """The names of a back end's rules, for ``pytest.mark.parametrize("rule", backend_rules(SPEC))``."""
+    return (*runner.RULES[runner.spec_of(backend).kind], *runner.PROCESS_RULES)
+
+
+def check_rule(backend: str | BackendSpec, rule: str, /, **parameters: object) -> RuleResult:
+    """Checks one rule of a back end; the first call for a back end checks all of them, the others read the results.
+
+    Raises RulesBroken if this rule is broken, KeyError if there is no rule of this name.
+    """
+    stop_loading()
+    report = _checked(backend, tuple(sorted(parameters.items())))
+    result = {one.rule: one for one in report.results}[rule]
+    if result.outcome == "failed":
+        raise RulesBroken(report.label, (result,), 1)
+    return result
+
+
+@cache
+def _checked(backend: str | BackendSpec, parameters: tuple[tuple[str, object], ...]) -> RuleReport:
+    return runner.check(backend, dict(parameters))
 
 
 def check_dataset(dataset: str | DatasetSpec, /, frames: int = 50, **parameters: object) -> RuleReport:
@@ -43,6 +78,7 @@ def check_dataset(dataset: str | DatasetSpec, /, frames: int = 50, **parameters:
 
     Raises RulesBroken with every broken rule, DataMissing if its files are not here.
     """
+    stop_loading()
     return _require_unbroken(dataset_rules.check(dataset, frames, parameters))
 
 

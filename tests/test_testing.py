@@ -2,6 +2,8 @@
 
 import importlib
 import pickle
+import re
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -9,12 +11,14 @@ from pathlib import Path
 import pytest
 
 from evalkit.commands.validate.rules import dataset_rules
-from evalkit.commands.validate.rules.rule import RuleResult, check_rule
+from evalkit.commands.validate.rules import rule as rule_module
+from evalkit.commands.validate.rules.rule import RuleReport, RuleResult
 from evalkit.core.errors import BadParameter, DataMissing, NotInstalled
 from evalkit.core.match import Match
+from evalkit.plugins.address import Address, spec_at, stop_loading
 from evalkit.plugins.parameters import resolve_parameters
 from evalkit.plugins.specs import RegistrationSpec
-from evalkit.testing import RulesBroken, check_backend, check_dataset
+from evalkit.testing import RulesBroken, backend_rules, check_backend, check_dataset, check_rule
 
 sys.path.append(str(Path(__file__).parent / "misfits"))  # as a package under development would be
 backends = importlib.import_module("faulty_backends")
@@ -94,7 +98,7 @@ def test_the_error_can_be_pickled():
 )
 def test_each_fault_of_a_data_set_breaks_the_rule_named_for_it(make, rule, said):
     spec = datasets.spec(make)
-    one = check_rule(
+    one = rule_module.check_rule(
         dataset_rules.RULES[rule], dataset_rules.DatasetFixture(spec, resolve_parameters("", spec.parameters, {}), 50)
     )
     assert one.outcome == "failed"
@@ -113,3 +117,47 @@ def test_a_shipped_data_set_follows_every_rule():
 def test_missing_data_raise_an_error():
     with pytest.raises(DataMissing, match="get it from somewhere"):
         check_dataset(datasets.MISSING)
+
+
+SCRIPT = """
+from evalkit.core.match import Match
+from evalkit.plugins.specs import RegistrationSpec
+from evalkit.testing import RulesBroken, check_backend
+
+class Guess:
+    def register(self, target, source, guess):
+        return Match(guess, True, 1, 0.0, len(source))
+
+SPEC = RegistrationSpec(make=Guess, summary="", citation="", licence="MIT")
+try:
+    check_backend(SPEC)
+except RulesBroken as error:
+    print(error)
+"""
+
+
+def test_a_script_without_a_main_guard_checks_its_own_spec(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(SCRIPT)
+    done = subprocess.run([sys.executable, str(file)], capture_output=True, text=True, timeout=100, check=True)
+    assert re.search("__main__:SPEC breaks [1-9] of 39 rules", done.stdout), done.stdout + done.stderr
+    assert "the guess was returned unchanged" in done.stdout
+
+
+def test_loading_a_file_stops_at_its_own_check(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(SCRIPT)
+    found = spec_at(Address("x", "__main__", "SPEC", str(file)), RegistrationSpec, lambda _name: None)
+    assert found.licence == "MIT"
+    stop_loading()  # nothing is being loaded now
+
+
+def test_one_rule_at_a_time_for_parametrised_tests(monkeypatch):
+    checked = []
+    report = RuleReport("x", (RuleResult("order", "", "failed", "no"), RuleResult("wall", "", "passed", "yes")))
+    monkeypatch.setattr("evalkit.testing.runner.check", lambda *given: checked.append(given) or report)
+    assert {"order", "wall", "alive"} <= set(backend_rules("paper"))
+    assert check_rule("paper", "wall", epsilon=0.5).observed == "yes"
+    with pytest.raises(RulesBroken, match="order"):
+        check_rule("paper", "order", epsilon=0.5)
+    assert checked == [("paper", {"epsilon": 0.5})]  # both from one check

@@ -69,6 +69,7 @@ _OPTIONAL: dict[str, tuple[object, list[object]]] = {
     "evalkit_summary": (c_char_p, []),
     "evalkit_parameters": (c_char_p, []),
     "evalkit_last_error": (c_char_p, [c_void_p]),
+    "evalkit_pairs": (POINTER(c_int32), [c_void_p, POINTER(c_size_t)]),
 }
 
 

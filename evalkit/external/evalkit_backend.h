@@ -87,6 +87,10 @@ EVALKIT_EXPORT int32_t evalkit_register(void *self, const double *target_xy, siz
                                         size_t sources, const evalkit_pose *guess, evalkit_trace trace, void *listener,
                                         evalkit_match *answer);
 
+/* Optional: the pairs behind the current call of `trace`: source and target index in turns, 2 * *count numbers; NULL for
+ * none.  Called during `trace` only; the numbers stay valid until `trace` returns. */
+EVALKIT_EXPORT const int32_t *evalkit_pairs(void *self, size_t *count);
+
 /* Kind odometry: set *answer to start_from_base at the frame's first beam; the identity for the first frame.
  * Every sequence has a new instance; frames are in the order of time.  Return 0, or another code to end the run. */
 EVALKIT_EXPORT int32_t evalkit_update(void *self, const evalkit_frame *frame, evalkit_pose *answer);

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.core.arrays import Ints
 from evalkit.core.errors import BackendFailed
 from evalkit.core.match import Iteration, Match
 from evalkit.core.odometry_estimate import OdometryEstimate
@@ -80,7 +81,8 @@ class LibraryRegistration:
         conversion = Stopwatch()
 
         def record(_listener: object, error_m: float, inliers: int, pose: Any) -> None:
-            history.append(Iteration(error_m, inliers, _from_abi_pose(pose.contents)))
+            pairs = self._instance.traced_pairs(len(source))
+            history.append(Iteration(error_m, inliers, _from_abi_pose(pose.contents), pairs))
 
         with conversion:
             onto, points = _to_contiguous(target.points), _to_contiguous(source.points)
@@ -145,6 +147,15 @@ class Instance:
             raise BackendFailed(
                 self._name, f"{function} returned error {code}{self._last_error()}", "see what it needs"
             )
+
+    def traced_pairs(self, most: int) -> Ints | None:
+        """Return the pairs (K, 2) of the current iteration, at most ``most``; None where the library reports none."""
+        find = getattr(self._library, "evalkit_pairs", None)
+        count = ctypes.c_size_t()
+        found = find(self._self, ctypes.byref(count)) if find is not None else None
+        if not found or count.value > most:
+            return None
+        return np.array(found[: 2 * count.value], dtype=np.int64).reshape(-1, 2)
 
     def check_pose(self, row: abi.PoseStruct) -> Pose:
         """Return the pose of an answer; raises BackendFailed where it is not finite."""

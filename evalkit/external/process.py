@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from evalkit.core.errors import BackendFailed, BadParameter
-from evalkit.core.match import Match
+from evalkit.core.match import Iteration, Match
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
@@ -164,7 +164,25 @@ class ProgramSession:
             int(self.number(answer, "iterations", most=MAX_COUNTED)),
             self.number(answer, "error_m", optional=True),
             int(self.number(answer, "inliers", most=MAX_COUNTED)),
+            tuple(self._iteration(entry) for entry in self._list(answer, "trace")),
         )
+
+    def _iteration(self, entry: Any) -> Iteration:
+        """Return one entry of a trace; raises BackendFailed."""
+        if not isinstance(entry, dict):
+            raise self.program.malformed("trace", entry, "a list of objects")
+        numbers = self._list(entry, "pairs")
+        if len(numbers) % 2 or not all(type(value) is int and 0 <= value < MAX_COUNTED for value in numbers):
+            raise self.program.malformed("pairs", numbers, "indices of source and target in turns")
+        pairs = np.array(numbers, dtype=np.int64).reshape(-1, 2) if "pairs" in entry else None
+        error, inliers = self.number(entry, "error_m", optional=True), self.number(entry, "inliers", most=MAX_COUNTED)
+        return Iteration(error, int(inliers), self.pose(entry), pairs)
+
+    def _list(self, answer: dict[str, Any], key: str) -> list[Any]:
+        found = answer.get(key, [])
+        if not isinstance(found, list):
+            raise self.program.malformed(key, found, "a list")
+        return found
 
     def pose(self, answer: dict[str, Any]) -> Pose:
         """Return the pose of an answer; raises BackendFailed."""

@@ -13,7 +13,7 @@ from evalkit.core.se2 import Floats
 from evalkit.metrics.table import NO_POSES, Evidence, make_metrics, make_score
 
 NOT_MEASURED = {
-    "cpu_ns": "no CPU time was measured",
+    "cpu_ns": "not measured on this machine: no CPU time",
     "wall_ns": "the poses were computed elsewhere",
     "device_ns": "the back end reports no device time",
 }
@@ -27,9 +27,20 @@ def period_ns(run: RunResult) -> float:
     return float(np.median(np.diff(run.steps["stamp_ns"]))) / run.every
 
 
+def is_measured(run: RunResult, clock: str) -> bool:
+    """Return whether a clock ("cpu_ns", "wall_ns" or "device_ns") was read: CPU time for most scans, others for any.
+
+    Work on a device takes none of this machine's CPU time; only scans that the front end answers itself take some.
+    """
+    count = int(np.count_nonzero(run.steps[clock]))
+    return 2 * count > len(run.steps) if clock == "cpu_ns" else count > 0
+
+
 def work_ns(run: RunResult) -> Ints:
     """Return the CPU time (N,) of each scan in ns, of a device its own time; zeros where neither was measured."""
-    return run.steps["cpu_ns"] if run.steps["cpu_ns"].any() else run.steps["device_ns"]
+    if is_measured(run, "cpu_ns"):
+        return run.steps["cpu_ns"]
+    return run.steps["device_ns"] if is_measured(run, "device_ns") else np.zeros(len(run.steps), dtype=np.int64)
 
 
 def late_share(run: RunResult) -> float:
@@ -41,7 +52,7 @@ def _score_milliseconds(field: str, statistic: Callable[[Floats], np.floating], 
     steps = evidence.run.steps
     if len(steps) == 0:
         return Score(None, 0, NO_POSES)
-    if field in NOT_MEASURED and not steps[field].any():
+    if field in NOT_MEASURED and not is_measured(evidence.run, field):
         return Score(None, len(steps), NOT_MEASURED[field])
     return make_score(statistic(steps[field] * 1e-6), len(steps))
 
@@ -49,7 +60,7 @@ def _score_milliseconds(field: str, statistic: Callable[[Floats], np.floating], 
 def _score_share(field: str, evidence: Evidence) -> Score:
     steps = evidence.run.steps
     total = steps["cpu_ns"].sum()
-    if total == 0:
+    if not is_measured(evidence.run, "cpu_ns"):
         return Score(None, len(steps), NOT_MEASURED["cpu_ns"])
     return make_score(100.0 * steps[field].sum() / total, len(steps))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 import sys
@@ -14,6 +15,24 @@ from typing import TypeVar
 from evalkit.core.errors import NotInstalled
 from evalkit.plugins import registry
 from evalkit.plugins.specs import BackendSpec, DatasetSpec
+
+
+class LoadingStopped(BaseException):
+    """A file that is loaded for its spec has come to a check of that spec: the rest of it is not run."""
+
+
+_loading: list[str] = []
+"""Files that this process is loading for a spec in them."""
+
+
+def stop_loading() -> None:
+    """End the loading of a file here; nothing where no file is being loaded.
+
+    A script without a main guard that checks a spec of its own is loaded once more by the process that checks it.
+    """
+    if _loading:
+        raise LoadingStopped
+
 
 Spec = TypeVar("Spec", BackendSpec, DatasetSpec)
 
@@ -79,7 +98,10 @@ def _module_of_file(file: str) -> ModuleType:
         if found is None or found.loader is None:
             raise ImportError(f"{file} is not a Python file")
         sys.modules[name] = module = importlib.util.module_from_spec(found)
-        found.loader.exec_module(module)
+        _loading.append(file)
+        with contextlib.suppress(LoadingStopped):
+            found.loader.exec_module(module)
+        _loading.pop()
     return sys.modules[name]
 
 

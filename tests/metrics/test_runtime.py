@@ -71,10 +71,19 @@ def test_a_device_is_late_by_its_own_clock() -> None:
     assert {m.name: m.compute(evidence) for m in runtime.METRICS}["late_percent"] == Score(25.0, 4)
 
 
+def test_work_on_a_device_has_no_cpu_time_though_the_front_end_answers_the_first_scan() -> None:
+    steps = np.zeros(5, STEP)
+    steps["stamp_ns"], steps["cpu_ns"] = np.arange(5) * 100_000_000, [400_000, 0, 0, 0, 0]
+    evidence = Evidence(RunResult(steps, 5), Truth("exact"))
+    found = {m.name: m.compute(evidence) for m in runtime.METRICS}
+    for name in ("cpu_median_ms", "cpu_max_ms", "conversion_percent", "real_time_factor", "late_percent"):
+        assert found[name] == Score(None, 5, "not measured on this machine: no CPU time")
+
+
 def test_unmeasured_times_give_a_reason() -> None:
     nothing = scores([], [])
     assert nothing["cpu_median_ms"].reason == "the run has no poses"
     assert nothing["real_time_factor"].reason == "fewer than two scans have a pose"
     idle = scores([0.0, 0.0], [0.0, 0.0])
-    assert idle["real_time_factor"].reason == "no CPU time was measured"
+    assert idle["real_time_factor"].reason == "not measured on this machine: no CPU time"
     assert idle["peak_memory_mib"].reason == "memory was not measured"

@@ -46,7 +46,7 @@ FAULTS = tuple(
         (27, "more than 65,535 source points crash", "rule (large|alive)"),
         (28, "points at zero are invalid", "points.*zero"),
         (29, "a neighbour across zero is not found", "neighbours"),
-        (30, "the heading of the guess is limited", "start|headings"),
+        (30, "the heading of the guess is limited", "start|headings|heading of the guess"),
         (31, "the heading is linearised", "rule|rotation|headings"),
         (32, "points beyond 100 m are dropped", "scales|rule converged"),
         (34, "repeated source points are dropped", "twice|duplicates"),

@@ -46,6 +46,8 @@ typedef struct {
     size_t kept_count;
     point *cache;
     char *note;
+    int32_t *shown;
+    size_t shown_count;
 } icp;
 
 typedef struct {
@@ -114,7 +116,27 @@ void *evalkit_create(const char *const *names, const char *const *values, size_t
 void evalkit_destroy(void *self)
 {
     free(((icp *)self)->cache);
+    free(((icp *)self)->shown);
     free(self);
+}
+
+#ifdef PAIRS
+const int32_t *evalkit_pairs(void *self, size_t *count)
+{
+    *count = ((icp *)self)->shown_count;
+    return ((icp *)self)->shown;
+}
+#endif
+
+static void show_pairs(icp *self, const pairs *p, size_t sources)
+{
+    self->shown = realloc(self->shown, 2 * (sources + 1) * sizeof *self->shown);
+    self->shown_count = 0;
+    for (size_t i = 0; i < sources; i++)
+        if (p->of[i] != NONE) {
+            self->shown[2 * self->shown_count] = (int32_t)i;
+            self->shown[2 * self->shown_count++ + 1] = (int32_t)p->of[i];
+        }
 }
 
 static void misbehave(icp *self, size_t sources)
@@ -331,7 +353,7 @@ static pose best_motion(const pairs *p, const point *target, size_t sources, dou
     if (F(62))
         theta = -theta;
     if (F(81))
-        theta = (xy - yx) / (xx + yy + 0.1);
+        theta = (xy - yx) / (xx + yy + 50);
     if (F(35) && fabs((double)(xx * yy - xy * yx)) < 1e-6)
         theta = 0;
     if (F(68))
@@ -491,6 +513,7 @@ int32_t evalkit_register(void *self_, const double *target_xy, size_t targets, c
         previous = error;
         iterations++;
         if (trace && !(F(59) && converged)) {
+            show_pairs(self, &p, sources);
             pose shown = F(58) ? before : at;
             evalkit_pose row = {shown.x, shown.y, shown.theta};
             trace(listener, F(60) ? before_step : error, F(95) ? last_count : p.count, &row);

@@ -109,7 +109,8 @@ def _table(result: BasinResult) -> Any:
     from rich.markup import escape  # noqa: PLC0415 - only where a table is printed
     from rich.table import Table  # noqa: PLC0415 - as above
 
-    table = Table("back end", "scene", "success [%]", "reach [m]", "reach [deg]", "A50 [m]", "A95 [m]", "remark")
+    heads = ("back end", "scene", "success [%]", "reach [m]", "reach [deg]", "A50 [m]", "A95 [m]", "remark")
+    table = Table(*map(escape, heads))  # a unit in brackets is no markup
     for row in result.rows:
         if row.basin is None:
             table.add_row(escape(row.backend), row.scene, "-", "-", "-", "-", "-", escape(row.reason))

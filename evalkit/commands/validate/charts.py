@@ -100,6 +100,7 @@ def map_figures(level: AcceptanceLevel, own: str, reference: str) -> Iterator[Fi
         if len(grids) == 2 and grids[0] is not None and grids[1] is not None:
             layers = GridPair.of(grids[1], grids[0])
             yield _map_figure(layers, layers.b, layers.observed_b, f"{place}: {own}", grids[0])
+            yield _map_figure(layers, layers.a, layers.observed_a, f"{place}: {reference}", grids[0])
             yield _difference_figure(layers, f"{place}: differences to the map of {reference}", grids[0])
 
 

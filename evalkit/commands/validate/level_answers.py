@@ -21,6 +21,9 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import ENDED
 from evalkit.execution.task import Result
 
+UNNAMED = ("different steps from", "different poses", "not both report their", "another answer", "guess is returned")
+"""Phrases of a first difference whose cause is not known from the answers alone."""
+
 STAGES = {"s2s": "scan to scan", "s2m": "scan to map"}
 
 Results = Mapping[str, Result]
@@ -253,7 +256,7 @@ def _name_by_questions(checks: list[Check], drawn: Results, terms: ComparisonTer
 
     def named(check: Check) -> Check:
         text = check.observed
-        if check.outcome == "failed" and (where or ": different: " in text or "not both report their" in text):
+        if check.outcome == "failed" and any(phrase in text for phrase in UNNAMED):
             return replace(check, observed=f"{text}; {cause(text)}")
         return check
 

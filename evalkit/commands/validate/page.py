@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from evalkit.commands.validate.acceptance import DECIDING, AcceptanceLevel, AcceptanceReport, Check, Outcome
 from evalkit.commands.validate.charts import figures
+from evalkit.commands.validate.first_screen import first_figures
 from evalkit.report.html.blocks import (
     Block,
     Bullets,
@@ -33,7 +34,11 @@ MAX_CHECKS = 20
 
 def render_page(report: AcceptanceReport, command: str) -> str:
     """The HTML page; ``command``: the command line that writes it."""
-    sections = [_verdict(report, command), *(_level(report, level) for level in report.levels), _method(report)]
+    sections = [
+        _verdict(report, command),
+        *(_level(report, level) for level in report.levels if level.checks),
+        _method(report),
+    ]
     facts = [("Claim", f"{'equal to' if report.claim == 'equal' else 'as good as'} the reference")]
     facts += [("Reference", f"{report.reference}: {report.why_reference}"), ("Margin", report.margin_text or "none")]
     facts += [("Peers", ", ".join(report.peers) or "none")]
@@ -55,7 +60,8 @@ def _title(report: AcceptanceReport) -> str:
 
 def _verdict(report: AcceptanceReport, command: str) -> Section:
     rows: list[list[Cell | str]] = []
-    for level in report.levels:
+    ran = [level for level in report.levels if level.outcome(report.claim) != "not applicable"]
+    for level in ran:
         outcome = level.outcome(report.claim)
         passed, failed = len(level.passed(report.claim)), len(level.failed(report.claim))
         first = level.decisive_checks(report.claim)[0] if level.checks else None
@@ -75,7 +81,8 @@ def _verdict(report: AcceptanceReport, command: str) -> Section:
         Column("deciding checks", tip="passed, of all that decide"),
         Column("first result", tip="of the first check that refutes the claim, or else supports it"),
     )
-    blocks: list[Block] = [Table(columns, rows, sortable=False)]
+    blocks: list[Block] = [Figures(list(first_figures(report)), small=True), Table(columns, rows, sortable=False)]
+    blocks += [Text(f"Waived: {name}: {why}", "warn") for name, why in report.waivers.items()]
     blocks += [Text(f"Not available here: {name}: {why}", "warn") for name, why in report.unavailable.items()]
     blocks += [Text("The command that wrote this page:", "note"), Command(command)]
     return Section("Verdict", blocks)
@@ -118,7 +125,8 @@ def _row(report: AcceptanceReport, check: Check) -> list[Cell | str]:
 
 
 def _method(report: AcceptanceReport) -> Section:
-    facts = [*report.environment.items(), *_settings(report)]
+    binaries = [(f"file {name}", what) for name, what in report.binaries.items()]
+    facts = [*report.environment.items(), *binaries, *_settings(report)]
     fold = Fold("Environment and settings", [Table(("name", "value"), facts, sortable=False)])
     if not report.reference or "effort" not in report.settings:
         return Section("Method", [fold])
@@ -134,8 +142,10 @@ def _method(report: AcceptanceReport) -> Section:
         "precision may break differently, is counted separately; whole runs show its effect.",
         f"As good: the interval of the difference lies below the margin, one-sided at 5 %. The margin is {share:g} of "
         "the noise level: an error half the size of another increases it by an eighth.",
-        f"Level 1 uses {effort['pairs']} pairs of scans per sequence and seed, each with a guess 5 cm and 2 degrees "
-        f"off and with one 0.3 m and 0.15 rad off. Level 2 repeats the questions to the reference at each of "
+        f"Rules and the drawn questions of level 1 (sizes, scales, headings, points, limits, edges, parameters) come "
+        f"from --seed {report.settings.get('seed')}, which repeats them. Level 1 also uses {effort['pairs']} pairs of "
+        "scans per sequence and seed, each with a guess 5 cm and 2 degrees off and with one 0.3 m and 0.15 rad off. "
+        "Level 2 repeats the questions to the reference at each of "
         f"{effort['scans']} scans. Times are measured in one process, methods in turns, over {effort['timed']} scans.",
         "Every run and every set of questions has its own process: a crash, a hang or a leak of the implementation is "
         "a failed check.",

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from evalkit.core.se2 import Floats
-from evalkit.metrics.runtime import period_ns
+from evalkit.metrics.runtime import is_measured, period_ns
 from evalkit.report.html.chart_style import LIMIT, Draw, format_log_axis, line_style, render_figure
 from evalkit.report.html.palette import TRUTH, Stroke
 from evalkit.report.html.run_lines import POINTS, STRETCHES, bin_series, find_frame, seconds_of, thin_points, world_path
@@ -80,7 +80,7 @@ def draw_runtimes(records: Sequence[RunRecord], strokes: Strokes) -> RunFigure |
     boxes, periods = [], []
     for record in records:
         steps = record.result.steps
-        if len(steps) < 2:
+        if len(steps) < 2 or not is_measured(record.result, "cpu_ns"):
             continue
         milliseconds = np.maximum(steps["cpu_ns"], 1) * 1e-6
         low, q1, middle, q3, high = np.percentile(milliseconds, [5, 25, 50, 75, 95])

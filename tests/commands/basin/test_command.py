@@ -40,6 +40,8 @@ def test_a_back_end_that_keeps_its_guess_succeeds_where_the_guess_is_good_enough
     assert absent["reason"]
     assert "Failures with the best guesses" in page
     assert "kiss-icp" in page
+    for head in ("success [%]", "reach [m]", "reach [deg]", "A95 [m]"):  # brackets are no markup of the terminal
+        assert head.split()[1] in found.output
 
 
 def test_a_back_end_that_raises_or_ends_its_process_has_a_row_with_the_reason(run):

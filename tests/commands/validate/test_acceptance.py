@@ -3,12 +3,15 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
 import evalkit.commands.validate as package
 from evalkit.commands.validate import plan
-from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check, Claim
+from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check, Claim, as_junit
+from evalkit.commands.validate.level_answers import choose_margin, judge_gap, rules_level, waive
+from evalkit.commands.validate.rules.rule import RuleResult
 
 SCHEMA = json.loads((Path(package.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
 EFFORT = {"pairs": 4, "scans": 8, "timed": 8}
@@ -86,3 +89,60 @@ def test_compiled_files_are_the_library_or_those_of_the_package(tmp_path):
     assert plan.compiled_files(f"lib:{tmp_path / 'libmine.so'}") == [(tmp_path / "libmine.so").resolve()]
     assert plan.compiled_files("paper") == []
     assert {file.suffix for file in plan.compiled_files("embedded")} <= {".so"}
+
+
+def test_a_check_with_too_few_data_gives_no_verdict_and_names_the_line_that_decides():
+    unclear = replace(GOOD, outcome="not shown", margin="5 mm", detail="about 900 values would show it")
+    found = report(KEPT, level(3, "trajectories", GOOD, unclear), claim="as-good")
+    assert not found.passed
+    assert found.levels[1].outcome("as-good") == "not shown"
+    assert found.verdict.startswith("it is not shown that mine is as good as paper, nor that it is worse; level 3")
+    assert found.verdict.endswith("as good: no larger; margin 5 mm; about 900 values would show it")
+    assert report(KEPT, level(3, "trajectories", unclear, SAME)).passed  # it decides another claim
+
+
+def test_a_waived_check_does_not_refute_and_keeps_its_reason():
+    wrong = replace(SAME, name="field inliers", outcome="failed")
+    waived = waive(level(1, "registrations", SAME, wrong), {"inliers": "counts sources"})
+    assert [one.outcome for one in waived.checks] == ["passed", "waived"]
+    assert waived.checks[1].detail == "waived: counts sources"
+    assert report(KEPT, waived).passed
+    broken = [RuleResult("order", "It holds.", "failed", "it does not"), RuleResult("wall", "It holds.", "passed", "")]
+    assert rules_level(broken, waivers={"order": "it samples"}).outcome("equal") == "passed"
+    assert rules_level(broken, waivers={"wall": "unused"}).outcome("equal") == "failed"
+
+
+def test_a_loss_is_worse_only_where_its_interval_lies_beyond_the_margin():
+    assert judge_gap(0.1, 0.0, 0.2, 0.3, 50)[0] == "passed"
+    assert judge_gap(0.6, 0.4, 0.8, 0.3, 50)[0] == "failed"
+    outcome, hint = judge_gap(0.0, -0.5, 0.5, 0.25, 50)  # a half width of 0.5 must shrink to 0.25: four times the data
+    assert outcome == "not shown"
+    assert "about 200 values instead of 50" in hint
+
+
+def test_single_precision_is_chosen_only_where_every_result_shows_it_and_all_answers_repeat():
+    def result(exact, single, unrepeated=0):
+        first = {"kind": "precision"}
+        return {
+            name: {"equivalent": equal, "level": "answers", "beyond_rounding": int(not equal), "unanswered": 0,
+                   "first": None if equal else first}
+            for name, equal in (("exact", exact), ("float32", single))
+        } | {"unrepeated": unrepeated}  # fmt: skip
+
+    both = ["exact", "float32"]
+    assert choose_margin({"pairs": result(False, True), "scans": result(False, True)}, both) == "float32"
+    assert choose_margin({"pairs": result(False, True), "scans": result(True, True)}, both) == "exact"
+    assert choose_margin({"pairs": result(False, True, unrepeated=1), "scans": result(False, True)}, both) == "exact"
+    assert choose_margin({"pairs": result(True, True), "scans": result(True, True)}, both) == "exact"
+
+
+def test_the_junit_file_has_a_case_for_each_check_and_a_failure_for_each_that_refutes():
+    wrong = replace(SAME, outcome="failed", observed="pair 3: <units>\x00")
+    skipped = Check("mapper", "", "not applicable", "never", "none")
+    found = ElementTree.fromstring(as_junit(report(KEPT, level(1, "registrations", SAME, wrong, GOOD, skipped))))
+    suites = {suite.get("name"): suite for suite in found}
+    one = suites["1 registrations"]
+    assert (one.get("tests"), one.get("failures"), one.get("skipped")) == ("4", "1", "1")
+    assert [case.find("failure").get("message") for case in one if case.find("failure") is not None] == [
+        "pair 3: <units>"
+    ]

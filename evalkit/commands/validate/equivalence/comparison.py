@@ -29,7 +29,7 @@ from evalkit.core.errors import BadData, DataMissing, NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.odometry import frontend
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.address import address_of, spec_at
+from evalkit.plugins.address import address_of, spec_at, stop_loading
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, RegistrationSpec
@@ -133,6 +133,7 @@ def mapper_equivalence(
 def _raise_if_different(compare: Callable[Arguments, Equivalence]) -> Callable[Arguments, Equivalence]:
     @wraps(compare)
     def compare_and_raise(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Equivalence:
+        stop_loading()
         result = compare(*args, **kwargs)
         if not result.equivalent:
             raise NotEquivalent(str(result))

@@ -13,7 +13,7 @@ import numpy as np
 
 from evalkit.commands.validate.rules import resource_rules
 from evalkit.commands.validate.rules.registration_rules import UNIT_TOLERANCE, check_turn
-from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, Measured, in_another_thread
+from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, Measured, StateWatch, in_another_thread
 from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, format_exception, rule_table
 from evalkit.commands.validate.rules.scenes import (
     BEAMS,
@@ -54,9 +54,16 @@ class OdometryFixture:
         seed: int = 0,
         elsewhere: Mapping[str, Any] = {},
     ) -> None:
-        self.make, self.role, self.seed, self.elsewhere = make, role, seed, elsewhere
+        self._make, self.role, self.seed, self.elsewhere = make, role, seed, elsewhere
+        self.watch = StateWatch()
         self.short = drive(8)
         self.asked_s = math.inf
+
+    def make(self) -> Odometry:
+        """A new object."""
+        made = self._make()
+        self.watch.note_loaded()
+        return made
 
     @cached_property
     def first_answers(self) -> Floats:
@@ -74,7 +81,7 @@ class OdometryFixture:
             stamps = iter(range(frame.scan.stamp_ns, 2**62, 100_000_000))
             return lambda: answer_row(odometry, replace(frame, scan=replace(frame.scan, stamp_ns=next(stamps))))
 
-        return resource_rules.measure(self.make, calls)
+        return resource_rules.measure(self.make, calls, self.watch)
 
     def run(self, frames: Iterable[Frame]) -> Floats:
         """The answers (N, 3) to the frames, nan if there is none."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from evalkit.commands.validate.rules import resource_rules
 from evalkit.commands.validate.rules.range_rules import RANGE_RULES, validate_match
-from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, Measured
+from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, Measured, StateWatch
 from evalkit.commands.validate.rules.rule import RuleBroken, format_exception, rule_table
 from evalkit.commands.validate.rules.scenes import (
     CloudPair,
@@ -66,11 +66,14 @@ class RegistrationFixture:
         self._make, self.seed, self.elsewhere = make, seed, elsewhere
         self._parameters, self._given = parameters, given
         self.asked_s = math.inf
+        self.watch = StateWatch()
         self.worn: Registration | None = None  # the object of the endurance run
 
     def make(self) -> Registration:
         """A new object."""
-        return self._make(**self._given)
+        made = self._make(**self._given)
+        self.watch.note_loaded()
+        return made
 
     def make_with(self, **changes: Value) -> Registration:
         """A new object with some parameters changed."""
@@ -116,7 +119,7 @@ class RegistrationFixture:
             self.worn = one
             return lambda: answer_bits(one, next(cycle))
 
-        return resource_rules.measure(self.make, calls)
+        return resource_rules.measure(self.make, calls, self.watch)
 
     def register(self, pair: CloudPair) -> Pose:
         """The answer to a pair."""

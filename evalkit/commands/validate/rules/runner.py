@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from evalkit.commands.validate.rules import odometry_rules, registration_rules
+from evalkit.commands.validate.rules.odometry_rules import OdometryFixture
+from evalkit.commands.validate.rules.registration_rules import RegistrationFixture
 from evalkit.commands.validate.rules.rule import Rule, RuleReport, RuleResult, check_rule
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
 from evalkit.execution.subprocesses import ChildProcess, end_with_parent
@@ -36,6 +38,9 @@ LOADING_S = 60.0
 REQUEST, RESULTS = "request.json", "results.jsonl"
 NOT_INSTALLED = "not installed"
 """In place of an outcome: a library that ``make`` needs is not installed."""
+
+PROCESS_RULES = ("alive", "in-time")
+"""Rules about the process as a whole, after those of every kind."""
 
 STARTS = "starts"
 """The first rule of every kind; if it is broken, the others cannot be checked."""
@@ -75,14 +80,28 @@ def check(
     for name in only:
         if name not in rules:
             raise UnknownName("rule", name, rules)
+    complete = resolve_parameters(address.label, spec.parameters, parameters or {})
     request = {
         "address": asdict(address),
-        "parameters": resolve_parameters(address.label, spec.parameters, parameters or {}),
+        "parameters": complete,
         "seed": seed,
         "path": [str(Path(entry or ".").resolve()) for entry in sys.path],
     }
     chosen = {name: rule for name, rule in rules.items() if name in only or not only}
+    if address.module == "__main__" and not address.file:
+        return RuleReport(address.label, _check_here(spec, complete, chosen, seed))
     return RuleReport(address.label, _RuleRunner(request, chosen, limit_s, memory_mib).results())
+
+
+def _check_here(
+    spec: BackendSpec, parameters: Mapping[str, Value], rules: Mapping[str, Rule], seed: int
+) -> tuple[RuleResult, ...]:
+    """The results of rules for a spec of an interactive session, which no other process can load: in this process."""
+    fixture = _make_fixture(spec, parameters, seed, {})
+    alive = "checked in this process: another one cannot load an interactive session; save it in a file to isolate it"
+    sentence = "The process survives all rules, within its memory limit."
+    results = [check_rule(rule, fixture) for rule in rules.values()]
+    return (*results, RuleResult("alive", sentence, "not applicable", alive))
 
 
 def spec_of(backend: str | BackendSpec) -> BackendSpec:
@@ -198,9 +217,15 @@ def load_fixture(address: Mapping[str, str], parameters: Mapping[str, Value], se
     """What the rules are checked on: the back end at an address, with its complete parameters."""
     spec = spec_at(Address(**address), BackendSpec, registry.backend)
     elsewhere = {"address": dict(address), "parameters": dict(parameters), "seed": seed}
+    return _make_fixture(spec, parameters, seed, elsewhere)
+
+
+def _make_fixture(
+    spec: BackendSpec, parameters: Mapping[str, Value], seed: int, elsewhere: Mapping[str, Any]
+) -> RegistrationFixture | OdometryFixture:
     if isinstance(spec, RegistrationSpec):
-        return registration_rules.RegistrationFixture(spec.make, seed, spec.parameters, parameters, elsewhere)
-    return odometry_rules.OdometryFixture(partial(spec.make, **parameters), spec.role, seed, elsewhere)
+        return RegistrationFixture(spec.make, seed, spec.parameters, parameters, elsewhere)
+    return OdometryFixture(partial(spec.make, **parameters), spec.role, seed, elsewhere)
 
 
 if __name__ == "__main__":

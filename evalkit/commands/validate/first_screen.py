@@ -1,0 +1,99 @@
+"""The first screen of an acceptance page: the stamp, and one bar from the measured difference to the allowed one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from markupsafe import Markup
+
+from evalkit.commands.validate.acceptance import AcceptanceReport
+from evalkit.commands.validate.charts import map_figures
+from evalkit.commands.validate.level_answers import noise_level
+from evalkit.report.html.blocks import Figure
+from evalkit.report.html.svg import element, join
+
+GOOD, BAD, OPEN = ("#1a7f45", "#b42318", "#9a6700")
+FONT = "system-ui, sans-serif"
+LOW, HIGH = -16.0, 0.0
+"""Ends of the bar: powers of ten of a metre."""
+
+WIDTH, LEFT, RIGHT = 460.0, 30.0, 430.0
+
+
+def first_figures(report: AcceptanceReport) -> Iterator[Figure]:
+    """The stamp; the bar and both maps with their difference, where those levels ran."""
+    yield _stamp(report)
+    levels = {level.number: level for level in report.levels}
+    measured = [
+        abs(row["worst"])
+        for level in (levels.get(1), levels.get(2)) if level
+        for check in level.checks
+        for row in check.data.get("intervals", ())
+        if row["unit"] == "m" and row["worst"] is not None
+    ]  # fmt: skip
+    allowed = [
+        check.data["margin"]["metres"]
+        for level in (levels.get(1), levels.get(2)) if level
+        for check in level.checks if check.data.get("intervals")
+    ]  # fmt: skip
+    if measured and allowed:
+        pairs = levels[1].results.get("results", {}) if 1 in levels else {}
+        yield _bar(max(measured), max(allowed), noise_level(pairs, 1.0)[0] if pairs else math.nan)
+    if 4 in levels and levels[4].results:
+        yield from list(map_figures(levels[4], report.subject, report.reference))[:3]
+
+
+def _stamp(report: AcceptanceReport) -> Figure:
+    failed = any(level.failed(report.claim) for level in report.levels)
+    word, colour = ("PASSED", GOOD) if report.passed else ("FAILED", BAD) if failed else ("NOT SHOWN", OPEN)
+    claim = {"equal": "equivalent", "as-good": "as good"}[report.claim] if report.reference else "rules"
+    against = f"{claim}, against {report.reference}" if report.reference else "rules kept"
+    parts = [
+        element("rect", x=8, y=8, width=444, height=124, rx=14, fill="none", stroke=colour, stroke_width=7),
+        _text(230, 82, word, colour, 58, 800, anchor="middle"),
+        _text(230, 114, f"{against}; {report.asked} checks", colour, 17, 600, anchor="middle"),
+    ]
+    return Figure(_document(parts, 140), f"{word}: {report.subject}", "", size=(460, 140))
+
+
+def _bar(measured_m: float, allowed_m: float, matters_m: float) -> Figure:
+    """Three lengths on one logarithmic bar; a matter of nan is left out."""
+    marks = [("measured", measured_m, BAD if measured_m > allowed_m else GOOD), ("allowed", allowed_m, "#5b6672")]
+    marks += [("noise of the sensor", matters_m, "#0b5cad")] if math.isfinite(matters_m) else []
+    parts = [element("rect", x=LEFT, y=62, width=RIGHT - LEFT, height=12, rx=6, fill="#d5dbe2")]
+    end = _place(measured_m)
+    parts.append(element("rect", x=LEFT, y=62, width=max(end - LEFT, 3.0), height=12, rx=6, fill=marks[0][2]))
+    for number, (name, metres, colour) in enumerate(marks):
+        at, below = _place(metres), number == 1
+        parts.append(element("line", x1=at, x2=at, y1=54, y2=82, stroke=colour, stroke_width=3))
+        anchor = "start" if at < 110 else "end" if at > 350 else "middle"
+        text = f"{name} {_format_metres(metres)}"
+        parts.append(_text(at, 106 if below else 40 if number == 0 else 20, text, colour, 15, 600, anchor))
+    what = f"measured {_format_metres(measured_m)}, allowed {_format_metres(allowed_m)}"
+    caption = "Largest difference of two answers to one question, on a logarithmic scale from 0.1 fm to 1 m."
+    return Figure(_document(parts, 120), f"Difference: {what}", caption, size=(460, 120))
+
+
+def _place(metres: float) -> float:
+    power = min(max(math.log10(max(metres, 10.0**LOW)), LOW), HIGH)
+    return LEFT + (RIGHT - LEFT) * (power - LOW) / (HIGH - LOW)
+
+
+def _format_metres(metres: float) -> str:
+    if metres == 0.0:
+        return "0 m"
+    for unit, size in (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9), ("pm", 1e-12)):
+        if metres >= size:
+            return f"{metres / size:.2g} {unit}"
+    return f"{metres / 1e-15:.2g} fm"
+
+
+def _text(x: float, y: float, text: str, colour: str, size: int, weight: int, anchor: str) -> Markup:
+    return element("text", text, x=x, y=y, fill=colour, font_size=size, font_weight=weight, text_anchor=anchor,
+                   font_family=FONT)  # fmt: skip
+
+
+def _document(parts: list[Markup], height: int) -> bytes:
+    drawn = element("svg", join(parts), xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {WIDTH:g} {height}")
+    return str(drawn).encode()

@@ -1,0 +1,60 @@
+"""A few of the planted faults are found and named, and the correct library passes; ``make planted`` runs all."""
+
+import importlib
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from evalkit.commands.validate.rules import runner
+
+sys.path.append(str(Path(__file__).parent))
+examination = importlib.import_module("examination")
+faults = importlib.import_module("faults")
+NAMES = {one.number: one.name for one in faults.FAULTS}
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler 'cc' here")
+
+
+@pytest.mark.parametrize("number", [0, 38, 53, 65])
+def test_a_planted_difference_is_the_first_one_named_and_the_correct_library_has_none(number, tmp_path):
+    texts = examination.compare(examination.build(number, tmp_path), seed=number + 1)["texts"]
+    if number == 0:
+        assert texts == []
+    else:
+        assert re.search(NAMES[number], texts[0]), texts
+
+
+@pytest.mark.parametrize(("number", "rule"), [(0, ""), (1, "memory"), (14, "buffers"), (15, "bounds"), (12, "folder")])
+def test_a_planted_fault_of_state_or_resources_breaks_its_rule(number, rule, tmp_path):
+    backend = examination.build(number, tmp_path, "-O2")
+    chosen = (rule,) if rule else ("memory", "buffers", "bounds", "folder", "floating-point")
+    broken = {one.rule for one in runner.check(backend, only=chosen).broken}
+    assert broken - {"alive"} == ({rule} if rule else set())
+
+
+def test_single_precision_is_named_and_a_constant_error_of_its_size_is_not_excused(tmp_path):
+    single = examination.compare(examination.build(0, tmp_path, "-O2 -DSINGLE"), seed=5)["texts"]
+    assert single == []
+    shifted = examination.compare(examination.build(19, tmp_path), seed=5)["texts"]
+    assert all("precision" not in text.partition(": ")[2][:40] for text in shifted)
+
+
+@pytest.mark.parametrize(("number", "level"), [(0, "pairs of every iteration"), (65, "pairs of every iteration")])
+def test_a_library_that_reports_its_pairs_is_compared_by_them(number, level, tmp_path):
+    a, b = ({"name": name, "given": {}} for name in ("paper", examination.build(number, tmp_path, "-O1 -DPAIRS")))
+    on = {"label": "room", "dataset": "room", "parameters": {"laps": 0.03, "seed": 0}}
+    found = examination.probes.compare_pairs(a, b, on, 2, True, ["exact"])["exact"]
+    assert found["level"] == level
+    assert found["equivalent"] is (number == 0)
+    if number:
+        assert "does not take the nearest neighbour" in found["first"]["what"]
+
+
+def test_every_fault_has_a_number_of_its_own_and_a_variant_in_the_source():
+    source = examination.SOURCE.read_text(encoding="utf-8")
+    numbers = [one.number for one in faults.FAULTS]
+    assert len(set(numbers)) == len(numbers) >= 60
+    assert {number for number in numbers if f"F({number})" not in source} == set()
