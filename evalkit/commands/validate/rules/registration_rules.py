@@ -80,13 +80,14 @@ class RegistrationFixture:
         return self._make(**{**self._given, **changes})
 
     def variants(self) -> Iterator[dict[str, Value]]:
-        """One change of each numeric parameter of the method, within its bounds."""
+        """Changes of each numeric parameter of the method, up and down, within its bounds."""
         for one in self._parameters:
             value = self._given.get(one.name, one.default)
             if isinstance(value, (int, float)) and not isinstance(value, bool) and not one.name.endswith("_timeout_s"):
-                changed = type(value)(min(max(2 * value, one.low), one.high))
-                if changed != value:
-                    yield {one.name: changed}
+                for factor in (2.0, 0.25):
+                    changed = type(value)(min(max(factor * value, one.low), one.high))
+                    if changed not in (value, 0):
+                        yield {one.name: changed}
 
     @cached_property
     def shared(self) -> Registration:

@@ -100,15 +100,14 @@ def check_bounds(fixture: RegistrationFixture) -> str:
 def check_instances(fixture: RegistrationFixture) -> str:
     """Several instances, with other parameters, do not disturb each other."""
     expected, pairs = fixture.first_answers, fixture.questions
-    one = fixture.make()
-    others = [fixture.make(), *(fixture.make_with(**changes) for changes in fixture.variants())]
-    for other in others:
-        answer_bits(other, pairs[-1])
-    for number, pair in enumerate(pairs):
-        _require(expected[number], answer_bits(one, pair), f"beside {len(others)} other instances")
-        answer_bits(others[number % len(others)], pairs[-1 - number])
-    del others
-    return f"{len(pairs)} answers unchanged beside other instances"
+    one, others = fixture.make(), [fixture.make()]
+    for changes in ({}, *fixture.variants()):
+        others.append(fixture.make_with(**changes))
+        what = ", ".join(f"{name} = {value}" for name, value in changes.items()) or "the same parameters"
+        for number, pair in enumerate(pairs):
+            _require(expected[number], answer_bits(one, pair), f"beside a later instance with {what}")
+            answer_bits(others[number % len(others)], pairs[-1 - number])
+    return f"{len(pairs)} answers unchanged beside {len(others)} other instances"
 
 
 def check_thread(fixture: RegistrationFixture) -> str:
