@@ -38,7 +38,9 @@ def write_tuning() -> str:
         "`voxels` (one lasting map). The settings of the lasting map were chosen for the paper's ICP on `fr079` and "
         "`intel`; every method that uses them carries these names.",
         table(("experiment", "method", "differs from its back end by", "tuned on"), _method_rows()),
-        "`reports/tune.toml` is the search that the tuned methods come from: [Tune](../tune.md) describes it.",
+        "`kiss-icp tuned` is the result of `evalkit tune` on `lab` and `loop` with 24 points, as every method of "
+        "`reports/tune.toml` gets: on fresh seeds of these worlds its error is 0.51 (0.42 to 0.65) of that of the "
+        "default, at 5.7 times the time per scan. [Tune](../tune.md) describes the search.",
     )
 
 

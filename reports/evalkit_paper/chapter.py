@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from evalkit.execution.task import AnyTask, Result
-from evalkit.plugins.parameters import Parameter, resolve_parameters
+from evalkit.plugins.parameters import Parameter, Value, resolve_parameters
 from evalkit.report.html.blocks import Section
 
 Verdict = Literal[
@@ -16,6 +16,17 @@ Verdict = Literal[
 ]  # fmt: skip
 Settings = Mapping[str, Any]
 Results = Mapping[str, Result]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A back end with changed parameters, on a sequence with changed parameters; ``mark``: its meaning in a chapter."""
+
+    name: str
+    backend: str = "paper"
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    sequence: Mapping[str, Value] = field(default_factory=dict)
+    mark: str = ""
 
 
 @dataclass(frozen=True)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
 import numpy as np
 
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, make_task
-from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Cell, Column, Figure, Figures, Section, Table, Text
 from evalkit.report.html.charts import Axis, Curve
 from evalkit.report.html.palette import BAR, Stroke
 from evalkit_paper import long_drives, verdicts
-from evalkit_paper.chapter import Chapter, Finding, Judgement, Results, Settings
+from evalkit_paper.chapter import Case, Chapter, Finding, Judgement, Results, Settings
 
 LOOPS, CHANGES = "loops-of-moderate-length", "maps-under-changes"
 WORLDS = ("lab", "loop")
@@ -27,45 +26,26 @@ FASTEST_HZ = 15.0
 """Highest rate of the paper's lidar."""
 
 
-@dataclass(frozen=True)
-class LabelledMethod:
-    """A method under a label."""
-
-    label: str
-    backend: str
-    parameters: Mapping[str, Value]
-
-
 WHEELS = "wheel odometry alone"
 PRINTED = "the paper's ICP, eq. 5 as printed"
 READING = "the paper's ICP as in Table 1"
 ENTRIES = (
-    LabelledMethod(WHEELS, "wheel-odometry", {}),
-    LabelledMethod(PRINTED, "paper-literal", {}),
-    LabelledMethod(READING, "embedded", {}),
-    LabelledMethod("the same with epsilon 1e-6", "embedded", {"epsilon": 1e-6}),
+    Case(WHEELS, "wheel-odometry"),
+    Case(PRINTED, "paper-literal"),
+    Case(READING, "embedded"),
+    Case("the same with epsilon 1e-6", "embedded", {"epsilon": 1e-6}),
 )
 """'embedded' is the compiled form of 'paper'; the chapter on the study measures their difference."""
 
 
-@dataclass(frozen=True)
-class Change:
-    """A drive in the laboratory with a changed sequence or method."""
-
-    name: str
-    backend: str = "embedded"
-    sequence: Mapping[str, Value] = field(default_factory=dict)
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-
-
-PLAIN = Change("nothing changed")
-CROWD = Change("10 people", sequence={"people": 10})
-NO_FILTER = Change("outliers kept", parameters={"max_correspondence_m": 0.0})
-LOCAL = Change("local radius of 8 m", parameters={"local_radius_m": 8.0})
-ODOMETRY = Change("wheel odometry alone", "wheel-odometry")
+PLAIN = Case("nothing changed", "embedded")
+CROWD = Case("10 people", "embedded", sequence={"people": 10})
+NO_FILTER = Case("outliers kept", "embedded", parameters={"max_correspondence_m": 0.0})
+LOCAL = Case("local radius of 8 m", "embedded", parameters={"local_radius_m": 8.0})
+ODOMETRY = Case(WHEELS, "wheel-odometry")
 CHANGED = (
-    PLAIN, *(Change(f"{people} people", sequence={"people": people}) for people in (2, 5)), CROWD, NO_FILTER, LOCAL,
-    ODOMETRY,
+    PLAIN, *(Case(f"{people} people", "embedded", sequence={"people": people}) for people in (2, 5)), CROWD, NO_FILTER,
+    LOCAL, ODOMETRY,
 )  # fmt: skip
 
 PARAMETERS = (
@@ -80,7 +60,7 @@ def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """Tasks: a long drive for every method, world and seed, drives with changes, and the time of a map update."""
     long = [
         make_task(
-            _drive_name(entry.label, world, seed), long_drives.error_over_path, backend=entry.backend,
+            _drive_name(entry.name, world, seed), long_drives.error_over_path, backend=entry.backend,
             parameters=dict(entry.parameters), world=world, seed=seed, laps=settings["laps"], marks=MARKS,
         ).depending_on(*USES)
         for entry in ENTRIES for world in WORLDS for seed in _seeds(settings)
@@ -104,7 +84,7 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
 
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     """Findings on drift over loops, contributions 1 and 2, artefacts, and moving people."""
-    first = {entry.label: _errors_after_one_lap(settings, results, entry.label) for entry in ENTRIES}
+    first = {entry.name: _errors_after_one_lap(settings, results, entry.name) for entry in ENTRIES}
     told = "; ".join(f"{label}: {_format_range(values)} %" for label, values in first.items())
     updates = results["map updates"]
     slowest = max(updates.values())
@@ -152,7 +132,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
 def _loop_section(settings: Settings, results: Results) -> Section:
     figures = Figures([_growth_figure(settings, results, world) for world in WORLDS])
     rows: list[tuple[Cell | str, ...]] = [
-        (entry.label, world, *_loop_row(settings, results, entry.label, world)) for world in WORLDS for entry in ENTRIES
+        (entry.name, world, *_loop_row(settings, results, entry.name, world)) for world in WORLDS for entry in ENTRIES
     ]
     columns = (
         "Method", "World", Column("After one lap", "m", number=True), Column("of the path", "%", number=True),
@@ -169,9 +149,9 @@ def _loop_section(settings: Settings, results: Results) -> Section:
 def _growth_figure(settings: Settings, results: Results, world: str) -> Figure:
     curves = []
     for number, entry in enumerate(ENTRIES):
-        way, off = _load_errors(settings, results, entry.label, world)
-        stroke = Stroke(BAR, (4.0, 2.0)) if entry.label == WHEELS else charts.stroke(number - 1)
-        curves.append(Curve(entry.label, way, np.median(off, axis=0), off.min(axis=0), off.max(axis=0), stroke))
+        way, off = _load_errors(settings, results, entry.name, world)
+        stroke = Stroke(BAR, (4.0, 2.0)) if entry.name == WHEELS else charts.stroke(number - 1)
+        curves.append(Curve(entry.name, way, np.median(off, axis=0), off.min(axis=0), off.max(axis=0), stroke))
     lap_m = float(curves[0].x[-1] / settings["laps"])
     spans = [charts.ShadedSpan(lap_m, lap_m, "one lap", "#59636e")]
     drawn = charts.lines(curves, Axis("path length [m]", low=0.0), Axis("position error [m]", "log"), spans)
@@ -231,18 +211,18 @@ def _load_errors(settings: Settings, results: Results, label: str, world: str) -
     return np.asarray(own[0]["path_m"]), np.stack([one["end_m"] for one in own])
 
 
-def _values(settings: Settings, results: Results, change: Change, name: str) -> Floats:
+def _values(settings: Settings, results: Results, change: Case, name: str) -> Floats:
     found = [results[_change_name(change, seed)]["scores"][name] for seed in range(settings["map_seeds"])]
     return np.array([np.nan if value is None else value for value in found])
 
 
-def _compare(settings: Settings, results: Results, high: Change, low: Change, name: str, what: str) -> Judgement:
+def _compare(settings: Settings, results: Results, high: Case, low: Case, name: str, what: str) -> Judgement:
     """Whether a value is higher with one change than with the other."""
     one, other = (_values(settings, results, change, name) for change in (high, low))
     return verdicts.judge_difference((one - other).tolist(), what)
 
 
-def _describe(settings: Settings, results: Results, change: Change, name: str) -> str:
+def _describe(settings: Settings, results: Results, change: Case, name: str) -> str:
     unit = " m" if name.endswith("_m") else ""
     return f"{np.median(_values(settings, results, change, name)):.3f}{unit}"
 
@@ -264,7 +244,7 @@ def _drive_name(label: str, world: str, seed: int) -> str:
     return f"{label} | {world} | {seed}"
 
 
-def _change_name(change: Change, seed: int) -> str:
+def _change_name(change: Case, seed: int) -> str:
     return f"{change.name} | {seed}"
 
 

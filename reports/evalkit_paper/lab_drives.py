@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.protocols import Sequence
 from evalkit_paper import spikes, stage_errors
-from evalkit_paper.chapter import Results, Settings
+from evalkit_paper.chapter import Case, Results, Settings
 from evalkit_paper.spikes import Band
 
 QUICK_DPS = 60.0
@@ -35,21 +34,11 @@ HIDDEN = 0.1
 """Share of beams hidden by people from which a scan is an event."""
 
 
-@dataclass(frozen=True)
-class SpikeCause:
-    """A possible cause of spikes: parameters of the sequence and of the front end, and the kind of its events.
+def causes(settings: Settings) -> tuple[Case, ...]:
+    """All causes of spikes; the first is the drive without disturbances.
 
-    ``marked``: "turns", "slips", "gaps", "gaps in turns", "people" or "start".
+    ``mark``: the kind of its events: "turns", "slips", "gaps", "gaps in turns", "people" or "start".
     """
-
-    name: str
-    marked: str
-    sequence: Mapping[str, Value] = field(default_factory=dict)
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-
-
-def causes(settings: Settings) -> tuple[SpikeCause, ...]:
-    """All causes; the first is the drive without disturbances."""
     slow: dict[str, Value] = {"turn_dps": settings["slow_dps"], "laps": settings["laps"]}
     quick: dict[str, Value] = {"turn_dps": settings["turn_dps"], "laps": settings["turn_laps"]}
     every, lasts = settings["every_s"], settings["lasts_s"]
@@ -59,23 +48,23 @@ def causes(settings: Settings) -> tuple[SpikeCause, ...]:
     raw: dict[str, Value] = {"deskew": False}
     blind: dict[str, Value] = {"deskew": False, "prior": "constant-velocity"}
     return (
-        SpikeCause("slow turns", "start", slow, raw),
-        SpikeCause("quick turns", "turns", quick, raw),
-        SpikeCause("quick turns, deskewed", "turns", quick, {"deskew": True}),
-        SpikeCause("wheel slip", "slips", slow | slips, raw),
-        SpikeCause("lost scans", "gaps", slow | lost, raw),
-        SpikeCause("quick turns and lost scans", "gaps in turns", quick | lost_in_turn, raw),
-        SpikeCause("quick turns and lost scans, no odometry", "gaps in turns", quick | lost_in_turn, blind),
-        SpikeCause("people", "people", slow | {"people": settings["people"]}, raw),
+        Case("slow turns", "paper", raw, slow, "start"),
+        Case("quick turns", "paper", raw, quick, "turns"),
+        Case("quick turns, deskewed", "paper", {"deskew": True}, quick, "turns"),
+        Case("wheel slip", "paper", raw, slow | slips, "slips"),
+        Case("lost scans", "paper", raw, slow | lost, "gaps"),
+        Case("quick turns and lost scans", "paper", raw, quick | lost_in_turn, "gaps in turns"),
+        Case("quick turns and lost scans, no odometry", "paper", blind, quick | lost_in_turn, "gaps in turns"),
+        Case("people", "paper", raw, slow | {"people": settings["people"]}, "people"),
     )
 
 
-def make_drive_task(settings: Settings, cause: SpikeCause, rate_hz: float) -> AnyTask:
+def make_drive_task(settings: Settings, cause: Case, rate_hz: float) -> AnyTask:
     """Computation of one drive."""
     sequence = {"seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, **cause.sequence}
     return make_task(
-        name(cause, rate_hz), run_drive, sequence=sequence, parameters=dict(cause.parameters), marked=cause.marked,
-        every_pair=cause.marked == "start",
+        name(cause, rate_hz), run_drive, sequence=sequence, parameters=dict(cause.parameters), marked=cause.mark,
+        every_pair=cause.mark == "start",
     ).depending_on(*USES)  # fmt: skip
 
 
@@ -107,7 +96,7 @@ def turn_name(turn_dps: float, rate_hz: float) -> str:
     return f"turns of {turn_dps:g} deg per s at {rate_hz:g} Hz"
 
 
-def name(cause: SpikeCause, rate_hz: float) -> str:
+def name(cause: Case, rate_hz: float) -> str:
     """Name of the result of a drive."""
     return f"{cause.name} at {rate_hz:g} Hz"
 

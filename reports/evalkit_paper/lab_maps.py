@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,23 +18,13 @@ from evalkit.metrics.maps import compare_walls, f1
 from evalkit.metrics.table import MissingMap, PlacedScans
 from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
-from evalkit.plugins.parameters import Value
 from evalkit_paper import map_faults, plan_fit, stage_errors
+from evalkit_paper.chapter import Case
 
-
-@dataclass(frozen=True)
-class Variant:
-    """A back end whose poses a map is drawn along."""
-
-    name: str
-    backend: str = "paper"
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-
-
-ODOMETRY = Variant("odometry only", parameters={"scan_to_scan": False, "scan_to_map": False})
-LITERAL = Variant("last 10 scans, mean square", "paper-literal", {"local_map": "scans", "deskew": False})
-PAPER = Variant("paper")
-TIGHT = Variant("paper-tight", "paper-tight")
+ODOMETRY = Case("odometry only", parameters={"scan_to_scan": False, "scan_to_map": False})
+LITERAL = Case("last 10 scans, mean square", "paper-literal", {"local_map": "scans", "deskew": False})
+PAPER = Case("paper")
+TIGHT = Case("paper-tight", "paper-tight")
 
 MAX_SHOWN = 4000
 """Maximum number of contradicted hits in the figure, evenly spaced."""

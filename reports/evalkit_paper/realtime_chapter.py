@@ -12,13 +12,14 @@ from evalkit.commands.realtime import simulation
 from evalkit.commands.realtime.virtual_clock import BreakingRule, find_breaking_factor
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, Result, make_task
-from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins import registry
+from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from evalkit.report.html.charts import Axis, Curve
 from evalkit.report.html.palette import BAR, Stroke
 from evalkit_paper import verdicts
-from evalkit_paper.chapter import Chapter, Finding, Results, Settings
+from evalkit_paper.chapter import Case, Chapter, Finding, Results, Settings
 
 ANCHOR = "real-time"
 WHEELS = "wheel-odometry"
@@ -81,31 +82,15 @@ def _at(rung: Mapping[str, Any], path: Sequence[str]) -> float:
     return float("nan") if value is None else float(value)
 
 
-@dataclass(frozen=True)
-class RealtimeMethod:
-    """A labelled method; ``bridged``: wheel odometry bridges dropped scans."""
-
-    label: str
-    backend: str
-    parameters: Mapping[str, Value]
-    uses: str
-    bridged: bool = True
-
+UNBRIDGED = "unbridged"
+"""Mark of the cases whose dropped scans wheel odometry does not bridge."""
 
 ENTRIES = (
-    RealtimeMethod("paper", "paper", {}, "evalkit_baselines.paper"),
-    RealtimeMethod("embedded", "embedded", {}, "evalkit_baselines.embedded"),
-    RealtimeMethod("embedded-f32", "embedded-f32", {}, "evalkit_baselines.embedded"),
-    RealtimeMethod("embedded-pipeline", "embedded-pipeline", {}, "evalkit_baselines.embedded"),
-    RealtimeMethod(
-        "embedded, no odometry", "embedded", {"prior": "constant-velocity"}, "evalkit_baselines.embedded", False
-    ),
-    RealtimeMethod("open3d-icp", "open3d-icp", {}, "evalkit_baselines.open3d_icp"),
-    RealtimeMethod("kiss-icp", "kiss-icp", {}, "evalkit_baselines.kiss_icp"),
-    RealtimeMethod("small-gicp", "small-gicp", {}, "evalkit_baselines.small_gicp"),
-    RealtimeMethod(WHEELS, WHEELS, {}, "evalkit_baselines.wheel_odometry"),
+    *map(Case, *[("paper", "embedded", "embedded-f32", "embedded-pipeline")] * 2),
+    Case("embedded, no odometry", "embedded", {"prior": "constant-velocity"}, mark=UNBRIDGED),
+    *map(Case, *[("open3d-icp", "kiss-icp", "small-gicp", WHEELS)] * 2),
 )
-OWN = tuple(entry.label for entry in ENTRIES if entry.backend.startswith(("paper", "embedded", WHEELS)))
+OWN = tuple(entry.name for entry in ENTRIES if entry.backend.startswith(("paper", "embedded", WHEELS)))
 """Methods without third-party libraries, for the quick page."""
 
 PARAMETERS = (
@@ -123,11 +108,11 @@ def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """One job for every method, rate and seed: its costs here, and its ladder of device factors."""
     return tuple(
         make_task(
-            _name(entry.label, rate, seed), simulation.simulate_realtime, backend=entry.backend,
+            _name(entry.name, rate, seed), simulation.simulate_realtime, backend=entry.backend,
             parameters=dict(entry.parameters), dataset=settings["world"],
             dataset_parameters={"seed": seed, "rate_hz": rate, "laps": settings["laps"]}, factors=_factors(settings),
-            repetitions=settings["repetitions"], bridged=entry.bridged,
-        ).depending_on(entry.uses, "evalkit_datasets.synthetic")
+            repetitions=settings["repetitions"], bridged=entry.mark != UNBRIDGED,
+        ).depending_on(registry.plug_in_of("backends", entry.backend).module, "evalkit_datasets.synthetic")
         for entry in _entries(settings) for rate in _rates(settings) for seed in range(int(settings["seeds"]))
     )  # fmt: skip
 
@@ -181,8 +166,8 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
 CHAPTER = Chapter("realtime", PARAMETERS, tasks, sections, findings)
 
 
-def _entries(settings: Settings) -> list[RealtimeMethod]:
-    return [entry for entry in ENTRIES if settings["methods"] == "all" or entry.label in OWN]
+def _entries(settings: Settings) -> list[Case]:
+    return [entry for entry in ENTRIES if settings["methods"] == "all" or entry.name in OWN]
 
 
 def _rates(settings: Settings) -> list[float]:
@@ -202,7 +187,7 @@ def _name(label: str, rate: float, seed: int) -> str:
 
 def _ladders(settings: Settings, results: Results) -> list[Ladder]:
     return [
-        Ladder(entry.label, rate, [results[_name(entry.label, rate, s)] for s in range(int(settings["seeds"]))])
+        Ladder(entry.name, rate, [results[_name(entry.name, rate, s)] for s in range(int(settings["seeds"]))])
         for rate in _rates(settings)
         for entry in _entries(settings)
     ]

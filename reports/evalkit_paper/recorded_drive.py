@@ -14,8 +14,7 @@ from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Table, Text
 from evalkit.report.html.charts import Axis, Curve, Points, ShadedSpan
 from evalkit_paper import lab_maps, plan_fit, spikes, stage_errors
-from evalkit_paper.chapter import Results
-from evalkit_paper.lab_maps import Variant
+from evalkit_paper.chapter import Case, Results
 from evalkit_paper.map_pictures import GHOST, PATH, crop_image, grid_extent, render_image
 
 RECORDING = "turtlebot4"
@@ -55,7 +54,7 @@ def tasks() -> tuple[AnyTask, ...]:
     return (*maps, floor.depending_on(*USES))
 
 
-def result_name(each: Variant) -> str:
+def result_name(each: Case) -> str:
     """Name of the result of a variant."""
     return f"{RECORDING}, {each.name}"
 

@@ -13,8 +13,7 @@ from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Hea
 from evalkit.report.html.charts import Axis, Curve, ShadedSpan
 from evalkit.report.html.palette import BAR, Stroke
 from evalkit_paper import lab_drives, spike_causes, spikes, stage_errors, verdicts
-from evalkit_paper.chapter import Chapter, Finding, Results, Settings
-from evalkit_paper.lab_drives import SpikeCause
+from evalkit_paper.chapter import Case, Chapter, Finding, Results, Settings
 from evalkit_paper.spike_causes import MM
 
 PRINTED_M = verdicts.STEADY_M
@@ -192,12 +191,10 @@ def _time_figure(settings: Settings, results: Results, rate: float) -> Figure:
     )  # fmt: skip
 
 
-def _panel_figure(results: Results, cause: SpikeCause, rate: float, title: str, caption: str) -> Figure:
+def _panel_figure(results: Results, cause: Case, rate: float, title: str, caption: str) -> Figure:
     result = results[lab_drives.name(cause, rate)]
     times, events = result["times_s"], result["events"]
-    label = {"turns": "quick turn", "slips": "slip", "people": "people", "start": "start"}.get(
-        cause.marked, "lost scans"
-    )
+    label = {"turns": "quick turn", "slips": "slip", "people": "people", "start": "start"}.get(cause.mark, "lost scans")
     spans = [ShadedSpan(float(begin), float(end), label) for begin, end in events]
     ends = np.array([times[0], times[-1]])
     printed = [

@@ -11,8 +11,7 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.task import Result
 from evalkit.report.html.blocks import Cell, Column, Table
 from evalkit_paper import lab_drives, spikes, stage_errors
-from evalkit_paper.chapter import Results, Settings
-from evalkit_paper.lab_drives import SpikeCause
+from evalkit_paper.chapter import Case, Results, Settings
 from evalkit_paper.spikes import Band
 
 MM = 1000.0
@@ -21,7 +20,7 @@ MM = 1000.0
 class CauseSpikes:
     """Spikes of one cause at one rate in one stage."""
 
-    def __init__(self, cause: SpikeCause, rate: float, result: Result, values: Floats, limits: Band) -> None:
+    def __init__(self, cause: Case, rate: float, result: Result, values: Floats, limits: Band) -> None:
         self.cause, self.rate, self.band = cause, rate, limits
         self.times: Floats = result["times_s"]
         self.spans = [(float(begin), float(end)) for begin, end in result["events"]]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,22 +13,11 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.report.html.blocks import Cell, Column, Section, Table, Text, Tone
 from evalkit_paper import stage_errors, verdicts
-from evalkit_paper.chapter import Chapter, Finding, Results, Settings
+from evalkit_paper.chapter import Case, Chapter, Finding, Results, Settings
 
 ANCHOR = "two-stages"
-
-
-@dataclass(frozen=True)
-class Configuration:
-    """A reading of the paper's two stages: a back end with changed parameters.
-
-    ``printed``: whether the paper's text allows this reading.
-    """
-
-    name: str
-    backend: str = "paper"
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-    printed: bool = False
+PRINTED = "printed"
+"""Mark of the cases that the paper's text allows."""
 
 
 _CELLS: Mapping[str, Value] = {"local_map": "grid", "local_map_cell_m": 0.05}
@@ -37,24 +25,24 @@ _NEAR: Mapping[str, Value] = {"keyframe_distance_m": 0.2, "keyframe_angle_deg": 
 _LOG_ODDS_2 = 0.8807970779778823  # 1 / (1 + exp(-2))
 
 CONFIGURATIONS = (
-    Configuration("odometry only", parameters={"scan_to_scan": False, "scan_to_map": False}),
-    Configuration("scan to scan only, 1e-4", parameters={"scan_to_map": False, "deskew": False}),
-    Configuration("scan to map only, 10 keyframes (0.5 m, 20 deg), 1e-4", parameters={"scan_to_scan": False}),
-    Configuration(
-        "last 10 scans, mean square 1e-4 m^2", "paper-literal", {"local_map": "scans", "deskew": False}, True
+    Case("odometry only", parameters={"scan_to_scan": False, "scan_to_map": False}),
+    Case("scan to scan only, 1e-4", parameters={"scan_to_map": False, "deskew": False}),
+    Case("scan to map only, 10 keyframes (0.5 m, 20 deg), 1e-4", parameters={"scan_to_scan": False}),
+    Case(
+        "last 10 scans, mean square 1e-4 m^2", "paper-literal", {"local_map": "scans", "deskew": False}, mark=PRINTED
     ),
-    Configuration("last 10 scans, mean 1e-4", parameters={"local_map": "scans", "deskew": False}, printed=True),
-    Configuration("occupied cells (P > 0.5), mean 1e-4", parameters={**_CELLS, "deskew": False}, printed=True),
-    Configuration("10 keyframes (0.2 m, 10 deg), mean 1e-4, deskewed", parameters=_NEAR),
-    Configuration("10 keyframes (0.5 m, 20 deg), mean 1e-4, deskewed ('paper')"),
-    Configuration("10 keyframes (0.2 m, 10 deg), 1e-6, deskewed", "paper-tight", _NEAR),
-    Configuration("the same, one-to-one only in scan to map", "paper-tight", {**_NEAR, "s2s.one_to_one": False}),
-    Configuration("10 keyframes (0.5 m, 20 deg), 1e-6, deskewed ('paper-tight')", "paper-tight"),
-    Configuration("10 cm voxel means of 10 keyframes, every pair, 1e-6, deskewed", "paper-tight",
+    Case("last 10 scans, mean 1e-4", parameters={"local_map": "scans", "deskew": False}, mark=PRINTED),
+    Case("occupied cells (P > 0.5), mean 1e-4", parameters={**_CELLS, "deskew": False}, mark=PRINTED),
+    Case("10 keyframes (0.2 m, 10 deg), mean 1e-4, deskewed", parameters=_NEAR),
+    Case("10 keyframes (0.5 m, 20 deg), mean 1e-4, deskewed ('paper')"),
+    Case("10 keyframes (0.2 m, 10 deg), 1e-6, deskewed", "paper-tight", _NEAR),
+    Case("the same, one-to-one only in scan to map", "paper-tight", {**_NEAR, "s2s.one_to_one": False}),
+    Case("10 keyframes (0.5 m, 20 deg), 1e-6, deskewed ('paper-tight')", "paper-tight"),
+    Case("10 cm voxel means of 10 keyframes, every pair, 1e-6, deskewed", "paper-tight",
                   {"local_map_voxel_m": 0.1, "one_to_one": False}),
-    Configuration("occupied cells (log-odds > 2), every pair, 1e-6, deskewed", "paper-tight",
+    Case("occupied cells (log-odds > 2), every pair, 1e-6, deskewed", "paper-tight",
                   {**_CELLS, "local_map_probability": _LOG_ODDS_2, "one_to_one": False}),
-    Configuration("lasting map of 10 cm voxels, every pair, 1e-6, deskewed ('paper-map')", "paper-map"),
+    Case("lasting map of 10 cm voxels, every pair, 1e-6, deskewed ('paper-map')", "paper-map"),
 )  # fmt: skip
 
 PARAMETERS = (
@@ -70,7 +58,7 @@ def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     return tuple(_task(settings, each, seed) for each in CONFIGURATIONS for seed in range(settings["seeds"]))
 
 
-def _task(settings: Settings, each: Configuration, seed: int) -> AnyTask:
+def _task(settings: Settings, each: Case, seed: int) -> AnyTask:
     drive = {"seed": seed, **{name: settings[name] for name in ("laps", "speed_mps", "rate_hz")}}
     return make_task(
         f"{each.name}, seed {seed}",
@@ -117,7 +105,7 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
     return (Section("Two stages: what the text leaves open", (Text(told), Table(columns, rows)), ANCHOR),)
 
 
-def _configuration_row(settings: Settings, results: Results, each: Configuration, best: float) -> list[Cell | str]:
+def _configuration_row(settings: Settings, results: Results, each: Case, best: float) -> list[Cell | str]:
     ate, final = (_values(settings, results, each, name) for name in ("ate_m", "final_percent"))
     odometry = float(np.mean(_values(settings, results, CONFIGURATIONS[0], "ate_m")))
     mean = float(np.mean(ate))
@@ -125,13 +113,13 @@ def _configuration_row(settings: Settings, results: Results, each: Configuration
     spread = f" ({min(ate):.3f} to {max(ate):.3f})" if len(ate) > 1 else ""
     iterations = [_values(settings, results, each, stage) for stage in stage_errors.STAGES]
     return [
-        each.name, "yes" if each.printed else "",
+        each.name, "yes" if each.mark else "",
         Cell(f"{mean:.3f}{spread}", mean, tone), Cell(f"{np.mean(final):.2f}", float(np.mean(final))),
         *(Cell(f"{np.mean(count):.1f}", float(np.mean(count))) if count else Cell("", -1.0) for count in iterations),
     ]  # fmt: skip
 
 
-def _values(settings: Settings, results: Results, each: Configuration, name: str) -> list[float]:
+def _values(settings: Settings, results: Results, each: Case, name: str) -> list[float]:
     found = (results[f"{each.name}, seed {seed}"][name] for seed in range(settings["seeds"]))
     return [value for value in found if value is not None]
 
@@ -139,7 +127,7 @@ def _values(settings: Settings, results: Results, each: Configuration, name: str
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     """Finding: how much the drift depends on the reading of the text."""
     mean = {each.name: float(np.mean(_values(settings, results, each, "ate_m"))) for each in CONFIGURATIONS}
-    literal = [mean[each.name] for each in CONFIGURATIONS if each.printed]
+    literal = [mean[each.name] for each in CONFIGURATIONS if each.mark]
     return (
         Finding(
             "Section 3, the two stages", "scan to scan, then scan to a local map that is not described",

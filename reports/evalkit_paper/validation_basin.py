@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import fisher_exact, mannwhitneyu
@@ -44,23 +43,19 @@ LEAST_OVERLAP = 0.7
 """Overlap from which on every start must succeed."""
 
 
-@dataclass(frozen=True)
-class IcpVariant:
+class IcpVariant(NamedTuple):
     """An ICP variant whose basin is shown."""
 
     name: str
     title: str
-    arguments: dict[str, Any]
+    one_to_one: bool
+    max_iterations: int
 
 
 VARIANTS = (
-    IcpVariant("filter", "with the one-to-one filter", {"one_to_one": True, "max_iterations": MAX_ITERATIONS}),
-    IcpVariant("no filter", "without the filter", {"one_to_one": False, "max_iterations": MAX_ITERATIONS}),
-    IcpVariant(
-        "filter, long",
-        f"with the filter, up to {MANY_ITERATIONS} iterations",
-        {"one_to_one": True, "max_iterations": MANY_ITERATIONS},
-    ),
+    IcpVariant("filter", "with the one-to-one filter", True, MAX_ITERATIONS),
+    IcpVariant("no filter", "without the filter", False, MAX_ITERATIONS),
+    IcpVariant("filter, long", f"with the filter, up to {MANY_ITERATIONS} iterations", True, MANY_ITERATIONS),
 )
 
 
@@ -74,7 +69,7 @@ def tasks(settings: Settings) -> tuple[AnyTask, ...]:
         make_task(
             _name(variant, turn), table_1.measure_basin, room="first", distances_m=list(DISTANCES_M), turn_deg=turn,
             seeds=settings["basin_seeds"], within_m=settings["within_m"], within_deg=settings["within_deg"],
-            **variant.arguments,
+            one_to_one=variant.one_to_one, max_iterations=variant.max_iterations,
         )
         for variant in VARIANTS
         for turn in TURNS_DEG

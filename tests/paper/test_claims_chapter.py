@@ -51,7 +51,7 @@ def make_results(settings, percent):
     [(0.5, 0.2, "reproduced"), (3.0, 0.2, "reproduced with a correction"), (3.0, 1.5, "not reproduced")],
 )
 def test_the_verdict_follows_the_measured_values(settings, literal, reading, verdict):
-    wheels, printed, read, tight = (entry.label for entry in claims_chapter.ENTRIES)
+    wheels, printed, read, tight = (entry.name for entry in claims_chapter.ENTRIES)
     results = make_results(settings, {wheels: 5.0, printed: literal, read: reading, tight: 0.1})
     loops, *others = claims_chapter.CHAPTER.findings(settings, results)
     assert loops.judgement.verdict == verdict
@@ -69,7 +69,7 @@ def test_one_lap_is_one_lap(settings):
 
 
 def test_a_drift_proportional_to_the_path_grows_with_exponent_one(settings):
-    results = make_results(settings, {entry.label: 1.0 for entry in claims_chapter.ENTRIES})
+    results = make_results(settings, {entry.name: 1.0 for entry in claims_chapter.ENTRIES})
     section = claims_chapter.CHAPTER.sections(settings, results)[0]
     (table,) = (block for block in section.blocks if block.kind == "table")
     assert all(row[-1].text == "1.0" for row in table.rows)
