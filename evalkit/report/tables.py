@@ -7,6 +7,9 @@ import pandas as pd
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.ranking import mark
 
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""Beginnings of a cell that spreadsheets compute."""
+
 
 def build_runs_table(analysis: Analysis) -> pd.DataFrame:
     """Return one row per run: names, status, and one column per metric (empty if not meaningful)."""
@@ -88,4 +91,13 @@ def build_summary_table(analysis: Analysis) -> pd.DataFrame:
 def format_tables(analysis: Analysis) -> dict[str, str]:
     """Return runs.csv, scores.csv and summary.csv in full precision, by file name."""
     tables = {"runs": build_runs_table, "scores": build_scores_table, "summary": build_summary_table}
-    return {f"{name}.csv": build(analysis).to_csv(index=False) for name, build in tables.items()}
+    return {f"{name}.csv": _guard(build(analysis)).to_csv(index=False) for name, build in tables.items()}
+
+
+def _guard(table: pd.DataFrame) -> pd.DataFrame:
+    """Mark texts that a spreadsheet would take for a formula by an apostrophe: a reason quotes foreign programs."""
+    for name in table.select_dtypes(["object", "string"]):
+        table[name] = [
+            f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA) else cell for cell in table[name]
+        ]
+    return table

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -122,6 +123,15 @@ def load_stored_results(folder: Path) -> StoredResults:
     return results
 
 
+@contextmanager
+def as_incomplete(path: Path) -> Iterator[None]:
+    """Turn the error of a value that is missing or of another type into a StoreError that names the file."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise StoreError(str(path), f"is not complete ({error!r})", "write the report again") from error
+
+
 def load_run(folder: Path, entry: Mapping[str, Any], truth: Truth) -> RunRecord:
     """Load one run in full: ``entry`` is its entry in results.json.
 
@@ -160,16 +170,13 @@ def load_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
 
 def _load_reported(folder: Path) -> StoredResults:
     content = load_results_json(folder)
-    try:
+    with as_incomplete(folder / "results.json"):
         runs = {(one["method"], one["sequence"], one["seed"]): _entry_run(folder, one) for one in content["runs"]}
         defaults = {
             label: {setting["name"]: setting["default"] for setting in card.get("settings", ())}
             for label, card in content["sequences"].items()
         }
         processor = str(content["environment"].get("processor", ""))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        path = str(folder / "results.json")
-        raise StoreError(path, f"is not complete ({error!r})", "write the report again") from error
     return StoredResults(str(folder), runs, processor, defaults=defaults)
 
 

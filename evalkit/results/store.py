@@ -11,6 +11,7 @@ result.json and scores.json hold checksums of their values and of the binary fil
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import shutil
@@ -64,14 +65,23 @@ class Store:
 
     @contextmanager
     def writer_lock(self) -> Iterator[None]:
-        """Lock the folder against other writers. Raises StoreError if another process holds the lock."""
-        lock = FileLock(self.folder / LOCK)
+        """Lock the folder against other writers. Raises StoreError if another process holds the lock, or none can."""
+        path = self.folder / LOCK
+        lock = FileLock(path)
         try:
-            with lock.acquire(timeout=0):
-                yield
+            if path.is_symlink():
+                raise FileExistsError(errno.EEXIST, "it is a symbolic link")
+            lock.acquire(timeout=0)
         except Timeout as error:
             what = "another evalkit writes to this folder"
             raise StoreError(str(self.folder), what, "wait for it or name another folder with --out") from error
+        except (OSError, NotImplementedError) as error:  # a folder of this name, or a file system without locks
+            remedy = "remove it, or name a folder on a local disk with --out"
+            raise StoreError(str(path), f"cannot be locked ({error})", remedy) from error
+        try:
+            yield
+        finally:
+            lock.release()
 
     def write(self, path: Path, content: bytes | str) -> None:
         """Write a file whole or not at all; no symbolic link below the results folder is followed."""

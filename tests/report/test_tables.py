@@ -2,9 +2,11 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import pytest
 
+from evalkit.core.run_result import Cause
 from evalkit.report import write_report
 
 
@@ -79,3 +81,12 @@ def test_the_same_comparison_writes_the_same_files(folder, demo, tmp_path):
 def test_a_comparison_with_a_duplicate_run_raises(record, build):
     with pytest.raises(ValueError, match="a over room with seed 0 occurs twice"):
         build([record("a", "room", {}), record("a", "room", {})])
+
+
+@pytest.mark.parametrize("reason", ["=HYPERLINK(1)", "+1", "-1+2", "@sum", "\tx"])
+def test_a_text_that_a_spreadsheet_would_compute_is_marked(demo, tmp_path, reason):
+    first, *others = demo.records
+    failed = replace(first.result, cause=Cause.EXCEPTION, reason=reason)
+    write_report(replace(demo, records=(replace(first, result=failed), *others)), tmp_path)
+    with (tmp_path / "runs.csv").open(encoding="utf-8", newline="") as file:
+        assert f"'{reason}" in {row["reason"] for row in csv.DictReader(file)}

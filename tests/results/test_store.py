@@ -254,3 +254,40 @@ def test_a_line_is_seconds_metres_and_a_quaternion():
         "-1.500000000 1.500000000000 -2.000000000000 0 0 0 0.707106781187 0.707106781187",
         "0.000000007 0.000000000000 0.000000000000 0 0 0 0.000000000000 1.000000000000",
     ]
+
+
+@pytest.mark.parametrize("kind", ["folder", "link"])
+def test_a_lock_that_is_no_file_is_named_and_not_followed(store, tmp_path, kind):
+    lock, victim = store.folder / ".writer.lock", tmp_path / "victim"
+    victim.write_text("mine")
+    lock.mkdir() if kind == "folder" else lock.symlink_to(victim)
+    with pytest.raises(StoreError, match=r"\.writer\.lock: cannot be locked .*; remove it, or"), store.writer_lock():
+        pass
+    assert victim.read_text() == "mine"
+
+
+def test_runs_and_trajectories_that_are_links_are_not_followed(tmp_path):
+    """A received folder may lead elsewhere; nothing there is written or removed."""
+    outside = tmp_path / "outside"
+    (outside / KEY).mkdir(parents=True)
+    (outside / KEY / "mine.txt").write_text("mine")
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "runs").symlink_to(outside)
+    with pytest.raises(StoreError, match="'runs' is a link or a file, not a folder"):
+        Store(folder)
+    store = Store.existing(folder)
+    for write in (lambda: store.create_run_folder(KEY), lambda: store.save_result(SPEC, RunResult(steps(), 9))):
+        with pytest.raises(StoreError, match="'runs' is a link or a file, not a folder"):
+            write()
+    assert (outside / KEY / "mine.txt").read_text() == "mine"
+
+
+def test_a_run_folder_that_is_a_link_is_replaced_and_its_target_kept(store, tmp_path):
+    target = tmp_path / "target"
+    target.mkdir()
+    (target / "mine.txt").write_text("mine")
+    store.run_folder(KEY).symlink_to(target)
+    assert list(store.create_run_folder(KEY).iterdir()) == []
+    assert not store.run_folder(KEY).is_symlink()
+    assert (target / "mine.txt").read_text() == "mine"

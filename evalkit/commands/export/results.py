@@ -13,7 +13,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence as SensorSequence
 from evalkit.report.analysis.scores import DECIDING
 from evalkit.report.html.palette import Stroke, assign_strokes
-from evalkit.results.reader import REMEDY, load_results_json, load_run, load_table
+from evalkit.results.reader import REMEDY, as_incomplete, load_results_json, load_run, load_table
 from evalkit.results.run_record import RunRecord
 
 IN_PAPERS = ("drift_percent", "cpu_median_ms")
@@ -123,7 +123,14 @@ def load_selection(
     ``metrics``: the columns in this order; empty: error, drift and CPU time. ``scans``: open the sequences, for
     ground truth and scans. Raises StoreError if the folder holds no report, UnknownName for an unknown label.
     """
-    content = load_results_json(folder)
+    with as_incomplete(folder / "results.json"):
+        return _select(folder, load_results_json(folder), sequences, methods, metrics, scans)
+
+
+def _select(
+    folder: Path, content: dict[str, Any], sequences: Sequence[str], methods: Sequence[str], metrics: Sequence[str],
+    scans: bool,
+) -> ExportSelection:  # fmt: skip
     known = {one["name"]: one for one in content["metrics"]}
     for kind, wanted, names in (
         ("sequence", sequences, content["sequences"]), ("method", methods, content["methods"]),

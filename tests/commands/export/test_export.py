@@ -498,3 +498,11 @@ def test_an_export_removes_nothing_that_it_did_not_write(finished_folder, tmp_pa
     assert (first / "notes.txt").read_text() == elsewhere.read_text() == "mine"
     assert not bag.is_symlink()
     assert bag.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("content", [{}, {"metrics": 3}, {"metrics": [], "sequences": 1, "methods": [], "runs": None}])
+def test_results_with_missing_keys_or_wrong_types_are_one_line(finished_folder, content):
+    schema = json.loads((finished_folder / "results.json").read_text(encoding="utf-8"))["schema"]
+    (finished_folder / "results.json").write_text(seal({"schema": schema, **content}, {}), encoding="utf-8")
+    with pytest.raises(StoreError, match=r"results\.json: is not complete \(.+; write the report again"):
+        load_selection(finished_folder)
