@@ -132,7 +132,7 @@ def _broken_limit(limits: Limits, used: Usage, last_answer: Usage, peak_bytes: i
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        content = untrusted_io.parse_json(path.read_bytes())
+        content = untrusted_io.parse_json(untrusted_io.read_bytes(path))
     except (OSError, ValueError):  # not written yet, or removed or overwritten by the back end
         return {}
     known = content if isinstance(content, dict) else {}

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
+import stat
 import zipfile
 import zlib
 from pathlib import Path
@@ -24,6 +26,19 @@ _NPY = re.compile(
 """The header that NumPy writes for arrays of numbers and strings; matched, never evaluated."""
 
 
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a regular file; raises ValueError for another kind and for one that is too large.
+
+    A pipe would block and a device never end. A symbolic link is not followed. Raises OSError if it cannot be read.
+    """
+    file = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0))
+    with open(file, "rb") as stream:  # noqa: PTH123 - a descriptor
+        state = os.fstat(file)
+        if not stat.S_ISREG(state.st_mode) or state.st_size > MAX_BYTES:
+            raise ValueError(f"{path.name} is no file, or larger than {MAX_BYTES} bytes")
+        return stream.read(MAX_BYTES)
+
+
 def parse_json(text: str | bytes) -> Any:
     """Return the value of a JSON text; raises ValueError for invalid JSON and for nesting that is too deep."""
     try:
@@ -34,7 +49,7 @@ def parse_json(text: str | bytes) -> Any:
 
 def read_array(path: Path) -> NDArray[Any]:
     """Return the array of an ``np.save`` file; raises ValueError if it is not one, OSError if it cannot be read."""
-    return parse_array(path.read_bytes())
+    return parse_array(read_bytes(path))
 
 
 def read_arrays(file: Path | BinaryIO) -> dict[str, NDArray[Any]]:

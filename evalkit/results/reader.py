@@ -240,7 +240,7 @@ def _load_errors(own: Path) -> tuple[Ints, Floats]:
 
 def _load_object(path: Path) -> dict[str, Any]:
     try:
-        content = untrusted_io.parse_json(path.read_bytes())
+        content = untrusted_io.parse_json(untrusted_io.read_bytes(path))
     except (OSError, ValueError) as error:
         raise StoreError(str(path), f"cannot be read, perhaps half-written ({error})", REMEDY) from error
     if not isinstance(content, dict):

@@ -22,7 +22,7 @@ def seal(content: dict[str, Any], files: dict[str, bytes], *, allow_nan: bool = 
 
 def read_sealed(path: Path) -> dict[str, Any]:
     """The object in a file; raises ValueError if it is not exactly what ``seal`` wrote, OSError if it is not there."""
-    content = untrusted_io.parse_json(path.read_bytes())
+    content = untrusted_io.parse_json(untrusted_io.read_bytes(path))
     if not isinstance(content, dict):
         raise ValueError("holds no JSON object")
     check_seal(content)
@@ -38,7 +38,7 @@ def check_seal(content: dict[str, Any]) -> None:
 
 def read_vouched(path: Path, content: dict[str, Any]) -> bytes:
     """The bytes of a file that a sealed object vouches for; raises ValueError if they are others."""
-    raw = path.read_bytes()
+    raw = untrusted_io.read_bytes(path)
     if content[FILES].get(path.name) != hashlib.sha256(raw).hexdigest():
         raise ValueError(f"{path.name} is damaged: its content does not agree with its checksum")
     return raw

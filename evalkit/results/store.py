@@ -117,7 +117,7 @@ class Store:
     def attempts(self, key: str) -> tuple[str, ...]:
         """Names of the processes that started a run and died before its end."""
         try:
-            content = untrusted_io.parse_json(self._attempts_file(key).read_bytes())
+            content = untrusted_io.parse_json(untrusted_io.read_bytes(self._attempts_file(key)))
         except (OSError, ValueError):
             return ()
         return tuple(str(name) for name in content) if isinstance(content, list) else ()
@@ -168,6 +168,7 @@ class Store:
         """
         folder = self.run_folder(key)
         grid = scores.grid
+        create_folder(folder, self.folder)  # raises where it is a link: nothing elsewhere is removed
         with as_store_error(folder):
             of_map = (self.folder / "maps" / f"{key}{ending}" for ending in (".pgm", ".yaml"))
             for path in (folder / SCORES, folder / GRID, folder / ERRORS, *of_map):
@@ -223,6 +224,7 @@ class Store:
 
     def discard_scores(self, key: str) -> None:
         """Delete the scores of a run, so that it is scored again."""
+        create_folder(self.run_folder(key), self.folder)
         with as_store_error(self.run_folder(key)):
             (self.run_folder(key) / SCORES).unlink(missing_ok=True)
 

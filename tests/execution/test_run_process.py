@@ -62,6 +62,8 @@ EXPECTED = (
     ("chdir", "complete", ""),
     ("remove-folder", "failed", "folder was removed"),
     ("forge", "failed", "outcome.json contains no valid outcome"),
+    ("pipe", "failed", "outcome.json contains no valid outcome"),
+    ("links", "failed", "code 9"),
     ("linger", "complete", ""),
     ("hold", "timeout", f"no answer for 2.5 s after scan {AT}"),
     ("daemon", "timeout", "no answer for 2.5 s"),
@@ -149,6 +151,15 @@ def test_no_fault_leaves_a_process_behind(runs, root):
 def find_processes(folder):
     """Return the processes with a folder, or a path inside it, on their command line."""
     return [process.pid for process in psutil.process_iter(["cmdline"]) if str(folder) in str(process.info["cmdline"])]
+
+
+def test_links_that_a_back_end_plants_are_not_followed(strangers, tmp_path):
+    victim = tmp_path / "victim.txt"
+    victim.write_text("mine")
+    run = execute_run(tmp_path / "run", request("links"))
+    assert run.status == "failed"
+    assert len(run.steps) == AT
+    assert victim.read_text() == "mine"
 
 
 def test_endless_output_does_not_fill_the_disk(runs, root):

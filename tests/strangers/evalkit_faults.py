@@ -134,6 +134,22 @@ def _forge() -> None:
     time.sleep(600)
 
 
+def _plant_pipe() -> None:
+    """Replace the outcome of the run by a pipe that nobody writes to."""
+    os.mkfifo(Path(sys.argv[-1]) / "outcome.json")
+    time.sleep(600)
+
+
+def _plant_links() -> None:
+    """Replace the run's output and outcome by links to a file beside its folder, and write more than fits."""
+    folder = Path(sys.argv[-1])
+    (folder / "output.txt").unlink()
+    for name in ("output.txt", "outcome.json", "result.json", "steps.bin.part", "outcome.json.part"):
+        (folder / name).unlink(missing_ok=True)
+        (folder / name).symlink_to(folder.parent / "victim.txt")
+    _flood()
+
+
 def _exhaust() -> None:
     raise MemoryError("cannot allocate 7 TiB")
 
@@ -179,6 +195,8 @@ FAULTS: dict[str, Callable[[], object]] = {
     "chdir": lambda: os.chdir("/"),
     "remove-folder": _remove_folder,
     "forge": _forge,
+    "pipe": _plant_pipe,
+    "links": _plant_links,
     "linger": _linger,
     "far": lambda: Pose(1e6, -1e6, 1.0),
     "farthest": lambda: Pose(1e300, -1e300, 1.0),
