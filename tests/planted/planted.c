@@ -483,8 +483,10 @@ int32_t evalkit_register(void *self_, const double *target_xy, size_t targets, c
         from[i].x = (real)source_xy[2 * i], from[i].y = (real)source_xy[2 * i + 1];
     if (F(22))
         ((double *)source_xy)[0] += 1.0, ((double *)source_xy)[0] -= 1.0;
-    if (F(23))
-        from[0].x += (real)(0.0 * (source_xy[2 * sources] > 1e300));
+    if (F(23)) {
+        volatile double beyond = source_xy[2 * sources];
+        (void)beyond;
+    }
     if (F(27) && sources > 65535)
         *(volatile int *)NULL = 1;
     pose start = start_of(self, guess), at = start, before = start;

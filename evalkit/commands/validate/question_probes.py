@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -39,6 +39,9 @@ TIE_M = 1e-5
 COPIES = 4
 """Copies of a question, perturbed by rounding, that show whether single precision decides its answer."""
 
+Effect = Literal["none", "some", "not asked"]
+"""The effect of a changed parameter on an answer, where it has one on the reference."""
+
 Key = tuple[tuple[str, Any], ...]
 
 
@@ -49,7 +52,7 @@ class Asked:
     drawn: DrawnQuestion
     answers: AnswerPair
     others: tuple[Match, ...]
-    without_effect: str
+    effect: Effect
     repeats: bool
     reference: Registration
 
@@ -99,8 +102,7 @@ def _ask_all(sides: tuple[ComparedBackend, ComparedBackend], drawn: list[DrawnQu
         except Exception:  # noqa: BLE001 - what the reference refuses is no question
             continue
         answers = _answer(lambda key=key: made(1, key), one.question, match)
-        without = _without_effect(made, one, answers)
-        asked.append(Asked(one, answers, others, without, True, first))
+        asked.append(Asked(one, answers, others, _effect(made, one, answers), True, first))
         bits.append(None if answers.b is None else match_bits(answers.b))
     return _ask_again(asked, bits, made)
 
@@ -128,14 +130,15 @@ def _answer(make: Any, question: Question, match: Match) -> AnswerPair:
     return lockstep.answer(registration, question, match)
 
 
-def _without_effect(made: Any, one: DrawnQuestion, answers: AnswerPair) -> str:
-    """The single parameter that changes the answer of the reference and not the other; "" if there is none."""
+def _effect(made: Any, one: DrawnQuestion, answers: AnswerPair) -> Effect:
+    """Whether a single parameter that changes the answer of the reference changes the other one too."""
     if len(one.changes) != 1 or answers.b is None or math.isnan(answers.b.error):
-        return ""
+        return "not asked"
     question = one.question
     base_a, base_b = (made(side, ()).register(question.target, question.source, question.guess) for side in (0, 1))
-    changed = match_bits(base_a) != match_bits(answers.a)
-    return next(iter(one.changes)) if changed and match_bits(base_b) == match_bits(answers.b) else ""
+    if match_bits(base_a) == match_bits(answers.a):
+        return "not asked"
+    return "none" if match_bits(base_b) == match_bits(answers.b) else "some"
 
 
 def _margin_of(question: Question, margin: MarginChoice) -> Margin | None:
@@ -155,8 +158,10 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
         members = [(one, known) for one in asked
                    if one.drawn.family == family and (known := _margin_of(one.drawn.question, margin))]  # fmt: skip
         wrong: list[tuple[Asked, Divergence]] = []
+        effects = {one.effect for one, _ in members}
+        ignored = family.removeprefix("parameter ") if "none" in effects and "some" not in effects else ""
         for one, known in members:
-            if divergence := _judge(one, known, margin, explain=not wrong):
+            if divergence := _judge(one, known, margin, ignored, explain=not wrong):
                 wrong.append((one, divergence))
             verdicts.append((one, divergence is not None))
         plain = [(one, known) for one, known in members if not one.others]
@@ -219,8 +224,11 @@ def _describe_where(verdicts: list[tuple[Asked, bool]]) -> str:
     return ""
 
 
-def _judge(one: Asked, margin: Margin, choice: MarginChoice, explain: bool) -> Divergence | None:
-    """Why the second answer differs, None if it does not, or only by rounding under the float32 margin."""
+def _judge(one: Asked, margin: Margin, choice: MarginChoice, ignored: str, explain: bool) -> Divergence | None:
+    """Why the second answer differs; None if it does not, or only by rounding under the float32 margin.
+
+    ``ignored``: the parameter of the family that has no effect, or "".
+    """
     answers = one.answers
     if answers.b is not None:
         near = replace(margin, metres=max(margin.metres, TIE_M), radians=max(margin.radians, TIE_M))
@@ -230,7 +238,7 @@ def _judge(one: Asked, margin: Margin, choice: MarginChoice, explain: bool) -> D
     divergence = first_divergence(answers, margin, explain)
     if divergence is None or (choice == FLOAT32 and (divergence.kind in ROUNDING or one.is_sensitive(margin))):
         return None
-    if one.without_effect and one.drawn.family.startswith("parameter"):
-        what = f"parameter {one.without_effect} has no effect"
+    if ignored and one.drawn.family.startswith("parameter "):
+        what = f"parameter {ignored} has no effect"
         return replace(divergence, quantity="answer", kind="parameter", what=what)
     return divergence

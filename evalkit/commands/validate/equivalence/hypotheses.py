@@ -112,6 +112,11 @@ class ObservedStep:
             rows, onto = rows[kept], onto[kept]
         return np.stack([rows, onto], axis=1)
 
+    def _counted(self, onto: Ints, distance: Floats) -> Ints:
+        """As many pairs of neighbours (N,) as are reported, the shortest ones."""
+        every = self._filtered(onto, distance, limit_m=math.inf)
+        return every[np.sort(np.argsort(distance[every[:, 0]], kind="stable")[: max(self.count, 0)])]
+
     def _other_pairs(self, moved: Floats) -> Iterator[tuple[DivergenceKind, str, Ints]]:
         for old, when in ((self.previous, "of the iteration before"), (self.first, "of the first iteration")):
             if old is not None:
@@ -160,6 +165,7 @@ class ObservedStep:
             exact = np.linalg.norm(moved - self.target[onto], axis=1)
             for distance in (exact, measured):
                 yield "neighbours", f"neighbours are nearest by {name}", self._filtered(onto, distance)
+                yield "neighbours", f"neighbours are nearest by {name}", self._counted(onto, distance)
         for axis, name in ((0, "x"), (1, "y")):
             onto = np.asarray(cKDTree(self.target[:, [axis]]).query(moved[:, [axis]])[1])
             distance = np.linalg.norm(moved - self.target[onto], axis=1)

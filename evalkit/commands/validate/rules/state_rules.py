@@ -12,6 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import psutil
 
 from evalkit.commands.validate.rules.resource_rules import BATCHES, in_another_thread
 from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, format_exception
@@ -28,8 +29,11 @@ if TYPE_CHECKING:
 
 Bits = tuple[object, ...]
 
-LATER_S = 3.0
-"""The shortest time (s) after which the first answers are asked for again: clocks count in whole seconds."""
+LATER_S, PAUSES_S = 3.0, (0.0, 0.6, 0.6)
+"""The first answers are asked for again after at least this time (s), and after pauses: in odd and even seconds."""
+
+FORKS = 8
+"""Copies of the other process, with other process numbers."""
 
 ELSEWHERE_S, ELSEWHERE_MIB = 60.0, 2048
 
@@ -127,18 +131,20 @@ def check_process(fixture: RegistrationFixture) -> str:
     found = run_elsewhere(answers_elsewhere, fixture.elsewhere)
     for expected, other in zip(fixture.first_answers, found["answers"], strict=True):
         _require(_plain(expected), other, "in another process")
+    if found["copies"]:
+        raise RuleBroken(f"{found['copies']} of {FORKS} copies of a process, with other numbers, have other answers")
     return f"{len(found['answers'])} answers in another process are the same to the bit"
 
 
 def check_later(fixture: RegistrationFixture) -> str:
     """The answers are the same seconds later."""
     expected = fixture.first_answers
-    waited = time.monotonic() - fixture.asked_s
-    time.sleep(max(0.37, LATER_S - waited))
-    for number, pair in enumerate(fixture.questions):
-        _require(
-            expected[number], answer_bits(fixture.make(), pair), f"{time.monotonic() - fixture.asked_s:.1f} s later"
-        )
+    time.sleep(max(0.0, LATER_S - (time.monotonic() - fixture.asked_s)))
+    for pause_s in PAUSES_S:
+        time.sleep(pause_s)
+        for number, pair in enumerate(fixture.questions):
+            when = f"{time.monotonic() - fixture.asked_s:.1f} s later"
+            _require(expected[number], answer_bits(fixture.make(), pair), when)
     return f"{len(expected)} answers are the same {time.monotonic() - fixture.asked_s:.0f} s later"
 
 
@@ -165,7 +171,22 @@ def answers_elsewhere(*, address: dict[str, str], parameters: dict[str, Any], se
     from evalkit.commands.validate.rules import runner  # noqa: PLC0415 - which imports the rules
 
     fixture = runner.load_fixture(address, parameters, seed)
-    return {"answers": [_plain(one) for one in fixture.first_answers]}
+    answers = [_plain(one) for one in fixture.first_answers]
+    return {"answers": answers, "copies": _count_other_copies(fixture)}
+
+
+def _count_other_copies(fixture: RegistrationFixture) -> int:
+    """The number of copies of this process with other answers; 0 where there are threads, which a copy would lose."""
+    if psutil.Process().num_threads() > 1:
+        return 0
+    expected, other = fixture.first_answers, 0
+    for _ in range(FORKS):
+        if (child := os.fork()) == 0:
+            same = all(answer_bits(fixture.make(), one) == bits
+                       for one, bits in zip(fixture.questions, expected, strict=True))  # fmt: skip
+            os._exit(0 if same else 1)
+        other += os.waitpid(child, 0)[1] != 0
+    return other
 
 
 def _plain(bits: Bits) -> list[object]:
