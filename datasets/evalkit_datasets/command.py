@@ -124,6 +124,6 @@ def _lacking(datasets: list[str]) -> list[str]:
 
 
 def _fetch_with_progress(name: str) -> str:
-    with Progress(console=err, transient=True) as bar:
+    with Progress(console=err, transient=True, disable=not err.is_terminal) as bar:
         task = bar.add_task(name, total=None)
         return str(fetch(name, lambda received, total: bar.update(task, completed=received, total=total or None)))
