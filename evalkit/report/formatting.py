@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from statistics import median
 
 from evalkit.metrics.table import Metric
@@ -23,14 +24,23 @@ def format_number(value: float, digits: int) -> str:
     return text.replace("-", "" if float(text) == 0.0 else "\u2212")
 
 
-def format_amount(metric: Metric, value: float) -> str:
-    """Format a value with its unit and a no-break space: "0.014 m"."""
-    return f"{value:.{metric.digits}f}\u00a0{metric.unit}".rstrip()
+def format_amount(metric: Metric, value: float, more: int = 0) -> str:
+    """Format a value with its unit and a no-break space: "0.95 %"; metres below 1 m in millimetres: "8.4 mm".
+
+    ``more``: additional decimals.
+    """
+    (text,), unit = _format_alike(metric, [value], more)
+    return f"{text}\u00a0{unit}".rstrip()
 
 
-def format_quantity(metric: Metric, value: float) -> str:
-    """Format a value for a title or a cell: metres below 1 m in millimetres, "8.4 mm", "376 mm", "6.77 m"."""
-    return format_length(value) if metric.unit == "m" else format_amount(metric, value)
+def _format_alike(metric: Metric, values: Sequence[float], more: int = 0) -> tuple[list[str], str]:
+    """Return values with the same decimals and their common unit: millimetres if all are below 1 m."""
+    if metric.unit != "m":
+        return [format_number(value, metric.digits + more) for value in values], metric.unit
+    largest = max(abs(value) for value in values)
+    if largest >= 1.0:
+        return [format_number(value, more + (2 if largest < 100.0 else 0)) for value in values], "m"
+    return [format_number(1000.0 * value, more + (1 if largest < 0.00995 else 0)) for value in values], "mm"
 
 
 def format_length(value: float) -> str:
@@ -58,38 +68,37 @@ def format_bounds(interval: Interval, digits: int) -> str:
 
 
 def format_median(metric: Metric, score: MethodScore) -> str:
-    """Format the median of the runs with its interval: "0.014 m (95 % interval 0.012 to 0.017)".
+    """Format the median of the runs with its interval: "14 mm (95 % interval 12 to 17)".
 
-    Of a recording: "0.45 m (0.35 to 0.64 in 9 repeated runs)".
-    One run: "0.014 m (95 % interval of this run 0.012 to 0.017)". Two runs: "0.95 (0.94 to 0.96 in 2 runs)".
+    Of a recording: "450 mm (350 to 640 in 9 repeated runs)".
+    One run: "14 mm (95 % interval of this run 12 to 17)". Two runs: "0.95 (0.94 to 0.96 in 2 runs)".
     """
-    middle = format_amount(metric, median(score.values))
+    value, count = median(score.values), len(score.values)
+    spread = score.band or score.interval
+    bounds = (spread.low, spread.high) if spread else (min(score.values), max(score.values))
+    (text, low, high), unit = _format_alike(metric, [value, *bounds])
+    middle = f"{text}\u00a0{unit}".rstrip()
     if score.band is not None:
-        low, high = (format_number(value, metric.digits) for value in (score.band.low, score.band.high))
         return f"{middle} ({low} to {high} in {score.band.runs} repeated runs)"
     if score.interval is not None:
-        of = " of this run" if len(score.values) == 1 else ""
-        return f"{middle} (95\u00a0% interval{of} {format_bounds(score.interval, metric.digits)})"
-    if len(score.values) < 2:
-        return middle
-    low, high = (format_number(value, metric.digits) for value in (min(score.values), max(score.values)))
-    return f"{middle} ({low} to {high} in {len(score.values)} runs)"
+        return f"{middle} (95\u00a0% interval{' of this run' if count == 1 else ''} {low} to {high})"
+    return middle if count < 2 else f"{middle} ({low} to {high} in {count} runs)"
 
 
 def format_difference(metric: Metric, difference: PairedDifference, sign: float = 1.0) -> str:
-    """Format a paired difference, one decimal more: "0.0021 m (95 % interval 0.0004 to 0.0038)".
+    """Format a paired difference, one decimal more: "2.10 mm (95 % interval 0.40 to 3.80)".
 
     ``sign`` below zero: the difference taken the other way round.
     """
     interval = difference.interval
-    if sign < 0.0:
-        interval = Interval(-interval.value, -interval.high, -interval.low, interval.support, interval.confidence)
-    value = f"{format_number(interval.value, metric.digits + 1)}\u00a0{metric.unit}".rstrip()
-    return f"{value} (95\u00a0% interval {format_bounds(interval, metric.digits + 1)})"
+    ends = (interval.low, interval.high) if sign >= 0.0 else (-interval.high, -interval.low)
+    (text, low, high), unit = _format_alike(metric, [math.copysign(1.0, sign) * interval.value, *ends], 1)
+    value = f"{text}\u00a0{unit}".rstrip()
+    return f"{value} (95\u00a0% interval {low} to {high})"
 
 
 def format_gap(metric: Metric, value: float, best: float) -> str:
-    """Format how far a value is from a better one: "4.8 times as much", "12 % more" or "0.120 less"."""
+    """Format how far a value is from a better one: "4.8 times as much", "12 % more" or "120 mm less"."""
     if metric.better == "lower" and best > 0.0:
         ratio = value / best
         if ratio >= 2.0:

@@ -12,7 +12,7 @@ from rich.text import Text
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.formatting import format_milliseconds, format_quantity
+from evalkit.report.formatting import format_amount, format_milliseconds
 from evalkit.terminal.options import table_width
 
 MAX_LINES = 10
@@ -91,7 +91,7 @@ def _rows_of_sequence(analysis: Analysis, sequence: SequenceAnalysis) -> tuple[s
         note = "worse than the baseline" if sequence.is_behind(score.method) else _note(analysis, ranking, score.method)
         rows.append(
             RankedRow(
-                score.method, format_quantity(ranking.metric, value), _against(value, base, score.method in baselines),
+                score.method, format_amount(ranking.metric, value), _against(value, base, score.method in baselines),
                 _cost(analysis, score.method), note, value, bounds.low if bounds else None,
                 bounds.high if bounds else None,
             )

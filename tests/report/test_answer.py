@@ -6,7 +6,7 @@ import pytest
 
 from evalkit.core.run_result import RunConditions
 from evalkit.report.analysis.analysis import analyse
-from evalkit.report.formatting import format_milliseconds, format_quantity
+from evalkit.report.formatting import format_amount, format_milliseconds
 
 
 @pytest.fixture
@@ -195,8 +195,8 @@ def test_what_is_missing_is_one_pill(build, record, three):
 )
 def test_errors_are_printed_in_millimetres_below_a_metre(demo, value, text):
     metres, percent = demo.metrics[0], demo.metrics[1]
-    assert format_quantity(metres, value).replace("\u00a0", " ") == text
-    assert format_quantity(percent, 0.5).replace("\u00a0", " ") == "0.50 %"
+    assert format_amount(metres, value).replace("\u00a0", " ") == text
+    assert format_amount(percent, 0.5).replace("\u00a0", " ") == "0.50 %"
 
 
 def test_times_are_printed_with_two_digits():

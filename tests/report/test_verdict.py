@@ -37,18 +37,16 @@ def test_a_clear_winner_is_named_with_its_lead(record, build):
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("winner", ("a",), True)
     said = _verdict_text(comparison)
-    assert re.search(
-        r"a wins on ATE RMSE: 0\.011 m \(95 % interval 0\.0.. to 0\.01.\); the runner-up, b, has 0\.022 m", said
-    )
-    assert "2.0 times as much; over 3 pairs of runs, the difference is 0.0110 m (95 % interval 0.0110" in said
+    assert re.search(r"a wins on ATE RMSE: 11 mm \(95 % interval \d+ to 1\d\); the runner-up, b, has 22 mm", said)
+    assert "2.0 times as much; over 3 pairs of runs, the difference is 11.0 mm (95 % interval 11.0" in said
 
 
 def test_a_lead_that_reverses_in_one_seed_gives_no_winner(record, build):
     comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.025]), *_seeds(record, "b", [0.019, 0.022, 0.024])])
     assert verdict(comparison, "room").outcome == "tied"
-    assert "On ATE RMSE, a (0.011 m (95 % interval " in _verdict_text(comparison)
+    assert "On ATE RMSE, a (11 mm (95 % interval " in _verdict_text(comparison)
     assert re.search(
-        r"over 3 pairs of runs, b is worse by 0\.00.. m \(95 % interval −0\.0.* to 0\.0.*\)", _verdict_text(comparison)
+        r"over 3 pairs of runs, b is worse by \d+\.\d mm \(95 % interval −4\.9 to 35\.9\)", _verdict_text(comparison)
     )
     assert "which may be chance; about 10 runs of each would settle a difference of this" in _verdict_text(comparison)
 
@@ -78,7 +76,7 @@ def test_differences_below_the_noise_of_the_relations_are_a_tie(record, build):
         [*_seeds(record, "a", [0.05, 0.05], "relations_mean_m"), *_seeds(record, "b", [0.09, 0.09], "relations_mean_m")]
     )
     assert verdict(near, "room").outcome == "tied"
-    assert "differ by less than the accuracy of the ground truth (0.030 m)" in _verdict_text(near)
+    assert "differ by less than the accuracy of the ground truth (30 mm)" in _verdict_text(near)
     assert verdict(far, "room").leaders == ("a",)
 
 
@@ -101,9 +99,9 @@ def test_one_run_each_gives_an_order_and_no_verdict(record, build, other):
     found = verdict(comparison)
     assert (found.outcome, found.leaders, found.counts) == ("one run", (), False)
     said = _verdict_text(comparison)
-    assert "One run each gives an order and no verdict, which takes 3 or more. On ATE RMSE: wheel (0.049 m (95" in said
+    assert "One run each gives an order and no verdict, which takes 3 or more. On ATE RMSE: wheel (49 mm (95" in said
     assert "% interval of this run " in said
-    assert "The reference method: paper has 20.000 m, place 4 of 4 in this order." in said
+    assert "The reference method: paper has 20.00 m, place 4 of 4 in this order." in said
     whole = f"{said} {' '.join(_overview(comparison))}"
     assert "No sequence has both ground truth and repeated runs to compare" in whole
     assert "describe these runs and not a next one, and give no verdict." in whole
@@ -140,7 +138,7 @@ def test_a_method_without_a_score_on_one_seed_cannot_win(record, build):
 
 def test_a_loss_of_the_reference_method_is_stated(record, build):
     comparison = build([*_seeds(record, "paper", [0.048, 0.050]), *_seeds(record, "plane", [0.010, 0.010])])
-    assert "The reference method: paper loses, with 0.049 m against 0.010 m: 4.9 times as much." in _verdict_text(
+    assert "The reference method: paper loses, with 49 mm against 10 mm: 4.9 times as much." in _verdict_text(
         comparison
     )
     assert "The reference method, paper, loses 1 of 1 (room)." in _overview(comparison)
@@ -149,7 +147,7 @@ def test_a_loss_of_the_reference_method_is_stated(record, build):
 def test_a_method_worse_than_wheel_odometry_is_reported(record, build):
     values = {"wheel": (0.4, 0.41, 0.4), "a": (2, 3, 2.5), "b": (1, 1, 1), "c": (0.3, 0.5, 0.6)}
     comparison = build([one for name, own in values.items() for one in _seeds(record, name, own)])
-    assert "Worse than wheel alone (0.400 m): a (2.500 m) and b (1.000 m)." in _verdict_text(comparison)
+    assert "Worse than wheel alone (400 mm): a (2.50 m) and b (1.00 m)." in _verdict_text(comparison)
     assert "Worse than wheel alone: a on room and b on room." in _overview(comparison)
 
 
@@ -242,7 +240,7 @@ def test_a_recording_is_judged_by_its_perturbed_runs(record, build):
     score = analyse_sequence(comparison, "room").deciding.of("a")
     assert score.band == NuisanceBand(pytest.approx(0.10), pytest.approx(0.103), 4)
     said = _verdict_text(comparison)
-    assert "a is ahead on halves of the run apart: 0.102 m (0.100 to 0.103 in 4 repeated runs)" in said
+    assert "a is ahead on halves of the run apart: 102 mm (100 to 103 in 4 repeated runs)" in said
     assert "The spread is that of 4 runs of this recording" in said
     assert "repeated runs)" not in _verdict_text(plain)
     assert "perturb" not in _verdict_text(plain)
@@ -390,7 +388,7 @@ def test_gaps_are_formatted_as_ratios(demo, value, best, words):
 
 
 def test_a_gap_across_zero_is_formatted_as_a_difference(demo):
-    assert format_gap(demo.metrics[0], 0.5, -0.25).replace("\u00a0", " ") == "0.750 m more"
+    assert format_gap(demo.metrics[0], 0.5, -0.25).replace("\u00a0", " ") == "750 mm more"
 
 
 def test_lists_are_formatted_as_sentences():
@@ -486,7 +484,7 @@ def _sentence_cases(record, build):
         ("they are equal to every printed digit", "equal", "chance"),
         ("The reference method: paper wins.", "reference wins", "reference ties"),
         ("The reference method, paper, wins 1 of 1 (room).", "reference wins", "reference ties"),
-        ("The reference method: paper loses, with 0.400 m against 0.200 m", "reference loses", "reference ties"),
+        ("The reference method: paper loses, with 400 mm against 200 mm", "reference loses", "reference ties"),
         ("The reference method, paper, loses 1 of 1 (room).", "reference loses", "reference ties"),
         ("The reference method: paper is tied with the best, a.", "reference ties", "reference wins"),
         ("The reference method, paper, is tied with the best on 1 of 1 (room).", "reference ties", "reference loses"),
@@ -494,7 +492,7 @@ def _sentence_cases(record, build):
         ("paper is not ranked: 0 of 1 runs finished.", "reference fails", "reference loses"),
         ("paper, is not comparable on 1 of 1 (room).", "reference fails", "reference loses"),
         ("The reference method", "reference loses", "clear"),
-        ("Worse than wheel alone (0.300 m): b (0.500 m).", "worse than wheel", "better than wheel"),
+        ("Worse than wheel alone (300 mm): b (500 mm).", "worse than wheel", "better than wheel"),
         ("No method is clearly worse than wheel alone", "better than wheel", "worse than wheel"),
         ("No method can be compared with wheel alone", "wheel fails", "better than wheel"),
         ("wheel has no value here, so there is no baseline to beat.", "wheel fails", "better than wheel"),

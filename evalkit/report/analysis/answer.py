@@ -15,7 +15,7 @@ from evalkit.report.analysis.ranking import Ranking
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.verdict import LED, SequenceVerdict
-from evalkit.report.formatting import format_milliseconds, format_quantity, join_words
+from evalkit.report.formatting import format_amount, format_milliseconds, join_words
 
 COST = "cpu_median_ms"
 """The metric of the cost of a scan."""
@@ -269,7 +269,7 @@ def _format_subtitle(
         sentences.append(f"A scan takes {join_words(f'{text} with {method}' for method, text in costs.items())}.")
     if len(winners) == 1 and len(contests) == 1 and not decided_by_maps(contests[0].ranking):
         metric, (best, second) = contests[0].metric, contests[0].ranked[:2]
-        figures = [format_quantity(metric, median(score.values)) for score in (best, second)]
+        figures = [format_amount(metric, median(score.values)) for score in (best, second)]
         sentences.append(f"{figures[0]} against {figures[1]} of {second.method}.")
     elif len(winners) == 1 and losses:
         sentences.append(_format_losses(losses))
@@ -280,7 +280,7 @@ def _format_subtitle(
 
 def _format_losses(losses: Sequence[Loss]) -> str:
     told = [
-        f"{loss.sequence} ({format_quantity(loss.metric, loss.own)} against {format_quantity(loss.metric, loss.best)})"
+        f"{loss.sequence} ({format_amount(loss.metric, loss.own)} against {format_amount(loss.metric, loss.best)})"
         for loss in losses
     ]
     if len(told) == 1:

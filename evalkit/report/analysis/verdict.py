@@ -30,7 +30,6 @@ from evalkit.report.formatting import (
     format_difference,
     format_gap,
     format_median,
-    format_number,
     join_words,
     strip_full_stop,
 )
@@ -215,9 +214,7 @@ def _describe_tie(ranking: Ranking) -> str:
 def _describe_need(metric: Metric, difference: PairedDifference, better: float) -> str:
     """Return how many runs would settle a difference of the measured size, or what so many runs can detect."""
     if abs(difference.interval.value) < margin(metric, better):
-        detectable = difference.detectable or 0.0
-        unit = f"{format_number(detectable, metric.digits + 1)}\u00a0{metric.unit}".rstrip()
-        return f"these runs can detect a difference of {unit}"
+        return f"these runs can detect a difference of {format_amount(metric, difference.detectable or 0.0, 1)}"
     runs = f"more than {MAX_RUNS}" if difference.needed is None else f"about {max(difference.needed, MIN_RUNS)}"
     return f"{runs} runs of each would settle a difference of this size"
 

@@ -14,7 +14,7 @@ from evalkit.report.analysis.answer import Contest
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, find_loss
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.formatting import format_quantity, format_tick
+from evalkit.report.formatting import format_amount, format_tick
 from evalkit.report.html.palette import Stroke
 from evalkit.report.html.svg import Scale, element, join, log_scale
 
@@ -118,7 +118,7 @@ def _dot(panel: _Panel, method: str) -> Markup:
         parts.append(element("svg", shape, x=_percent(at), y=ROW / 2, overflow="visible"))
     else:
         parts.append(element("circle", cx=_percent(at), cy=ROW / 2, r=4.6, class_=f"dot {kind}"))
-    value = format_quantity(panel.ranking.metric, median(score.values))
+    value = format_amount(panel.ranking.metric, median(score.values))
     title = element("title", f"{method} on {panel.sequence}: {value}, {words}")
     drawing = element("svg", join((title, *parts)), width="100%", height=ROW, role="img")
     return join((name, drawing, element("span", value, class_="own-value", aria_hidden="true")))

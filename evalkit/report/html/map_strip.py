@@ -11,7 +11,7 @@ from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.answer import COST
 from evalkit.report.analysis.pills import find_left_out
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.formatting import format_milliseconds, format_quantity
+from evalkit.report.formatting import format_amount, format_milliseconds
 from evalkit.report.html.blocks import Figure
 from evalkit.report.html.maps import find_window, measure_image, render_map
 from evalkit.report.html.palette import Stroke
@@ -86,7 +86,7 @@ def build_tiles(analysis: Analysis, number: int, strokes: Strokes) -> list[Tile]
     for method, role in chosen:
         grid = grids[method]
         score = ranking.of(method) if ranking else None
-        value = format_quantity(ranking.metric, median(score.values)) if ranking and score and score.values else ""
+        value = format_amount(ranking.metric, median(score.values)) if ranking and score and score.values else ""
         cost = sequence.rankings[COST].of(method) if COST in sequence.rankings else None
         times = format_milliseconds(cost.median) if cost is not None and cost.median is not None else ""
         lost = f"lost at {score.lost.at_s:.0f} s" if score is not None and score.lost is not None else ""

@@ -14,7 +14,7 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.verdict import SequenceVerdict
-from evalkit.report.formatting import capitalise, format_quantity
+from evalkit.report.formatting import capitalise, format_amount
 from evalkit.report.html import appendix, cost_plot, dot_plot, map_strip, report_tables, run_charts
 from evalkit.report.html.blocks import (
     Block,
@@ -221,7 +221,7 @@ def _map_caption(run: RunRecord, metric: Metric | None) -> str:
     parts = []
     score = run.scores.by_metric.get(metric.name) if metric else None
     if metric and score and score.value is not None:
-        parts.append(f"{metric.label} {format_quantity(metric, score.value)}")
+        parts.append(f"{metric.label} {format_amount(metric, score.value)}")
     if not run.result.is_complete:
         parts.append(STATUS_LABELS[run.result.status])
     return ", ".join(parts)

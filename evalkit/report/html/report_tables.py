@@ -13,7 +13,7 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.formatting import capitalise, format_number, format_quantity
+from evalkit.report.formatting import capitalise, format_amount, format_number
 from evalkit.report.html.blocks import Block, Cell, Chips, Column, Table, Text, Tone
 from evalkit.report.html.palette import Stroke
 from evalkit.results.run_record import RunRecord
@@ -259,7 +259,7 @@ def _bounds(metric: Metric, low: float, high: float) -> str:
 
 def _format(metric: Metric, value: float) -> str:
     """Format a value for a cell: positions with their unit, others without."""
-    return format_quantity(metric, value) if metric.unit == "m" else format_number(value, metric.digits)
+    return format_amount(metric, value) if metric.unit == "m" else format_number(value, metric.digits)
 
 
 def _counterpart(metrics: Sequence[Metric], rows: Sequence[Published]) -> Metric | None:
