@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from evalkit.core.run_result import RunConditions
+from evalkit.core.run_result import LostTrack, RunConditions
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_amount, format_milliseconds
 
@@ -144,6 +144,23 @@ def test_degenerate_data_do_not_count_and_are_compared_with_the_baseline(build, 
     assert title(degenerate([*wheels, *lost])).startswith("Take a: best or tied on 2 of 3 data sets")
     assert pills(degenerate([*wheels, *lost]))[0] == "corridor is degenerate: no method beats wheel"
     assert pills(degenerate([*wheels, *won]))[0] == "corridor is degenerate: not counted"
+
+
+def test_a_lost_track_is_named_except_where_the_geometry_explains_it(build, three):
+    def lost_on(sequence):
+        records = [
+            replace(run, scores=replace(run.scores, lost=LostTrack(28.4, "it slipped")))
+            if (run.method, run.sequence) == ("c", sequence)
+            else run
+            for run in three
+        ]
+        made = build(records)
+        return pills(
+            replace(made, sequences={**made.sequences, "hall": replace(made.sequences["hall"], degenerate="x")})
+        )
+
+    assert "c lost the track on lab (at 28 s)" in lost_on("lab")
+    assert not any("lost" in text for text in lost_on("hall"))
 
 
 def test_only_degenerate_data_rank_nobody(build, runs):

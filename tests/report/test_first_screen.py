@@ -51,6 +51,7 @@ def test_a_logarithmic_scale_places_decades_evenly():
     assert scale.share(1e9) == 1.02
     assert scale.ticks(3) == (0.01, 0.1, 1.0)
     assert Scale(0.01, 1.0).ticks(5) == (0.01, 0.03, 0.1, 0.3, 1.0)
+    assert Scale(0.0281391, 0.0441).ticks(2) == (0.035,)  # no round value within
 
 
 def test_a_linear_scale_has_round_ticks():

@@ -37,7 +37,9 @@ def compute_pills(
     runs = comparison.records
     pills = [
         *(_describe_degenerate(comparison, sequence) for sequence in sequences if sequence.card.degenerate),
-        *_group("lost the track on", _find_lost(runs)),
+        *_group(
+            "lost the track on", _find_lost(run for run in runs if not comparison.sequences[run.sequence].degenerate)
+        ),
         *_group("did not finish", _find_broken(runs)),
         _describe_load(runs),
         *_describe_tuned(comparison, sequences),
@@ -66,10 +68,10 @@ def _describe_degenerate(comparison: Comparison, sequence: SequenceAnalysis) -> 
         return None
     for baseline in comparison.methods_with_role("baseline"):
         reference = ranking.of(baseline)
-        others = [score for score in ranking.ranked if score is not reference]
+        others = [score for score in ranking.scores if score is not reference and (score.values or score.lost)]
         if reference is None or reference not in ranking.ranked or not others:
             continue
-        if not any(is_clearly_worse(ranking.metric, reference, score) for score in others):
+        if not any(s in ranking.ranked and is_clearly_worse(ranking.metric, reference, s) for s in others):
             return Pill(f"{sequence.label} is degenerate: no method beats {baseline}")
     return Pill(f"{sequence.label} is degenerate: not counted")
 

@@ -45,7 +45,7 @@ class Scale:
             found = ticks
         while len(found) > most:
             found = found[::2]
-        return found or (self.low,)
+        return found or (float(f"{math.sqrt(self.low * self.high):.2g}"),)
 
 
 def log_scale(values: Iterable[float], margin: float = 0.08) -> Scale:
