@@ -81,11 +81,12 @@ def build_player(
     lines: Mapping[str, Stroke],
     most_ranges: int = MAX_RANGES,
     preferred: str = "",
+    rival: str = "",
 ) -> Player | None:
     """Build the player from each method's first run; None if no run answered a scan.
 
     ``scans`` opens the sequence; without it, or if it fails, the player shows no scans. ``preferred``: the method that
-    places the scans at first.
+    places the scans at first; ``rival``: the one it is compared with.
     """
     answered = [record for record in records if len(record.result.steps)]
     if not answered:
@@ -108,7 +109,7 @@ def build_player(
         "pixels": _pixels(records, shown),
     }
     labels = tuple(record.method for record in answered)
-    first, second = _two(content["runs"], preferred)
+    first, second = _two(content["runs"], preferred, rival)
     return Player(
         content=json.dumps(content, separators=(",", ":"), allow_nan=False),
         methods=labels,
@@ -336,11 +337,12 @@ def _pixels(records: Several[RunRecord], shown: Window | None) -> Mapping[str, f
     return {label: pixel_m(grid, shown) for label, grid in (grids | ({} if true is None else {"": true})).items()}
 
 
-def _two(runs: Several[Mapping[str, Any]], preferred: str) -> tuple[str, str]:
+def _two(runs: Several[Mapping[str, Any]], preferred: str, rival: str) -> tuple[str, str]:
     """Return the methods compared first: the preferred or the first one, and another; with residuals if possible."""
     labels = [run["label"] for run in sorted(runs, key=lambda run: run["s2m"] is None)]
     first = preferred if preferred in labels else labels[0]
-    return first, next((label for label in labels if label != first), first)
+    others = [label for label in (rival, *labels) if label in labels and label != first]
+    return first, next(iter(others), first)
 
 
 def _describe_omissions(answered: int, kept: int, beams: Beams | None, why: str, alone: Several[str]) -> str:

@@ -143,7 +143,8 @@ def _build_player(
     comparison = analysis.comparison
     preferred = next(iter(comparison.methods_with_role("reference")), "")
     most = ranges_per_sequence(len(comparison.sequences))
-    player = build_player(first, comparison.scans.get(sequence.label), shown, strokes, most, preferred)
+    scans, leader = comparison.scans.get(sequence.label), report_tables.by_rank(sequence)[0]
+    player = build_player(first, scans, shown, strokes, most, preferred, leader)
     if player is None:
         return []
     template = load_template("player.html.j2", sentence=capitalise)

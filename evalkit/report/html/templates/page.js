@@ -82,7 +82,7 @@ const unfold = () => {
   if (target.tagName === "DETAILS") target.open = true;
   for (let fold = target.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
   for (const fold of [target, ...target.querySelectorAll("details")]) if (fold.open) buildWithin(fold);
-  if (!target.matches(".tab")) target.classList.add("aimed");
+  if (!target.matches(".tab, .part, section")) target.classList.add("aimed");
   target.scrollIntoView();
 };
 addEventListener("hashchange", unfold);
