@@ -1,6 +1,8 @@
-/* Arbitrary clouds: a registration is finite, repeatable and uses true nearest neighbours, or is refused and changes
- * nothing. */
+/* Arbitrary clouds: a registration is finite, repeatable, uses true nearest neighbours and is the same with a table of
+ * them, or is refused and changes nothing; normals are unit vectors. */
 #include "ek/icp.h"
+#include "ek/normals.h"
+#include "ek/table.h"
 #include "input.h"
 
 #define MAX_COUNT 32u
@@ -40,7 +42,41 @@ static void nearest(const ek_index *index, const clouds *known, ek_real x, ek_re
     }
 }
 
-static void ask(ek_icp *icp, const ek_index *index, const clouds *known, ek_input *input)
+/* Normals have length 1, or are (0, 0) with a radius. */
+static void compute_normals(ek_index *index, ek_input *input, ek_real *normals)
+{
+    const size_t neighbours = take_byte(input) % (EK_MAX_NEIGHBOURS + 2u);
+    const ek_real radius = take_byte(input) % 2u ? EK_FAR : take_real(input);
+    if (ek_normals_compute(index, neighbours, radius, normals) != EK_OK) {
+        return;
+    }
+    index->normals = normals;
+    for (size_t i = 0; i < index->count; i++) {
+        const ek_real x = normals[2u * i], y = normals[2u * i + 1u], length = EK_SQRT(x * x + y * y);
+        HOLDS(EK_FABS(length - EK_R(1.0)) < EK_R(1e-5) || (radius < EK_FAR && x == EK_R(0.0) && y == EK_R(0.0)));
+    }
+}
+
+/* A table changes no result, whether it is empty, filling or full. */
+static void with_a_table(ek_icp *icp, ek_index *index, const clouds *known, ek_pose guess,
+                         const ek_icp_parameters *parameters, const ek_match *expected)
+{
+    static ek_table table;
+    ek_arena measured = ek_arena_make(NULL, 0u);
+    HOLDS(ek_table_init(&table, &measured, index, 12u, 24u) == EK_OK && index->table == NULL);
+    ek_arena arena = memory_for(&measured);
+    HOLDS(ek_table_init(&table, &arena, index, 12u, 24u) == EK_OK && index->table == &table);
+    for (int turn = 0; turn < 5; turn++) {
+        ek_match found;
+        HOLDS(ek_icp_register(icp, index, known->source, known->sources, guess, parameters, NULL, NULL, &found) == EK_OK);
+        HOLDS(same_pose(found.target_from_source, expected->target_from_source));
+        HOLDS(found.inliers == expected->inliers && found.iterations == expected->iterations);
+    }
+    index->table = NULL;
+    free(arena.memory);
+}
+
+static void ask(ek_icp *icp, ek_index *index, const clouds *known, ek_input *input)
 {
     ek_icp_parameters parameters = ek_icp_default();
     const uint8_t flags = take_byte(input);
@@ -51,7 +87,11 @@ static void ask(ek_icp *icp, const ek_index *index, const clouds *known, ek_inpu
     parameters.min_pairs = take_byte(input) % 8;
     parameters.epsilon = take_real(input);
     parameters.max_correspondence = take_real(input);
+    parameters.metric = (ek_metric)(take_byte(input) % 3u); /* 2 is invalid */
+    parameters.cauchy = parameters.metric ? take_real(input) : EK_R(0.0);
     const ek_pose guess = take_pose(input);
+    ek_real normals[2u * MAX_COUNT];
+    compute_normals(index, input, normals);
     ek_match match, again;
     memset(&match, 0xA5, sizeof match);
     again = match;
@@ -67,6 +107,7 @@ static void ask(ek_icp *icp, const ek_index *index, const clouds *known, ek_inpu
     HOLDS(match.error >= EK_R(0.0) || match.inliers < parameters.min_pairs);
     HOLDS(ek_icp_register(icp, index, known->source, known->sources, guess, &parameters, NULL, NULL, &again) == EK_OK);
     HOLDS(same_pose(match.target_from_source, again.target_from_source) && match.inliers == again.inliers);
+    with_a_table(icp, index, known, guess, &parameters, &match);
     const int limited = parameters.max_correspondence > EK_R(0.0) && parameters.max_correspondence < NO_LIMIT;
     const ek_real limit = limited ? parameters.max_correspondence : NO_LIMIT;
     for (size_t i = 0; i < known->sources; i++) {
@@ -81,10 +122,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     ek_index index;
     ek_arena measured = ek_arena_make(NULL, 0u);
     const size_t cells = 1u + take_byte(&input);
-    HOLDS(ek_icp_init(&icp, &measured, MAX_COUNT, MAX_COUNT) == EK_OK);
+    HOLDS(ek_icp_init(&icp, &measured, MAX_COUNT, MAX_COUNT) == EK_OK && ek_icp_init_lines(&icp, &measured) == EK_OK);
     HOLDS(ek_index_init(&index, &measured, MAX_COUNT, cells) == EK_OK);
     ek_arena arena = memory_for(&measured);
-    HOLDS(ek_icp_init(&icp, &arena, MAX_COUNT, MAX_COUNT) == EK_OK);
+    HOLDS(ek_icp_init(&icp, &arena, MAX_COUNT, MAX_COUNT) == EK_OK && ek_icp_init_lines(&icp, &arena) == EK_OK);
     HOLDS(ek_index_init(&index, &arena, MAX_COUNT, cells) == EK_OK && ek_arena_check(&arena) == EK_OK);
     for (int rounds = 0; rounds < 2 && input.left; rounds++) {
         clouds known;
