@@ -86,9 +86,9 @@ UNBRIDGED = "unbridged"
 """Mark of the cases whose dropped scans wheel odometry does not bridge."""
 
 ENTRIES = (
-    *map(Case, *[("paper", "embedded", "embedded-f32", "embedded-pipeline")] * 2),
+    *(Case(name, name) for name in ("paper", "embedded", "embedded-f32", "embedded-pipeline")),
     Case("embedded, no odometry", "embedded", {"prior": "constant-velocity"}, mark=UNBRIDGED),
-    *map(Case, *[("open3d-icp", "kiss-icp", "small-gicp", WHEELS)] * 2),
+    *(Case(name, name) for name in ("open3d-icp", "kiss-icp", "small-gicp", WHEELS)),
 )
 OWN = tuple(entry.name for entry in ENTRIES if entry.backend.startswith(("paper", "embedded", WHEELS)))
 """Methods without third-party libraries, for the quick page."""
