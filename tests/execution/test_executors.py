@@ -146,9 +146,9 @@ def test_a_run_that_kills_two_workers_is_quarantined_and_others_complete(workers
         reasons(made)
     )
     reason = made["1 kill-parent"].result.reason
-    assert reason.startswith("quarantined: killed its worker twice (tcp://127.0.0.1:")
+    assert reason.startswith("quarantined: killed its worker twice (tls://127.0.0.1:")
     assert reason.endswith("); --rerun crashed runs it again")
-    assert reason.count("tcp://") == 2
+    assert reason.count("tls://") == 2
     alive = pids(workers)
     again = rows(deadly, tmp_path, run_on_cluster(workers), resume=True)
     assert again["1 kill-parent"].result.reason == reason

@@ -195,7 +195,7 @@ def test_a_cluster_computes_the_same_and_a_task_that_ends_two_workers_is_reporte
     tasks.append(squares("slow", "give_up"))
     with pytest.raises(TasksFailed) as failed:
         run_tasks(TaskStore(tmp_path), tasks, cluster=Cluster(workers=1))
-    assert failed.value.failures["deadly"].reason.startswith("WorkerLost: killed its worker twice (tcp://")
+    assert failed.value.failures["deadly"].reason.startswith("WorkerLost: killed its worker twice (tls://")
     assert failed.value.failures["bad"].reason == "ValueError: no"
     assert failed.value.failures["slow"].reason == "TimeoutError: no answer"  # its own limit, not that of the cluster
     kept = TaskStore(tmp_path).load(tasks[0])

@@ -102,6 +102,12 @@ def _hide() -> None:
     os.waitpid(middle, 0)
 
 
+def _kill_supervisor() -> None:
+    """Kill the process between this one and evalkit; the system ends this one too."""
+    os.kill(os.getppid(), signal.SIGKILL)
+    time.sleep(600)
+
+
 def _hide_and_exit() -> None:
     _hide()
     os._exit(9)
@@ -168,7 +174,7 @@ FAULTS: dict[str, Callable[[], object]] = {
     "sigkill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "unnamed-signal": lambda: os.kill(os.getpid(), signal.SIGRTMIN + 5),
     "kill-parent": lambda: os.kill(psutil.Process(os.getppid()).ppid(), signal.SIGKILL),  # above the supervisor
-    "kill-supervisor": lambda: os.kill(os.getppid(), signal.SIGKILL),
+    "kill-supervisor": _kill_supervisor,
     "hidden": _hide,
     "hidden-exit": _hide_and_exit,
     "wait": lambda: time.sleep(0.3),
