@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from itertools import islice
 
 from markupsafe import Markup
 
@@ -21,9 +21,9 @@ LOW, HIGH = -16.0, 0.0
 WIDTH, LEFT, RIGHT = 460.0, 30.0, 430.0
 
 
-def first_figures(report: AcceptanceReport) -> Iterator[Figure]:
-    """The stamp; the bar and both maps with their difference, where those levels ran."""
-    yield _stamp(report)
+def first_figures(report: AcceptanceReport) -> tuple[list[Figure], list[Figure]]:
+    """The stamp with the bar, and both maps with their difference: two rows, of what really ran."""
+    above = [_stamp(report)]
     levels = {level.number: level for level in report.levels}
     measured = [
         abs(row["worst"])
@@ -39,9 +39,9 @@ def first_figures(report: AcceptanceReport) -> Iterator[Figure]:
     ]  # fmt: skip
     if measured and allowed:
         pairs = levels[1].results.get("results", {}) if 1 in levels else {}
-        yield _bar(max(measured), max(allowed), noise_level(pairs, 1.0)[0] if pairs else math.nan)
-    if 4 in levels and levels[4].results:
-        yield from list(map_figures(levels[4], report.subject, report.reference))[:3]
+        above.append(_bar(max(measured), max(allowed), noise_level(pairs, 1.0)[0] if pairs else math.nan))
+    maps = map_figures(levels[4], report.subject, report.reference) if 4 in levels and levels[4].results else iter(())
+    return above, list(islice(maps, 3))
 
 
 def _stamp(report: AcceptanceReport) -> Figure:

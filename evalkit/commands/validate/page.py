@@ -81,7 +81,8 @@ def _verdict(report: AcceptanceReport, command: str) -> Section:
         Column("deciding checks", tip="passed, of all that decide"),
         Column("first result", tip="of the first check that refutes the claim, or else supports it"),
     )
-    blocks: list[Block] = [Figures(list(first_figures(report)), small=True), Table(columns, rows, sortable=False)]
+    blocks: list[Block] = [Figures(row, small=True) for row in first_figures(report) if row]
+    blocks.append(Table(columns, rows, sortable=False))
     blocks += [Text(f"Waived: {name}: {why}", "warn") for name, why in report.waivers.items()]
     blocks += [Text(f"Not available here: {name}: {why}", "warn") for name, why in report.unavailable.items()]
     blocks += [Text("The command that wrote this page:", "note"), Command(command)]
