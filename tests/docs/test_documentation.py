@@ -11,6 +11,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from ruamel.yaml import YAML
 
 site = pytest.importorskip("evalkit_docs.site", reason="the documentation is not part of a wheel")
 
@@ -121,6 +122,11 @@ def test_every_code_block_parses(name):
             tomllib.loads(block.content)
         elif block.language == "python":
             ast.parse(block.content)
+        elif block.language == "yaml":
+            assert YAML(typ="safe").load(block.content)
+        elif block.language == "sh":  # needs docker, so that only its syntax is checked
+            assert all(line.startswith("docker ") for line in block.content.splitlines())
+            subprocess.run(["bash", "-n", "-c", block.content], check=True)
         else:
             assert block.language == code.CONSOLE, f"{name}: who runs a block of {block.language}?"
             assert block.content.startswith("$ "), f"{name}: {block.content}"
