@@ -86,7 +86,7 @@ def format_median(metric: Metric, score: MethodScore) -> str:
 
 
 def format_difference(metric: Metric, difference: PairedDifference, sign: float = 1.0) -> str:
-    """Format a paired difference, one decimal more: "2.10 mm (95 % interval 0.40 to 3.80)".
+    """Format a paired difference, one decimal more: "2.10 mm (99 % interval 0.40 to 3.80)".
 
     ``sign`` below zero: the difference taken the other way round.
     """
@@ -94,7 +94,7 @@ def format_difference(metric: Metric, difference: PairedDifference, sign: float 
     ends = (interval.low, interval.high) if sign >= 0.0 else (-interval.high, -interval.low)
     (text, low, high), unit = _format_alike(metric, [math.copysign(1.0, sign) * interval.value, *ends], 1)
     value = f"{text}\u00a0{unit}".rstrip()
-    return f"{value} (95\u00a0% interval {low} to {high})"
+    return f"{value} ({100 * interval.confidence:.0f}\u00a0% interval {low} to {high})"
 
 
 def format_gap(metric: Metric, value: float, best: float) -> str:

@@ -92,7 +92,7 @@ def test_draws_of_every_statistic_match_the_score(statistic, score):
 
 
 def test_runs_are_compared_by_students_t_on_their_ratios(record, build):
-    """Ratios 1.2, 1.4 and 1.6 of a median of 0.5; t(0.975, 2) = 4.3027."""
+    """Ratios 1.2, 1.4 and 1.6 of a median of 0.5; t(0.995, 2) = 9.9248."""
     values = {"a": (0.5, 0.5, 0.5), "b": (0.6, 0.7, 0.8)}
     comparison = build([
         record(who, "room", {"map_f1": v}, seed=seed) for who, own in values.items() for seed, v in enumerate(own)
@@ -100,7 +100,7 @@ def test_runs_are_compared_by_students_t_on_their_ratios(record, build):
     found = compute_difference(_of(comparison, "b", "map_f1"), _of(comparison, "a", "map_f1"))
     assert found is not None
     logs = np.log([1.2, 1.4, 1.6])
-    half = 4.3027 * logs.std(ddof=1) / math.sqrt(3)
+    half = 9.9248 * logs.std(ddof=1) / math.sqrt(3)
     expected = [0.5 * (math.exp(logs.mean() + side) - 1.0) for side in (-half, half)]
     assert [found.interval.low, found.interval.high] == pytest.approx(expected, abs=1e-4)
     assert (found.resampled, found.runs, found.within) == ("runs", 3, None)

@@ -38,7 +38,7 @@ def test_a_clear_winner_is_named_with_its_lead(record, build):
     assert (found.outcome, found.leaders, found.counts) == ("winner", ("a",), True)
     said = _verdict_text(comparison)
     assert re.search(r"a wins on ATE RMSE: 11 mm \(95 % interval \d+ to 1\d\); the runner-up, b, has 22 mm", said)
-    assert "2.0 times as much; over 3 pairs of runs, the difference is 11.0 mm (95 % interval 11.0" in said
+    assert "2.0 times as much; over 3 pairs of runs, the difference is 11.0 mm (99 % interval 11.0" in said
 
 
 def test_a_lead_that_reverses_in_one_seed_gives_no_winner(record, build):
@@ -46,9 +46,9 @@ def test_a_lead_that_reverses_in_one_seed_gives_no_winner(record, build):
     assert verdict(comparison, "room").outcome == "tied"
     assert "On ATE RMSE, a (11 mm (95 % interval " in _verdict_text(comparison)
     assert re.search(
-        r"over 3 pairs of runs, b is worse by \d+\.\d mm \(95 % interval −4\.9 to 35\.9\)", _verdict_text(comparison)
+        r"over 3 pairs of runs, b is worse by \d+\.\d mm \(99 % interval −9\.4 to 166\.2\)", _verdict_text(comparison)
     )
-    assert "which may be chance; about 10 runs of each would settle a difference of this" in _verdict_text(comparison)
+    assert "which may be chance; about 11 runs of each would settle a difference of this" in _verdict_text(comparison)
 
 
 def test_a_lead_in_every_seed_wins_even_if_the_seeds_overlap(record, build):
@@ -63,7 +63,7 @@ def test_a_winner_is_better_by_at_least_five_percent(record, build, other, outco
 
 
 def test_a_lead_of_a_millimetre_is_a_tie(record, build):
-    comparison = build([*_seeds(record, "a", [0.010, 0.011]), *_seeds(record, "b", [0.0115, 0.0125])])
+    comparison = build([*_seeds(record, "a", [0.0100, 0.0110]), *_seeds(record, "b", [0.0115, 0.01265])])
     assert verdict(comparison, "room").outcome == "tied"
     assert "are less than 5 % or 2 mm apart" in _verdict_text(comparison)
 
@@ -81,11 +81,11 @@ def test_differences_below_the_noise_of_the_relations_are_a_tie(record, build):
 
 
 def test_two_seeds_that_scatter_as_much_as_they_differ_give_no_decision(record, build):
-    """Student's t with one degree of freedom: log-ratios ln(0.80 / 0.90) and ln(0.80 / 0.92) give -0.129 +- 0.140."""
+    """Student's t with one degree of freedom: log-ratios ln(0.80 / 0.90) and ln(0.80 / 0.92) give -0.129 +- 0.700."""
     near = build([*_seeds(record, "a", [0.90, 0.92], "map_f1"), *_seeds(record, "b", [0.80, 0.80], "map_f1")])
     assert verdict(near, "room").outcome == "tied"
     assert (
-        "over 2 pairs of runs, b is worse by 0.1100 (95 % interval −0.0099 to 0.2142), which may be"
+        "over 2 pairs of runs, b is worse by 0.1100 (99 % interval −0.7004 to 0.5125), which may be"
         in _verdict_text(near)
     )
     assert "about 3 runs of each would settle a difference of this size" in _verdict_text(near)
@@ -126,7 +126,7 @@ def test_the_higher_value_wins_where_higher_is_better(record, build):
 def test_a_method_with_a_lost_run_cannot_win(record, build):
     crash = record("a", "room", {"ate_rmse_m": 0.001}, seed=1, status="crashed", reason="signal 11", answered=9)
     a = [record("a", "room", {"ate_rmse_m": 0.001}, seed=0), crash]
-    comparison = build([*a, *_seeds(record, "b", [0.02, 0.03]), *_seeds(record, "c", [0.5, 0.6])])
+    comparison = build([*a, *_seeds(record, "b", [0.02, 0.03]), *_seeds(record, "c", [0.5, 0.75])])
     assert verdict(comparison, "room").leaders == ("b",)
     assert _verdict_text(comparison).startswith("5 of 6 runs finished. Did not finish: a (1 of 2 crashed).")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evalkit.stats.paired_tests import compute_power
-from evalkit.stats.runs import MAX_RUNS, paired_runs, runs_interval
+from evalkit.stats.runs import MAX_RUNS, paired_confidence, paired_runs, runs_interval
 
 TRIALS = 1500
 
@@ -41,6 +41,15 @@ def test_equal_methods_differ_in_at_most_five_percent(kind, runs):
     assert np.mean(shown) <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / TRIALS)
 
 
+@pytest.mark.parametrize("runs", [3, 4, 5, 8])
+def test_exchanged_labels_of_unlike_methods_give_few_verdicts(runs):
+    """One method has three times the error of the other, with a spread of 50 %; labels are exchanged in each run."""
+    rng = np.random.default_rng(runs)
+    ratios = (np.log(3.0) + rng.normal(0.0, 0.5, (TRIALS, runs))) * rng.choice([-1.0, 1.0], (TRIALS, runs))
+    shown = [paired_runs(np.exp(row), np.ones(runs)).interval.excludes(0.0) for row in ratios]
+    assert np.mean(shown) <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / TRIALS)
+
+
 def test_a_lead_over_every_one_of_five_equal_methods_is_rarer_than_five_percent():
     """The best of five must lead each of the others: choosing it after the fact adds no false leads."""
     rng = np.random.default_rng(0)
@@ -69,7 +78,7 @@ def test_the_interval_of_three_runs_by_hand():
 def test_values_that_are_not_all_positive_are_compared_by_differences():
     """Differences 0.1, 0.2, 0.3: mean 0.2, standard error 0.1 / sqrt(3)."""
     found = paired_runs([0.1, 0.2, 0.3], [0.0, 0.0, 0.0])
-    half = 4.30265 * 0.1 / math.sqrt(3.0)
+    half = 9.92484 * 0.1 / math.sqrt(3.0)
     assert (found.interval.low, found.interval.high) == pytest.approx((0.2 - half, 0.2 + half), abs=1e-6)
 
 
@@ -84,7 +93,10 @@ def test_the_number_of_runs_that_settles_is_the_first_with_the_power():
     found = paired_runs(np.exp([0.0, 0.3, 0.5]), [1.0, 1.0, 1.0])
     needed = found.runs_needed()
     effect = np.mean([0.0, 0.3, 0.5]) / np.std([0.0, 0.3, 0.5], ddof=1)
-    power = [compute_power(effect * math.sqrt(runs), runs - 1) for runs in (needed - 1, needed)]
+    power = [
+        compute_power(effect * math.sqrt(runs), runs - 1, 1.0 - paired_confidence(runs))
+        for runs in (needed - 1, needed)
+    ]
     assert power[0] < 0.8 <= power[1]
     assert paired_runs([1.0, 1.0], [1.0, 1.0]).runs_needed() is None
     assert paired_runs([1.0, 1.02, 0.97], [1.0, 1.0, 1.0]).runs_needed() is None  # more than MAX_RUNS

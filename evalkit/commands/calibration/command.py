@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,6 +21,12 @@ from evalkit.io.output_files import write_texts
 from evalkit.plugins import registry
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, Out, err, out
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from evalkit.commands.calibration.coverage import Coverage, Verdicts
+    from evalkit.metrics.table import Metric
 
 app = typer.Typer(help="Measure intervals and verdicts.", no_args_is_help=True, add_completion=False)
 
@@ -72,7 +78,7 @@ def calibrate(
 
 
 def measure(experiment: Experiment, seeds: int, subsets: int, folder: Path, jobs: int | None) -> dict[str, Any]:
-    """Run the seeds and resample them: ``coverage`` and ``verdicts`` as JSON."""
+    """Run the seeds and resample them: ``coverage``, ``verdicts`` and ``failures`` as JSON."""
     import numpy as np  # noqa: PLC0415 - loaded only if something is computed
 
     from evalkit.commands.calibration import coverage, seed_runs  # noqa: PLC0415 - as above
@@ -80,27 +86,32 @@ def measure(experiment: Experiment, seeds: int, subsets: int, folder: Path, jobs
 
     results = _run_seeds(experiment, seeds, folder, jobs)
     labels = [method.label for method in experiment.methods]
-    pairs = [*combinations(labels, 2), seed_runs.DRIFTS]
-    rng = np.random.default_rng(0)
     intervals, verdicts = [], []
     for metric in (metric for metric in METRICS if metric.name in seed_runs.METRICS):
-        for world, own in results.items():
-            found = {
-                label: seed_runs.read_runs(world, label, metric.name, own) for label in (*labels, *seed_runs.DRIFTS)
-            }
-            for runs in coverage.RUNS:
-                intervals += [
-                    coverage.measure_coverage(found[label], runs, rng, subsets) for label in (*labels, "drift 1")
-                ]
-                verdicts += [
-                    coverage.measure_verdicts(metric, found[one], found[other], runs, rng, subsets)
-                    for one, other in pairs
-                ]
+        for number, (world, own) in enumerate(results.items()):
+            rng = np.random.default_rng([number, *metric.name.encode()])
+            found = [*_measure_world(metric, world, own, labels, subsets, rng)]
+            intervals += [one for one in found if isinstance(one, coverage.Coverage)]
+            verdicts += [one for one in found if isinstance(one, coverage.Verdicts)]
     return {
         "coverage": [asdict(one) for one in intervals],
         "verdicts": [asdict(one) for one in verdicts],
         "failures": coverage.find_failures(intervals, verdicts),
     }
+
+
+def _measure_world(
+    metric: Metric, world: str, results: Sequence[Mapping[str, Any]], labels: list[str], subsets: int, rng: Generator
+) -> Iterator[Coverage | Verdicts]:
+    """Resample the runs of one world in one metric."""
+    from evalkit.commands.calibration import coverage, seed_runs  # noqa: PLC0415 - loads NumPy
+
+    found = {label: seed_runs.read_runs(world, label, metric.name, results) for label in (*labels, *seed_runs.DRIFTS)}
+    for runs in coverage.RUNS:
+        for label in (*labels, seed_runs.DRIFTS[0]):
+            yield coverage.measure_coverage(found[label], runs, rng, subsets)
+        for one, other in (*combinations(labels, 2), seed_runs.DRIFTS):
+            yield coverage.measure_verdicts(metric, found[one], found[other], runs, rng, subsets)
 
 
 def _run_seeds(
@@ -113,7 +124,7 @@ def _run_seeds(
 
     for sequence in experiment.sequences:
         if not registry.dataset(sequence.dataset).seeded:
-            raise BadExperiment(sequence.label, "is a recording", "give simulated worlds, which have seeds")
+            raise BadExperiment(sequence.label, "", "is a recording; give simulated worlds, which have seeds")
     methods = [(method.label, method.backend, method.parameters) for method in experiment.methods]
     backends = [registry.plug_in_of("backends", backend).module for _, backend, _ in methods]
     tasks = {

@@ -64,7 +64,7 @@ def compute_difference(one: MethodScore, other: MethodScore) -> PairedDifference
 def separation(metric: Metric, one: MethodScore, other: MethodScore) -> Separation:
     """Return whether two scores with values differ clearly, compared run by run.
 
-    Clear: the 95 % interval of the paired difference over at least two runs excludes zero, and the difference is at
+    Clear: the interval of the paired difference over at least two runs excludes zero, and the difference is at
     least the margin.
     """
     difference = paired_runs(*_pair_runs(one, other))

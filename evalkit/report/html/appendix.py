@@ -39,7 +39,7 @@ HOW = (
     "number that other stretches of the same kind would give. Metrics that do not summarise a time series have no "
     "interval; for several runs, the lowest and the highest value are shown instead.",
     "Green: clearly better than every other method that completed every run and held the track. Shaded: no clear "
-    "difference from the best value: the 95 % interval of the paired difference over runs contains zero, or the "
+    "difference from the best value: the interval of the paired difference over runs contains zero, or the "
     "difference is below 5 % (for positions: or 2 mm), or below the accuracy of the ground truth. Single runs give no "
     "verdict. A method that kept the initial guess on more than half of the scans, or whose settings were chosen on a "
     "data set, is not ranked there.",
@@ -47,7 +47,7 @@ HOW = (
     "Click a heading to sort.",
 )
 PAIRS = (
-    "The difference on the same scans (or run by run) with its 95 % interval; above zero is worse. If the interval "
+    "The difference on the same scans (or run by run) with its interval; above zero is worse. If the interval "
     "contains zero, no difference is shown. “Detectable” is the difference that these runs detect in four cases of "
     "five; a smaller one may exist. Every row is a separate test: of twenty rows without a true difference, one may "
     "show a difference."

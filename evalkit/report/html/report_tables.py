@@ -182,9 +182,8 @@ def pairs_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes
                 cells += [DASH, Cell(one.verdict if one else "itself"), DASH]
                 continue
             bounds, metric = one.difference.interval, pairs.metric
-            value = Cell(
-                _format(metric, bounds.value), bounds.value, extent=f"95 %: {_bounds(metric, bounds.low, bounds.high)}"
-            )
+            extent = f"{100 * bounds.confidence:.0f} %: {_bounds(metric, bounds.low, bounds.high)}"
+            value = Cell(_format(metric, bounds.value), bounds.value, extent=extent)
             detectable = one.difference.detectable
             cells += [value, Cell(one.verdict), DASH if detectable is None else Cell(_format(metric, detectable))]
         rows.append([method_cell(analysis.comparison, strokes, label), *cells])
