@@ -83,6 +83,11 @@ def needed_files(name: str, drive: str = "") -> tuple[str, ...]:
     return (str(raw["path"]), *FILES[name][1:]) if raw else FILES[name]
 
 
+def recordings_of(name: str) -> tuple[str, ...]:
+    """Return the files of the catalogue that are recordings of a data set: one, or one for each of its drives."""
+    return tuple(DATASETS[name].get("drives", {}).values()) or FILES[name][:1]
+
+
 def files_of(name: str) -> tuple[str, ...]:
     """Return the files to fetch for a data set, with all its drives, or for a file of the catalogue."""
     if name not in DATASETS:

@@ -171,7 +171,18 @@ def test_an_unknown_back_end_is_named(log):
 def test_a_file_without_a_reader_lists_the_readers(tmp_path):
     with pytest.raises(BadData, match=r"nothing\.bag: no such file or folder"):
         plan(tmp_path / "nothing.bag")
-    (tmp_path / "notes.txt").write_text("")
-    for path, shown in ((tmp_path / "notes.txt", "'.txt'"), (tmp_path, f"'{tmp_path.name}'")):
+    (tmp_path / "notes.md").write_text("")
+    for path, shown in ((tmp_path / "notes.md", "'.md'"), (tmp_path, f"'{tmp_path.name}'")):
         with pytest.raises(BadData, match=f"no reader for {shown}; known readers: carmen .*rosbag"):
             plan(path)
+
+
+def test_a_log_is_recognised_by_its_content_whatever_its_suffix(tmp_path):
+    log = tmp_path / "drive.txt"
+    log.write_text("".join(f"FLASER 180 {'1.0 ' * 180}{k} 0 0 {k} 0 0 {k}.5 h {k}.5\n" for k in range(3)))
+    assert open_recording(log, {}).reader == "carmen"
+    other = tmp_path / "other.log"
+    other.write_text("1 1 1\n2 1 1\n")
+    assert open_recording(other, {}).reader == "carmen"  # by its suffix
+    (tmp_path / "other.log.toml").write_text("[time]\ncolumn = 1\n[scan]\nfirst = 2\nstep_deg = 1\n")
+    assert open_recording(other, {}).reader == "columns"

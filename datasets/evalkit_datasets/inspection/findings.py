@@ -265,7 +265,7 @@ def _check_twist(one: OdometryStats, about: str) -> Iterator[InspectionFinding]:
 
 
 def _check_frames(tree: FrameTree, streams: RecordingStreams) -> Iterator[InspectionFinding]:
-    if streams.kind == "CARMEN log":
+    if not streams.kind.endswith("bag"):
         return
     if not tree.names and streams.lasers:
         yield _warning("tf", "no transforms in it: the lidar's pose on the base is unknown",

@@ -211,7 +211,7 @@ def _find_catalogued(path: Path) -> tuple[str, tuple[str, ...]]:
                 catalog.verify(card, file)
             except (BadData, DataMissing):
                 continue
-            dataset = next((name for name, files in recorded.FILES.items() if files[0] == card.name), "")
+            dataset = next((name for name in recorded.FILES if card.name in recorded.recordings_of(name)), "")
             return dataset, card.defects
     return "", ()
 
