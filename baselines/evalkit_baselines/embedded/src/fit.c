@@ -12,6 +12,18 @@ static ek_real add_lanes(const ek_real lanes[EK_LANES])
     return total;
 }
 
+ek_real ek_fit_sum(const ek_real *weight, const ek_real *distance, size_t padded, int squared)
+{
+    ek_real sums[EK_LANES] = {EK_R(0.0)};
+    for (size_t i = 0; i < padded; i += EK_LANES) {
+        for (size_t k = 0; k < EK_LANES; k++) {
+            const ek_real once = weight[i + k] * distance[i + k];
+            sums[k] += squared ? once * distance[i + k] : once;
+        }
+    }
+    return add_lanes(sums);
+}
+
 /* The motion with rotation theta (rad) that moves point (px, py) to (qx, qy). */
 static ek_pose motion_about(ek_real px, ek_real py, ek_real qx, ek_real qy, ek_real theta)
 {

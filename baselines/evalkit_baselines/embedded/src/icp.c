@@ -215,26 +215,8 @@ static ek_real compute_error(ek_icp *icp, size_t padded, int32_t pairs, const ek
     if (lines) {
         measure_across(icp, padded);
     }
-    const ek_real *const EK_RESTRICT distance = lines ? icp->across : icp->distance;
-    const ek_real *const EK_RESTRICT weight = icp->weight;
-    ek_real sums[EK_LANES] = {EK_R(0.0)}, total = EK_R(0.0);
-    if (measure == EK_ERROR_MEAN) {
-        for (size_t i = 0; i < padded; i += EK_LANES) {
-            for (size_t k = 0; k < EK_LANES; k++) {
-                sums[k] += weight[i + k] * distance[i + k];
-            }
-        }
-    } else {
-        for (size_t i = 0; i < padded; i += EK_LANES) {
-            for (size_t k = 0; k < EK_LANES; k++) {
-                sums[k] += weight[i + k] * distance[i + k] * distance[i + k];
-            }
-        }
-    }
-    for (size_t k = 0; k < EK_LANES; k++) {
-        total += sums[k];
-    }
-    total /= (ek_real)pairs;
+    const ek_real *const distance = lines ? icp->across : icp->distance;
+    const ek_real total = ek_fit_sum(icp->weight, distance, padded, measure != EK_ERROR_MEAN) / (ek_real)pairs;
     return measure == EK_ERROR_RMSE ? EK_SQRT(total) : total;
 }
 

@@ -17,8 +17,12 @@ typedef struct {
     const ek_real *weight;  /* 1: a pair, 0: not */
 } ek_pairs;
 
+#define ek_fit_sum EK_NAME(fit_sum)
 #define ek_fit_points EK_NAME(fit_points)
 #define ek_fit_lines EK_NAME(fit_lines)
+
+/* Weighted sum of distances, or of their squares, in lanes like the other sums. */
+ek_real ek_fit_sum(const ek_real *weight, const ek_real *distance, size_t padded, int squared);
 
 /* The motion that minimises the squared distances of the pairs; the angle cannot be a reflection. Sums are taken
  * relative to (ox, oy), which should be near the points. */
