@@ -104,12 +104,17 @@ def _option(parameter: str) -> str:
 
 
 def _name_backends(text: str, everything: bool) -> list[str]:
-    """Return the named back ends, all, or those that declare themselves a default."""
+    """Return the named back ends, all, or those that declare themselves a default, which are printed."""
     words = re.findall(r"(?:\?tf=[^,]*,|[^,])+", text)  # the comma of "?tf=map,base_link" separates no names
     names = [name for word in words if (name := word.strip())]
     if names and everything:
         raise typer.BadParameter("--all: contradicts --backends")
-    return names or (registry.names("backends") if everything else defaults.find_default_backends())
+    if names or everything:
+        return names or registry.names("backends")
+    chosen = defaults.find_default_backends()
+    others = len(registry.names("backends")) - len(chosen)
+    err.print(f"{len(chosen)} methods: {', '.join(chosen)} (--all adds {others})", markup=False, highlight=False)
+    return chosen
 
 
 def _experiment_of_recording(
@@ -120,9 +125,6 @@ def _experiment_of_recording(
     choices = () if as_is else recording.choose()
     for choice in choices:
         err.print(choice.reason, markup=False, highlight=False)
-    if others := len(registry.names("backends")) - len(backends):
-        what = f"{len(backends)} methods: {', '.join(backends)} (--all adds {others} more)"
-        err.print(what, markup=False, highlight=False)
     words = ["compare", str(source)]
     words += [word for name, value in given.items() for word in (f"--{_option(name)}", value)]
     words += ["--backends", ",".join(backends), *(["--as-is"] if as_is else [])]
