@@ -80,7 +80,7 @@ def validate(
         list[str] | None,
         typer.Option(
             help="Another method, for context (repeatable).",
-            show_default="by their role",
+            show_default="by their role, quick: none",
             autocompletion=options.complete("backends"),
         ),
     ] = None,
@@ -159,7 +159,7 @@ def validate(
     request = plan.ValidationRequest(
         backend=name, given=options.settings(setting or []), reference=reference,
         given_reference=options.settings(set_reference or [], "--set-reference"),
-        peers=tuple(filter(None, defaults.find_backends_with_role("peer") if peer is None else peer)),
+        peers=tuple(filter(None, _default_peers(quick) if peer is None else peer)),
         on=tuple(on or _default_sequences(quick=quick or group == "determinism", simulated=group == "determinism")),
         seeds=seeds or (1 if quick else 3), claim=_parse_claim(claim), margin=_parse_margin(margin), noise_share=share,
         mapper=mapper, effort=replace(effort, scans=scans or effort.scans), only=group, disturbed=disturb,
@@ -285,6 +285,11 @@ def _default_sequences(quick: bool, simulated: bool) -> list[str]:
     if not chosen:
         raise NotInstalled("sequence", "no installed data set declares an excerpt", "name one with --on")
     return [shlex.join([name, *(f"{key}={value}" for key, value in excerpts[name].items())]) for name in chosen]
+
+
+def _default_peers(quick: bool) -> list[str]:
+    """The peers by their role; none in a quick validation, which they do not decide."""
+    return [] if quick else list(defaults.find_backends_with_role("peer"))
 
 
 def _choose_seed(given: int | None, folder: Path, fresh: bool) -> int:

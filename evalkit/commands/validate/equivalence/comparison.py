@@ -181,7 +181,7 @@ def count_fields(answered: Iterable[tuple[AnswerPair, Margin]], margin: MarginCh
     """The number of questions with an equal pose whose other field differs, by field.
 
     A field that the second side never reports (an error that is always nan, no trace) is not compared. Under the
-    float32 margin rounding may decide a count: there a field differs from a tenth of the questions on.
+    float32 margin rounding may decide a count: there a field differs if it does in more than a tenth of them, and more than two.
     """
     known = [(one.a, one.b, limits) for one, limits in answered if one.b is not None]
     traced = any(b.history for _, b, _ in known)
@@ -190,7 +190,7 @@ def count_fields(answered: Iterable[tuple[AnswerPair, Margin]], margin: MarginCh
         name for a, b, limits in known for name in wrong_fields(a, b, limits)
         if (traced or not name.startswith("trace")) and (errors or name != "error")
     )  # fmt: skip
-    least = 0.1 * len(known) if margin == FLOAT32 else 0.0
+    least = max(0.1 * len(known), 2.0) if margin == FLOAT32 else 0.0
     return {name: count for name, count in counts.items() if count > least}
 
 
