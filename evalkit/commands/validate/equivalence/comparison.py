@@ -181,7 +181,8 @@ def count_fields(answered: Iterable[tuple[AnswerPair, Margin]], margin: MarginCh
     """The number of questions with an equal pose whose other field differs, by field.
 
     A field that the second side never reports (an error that is always nan, no trace) is not compared. Under the
-    float32 margin rounding may decide a count: there a field differs if it does in more than a tenth of them, and more than two.
+    float32 margin rounding may decide a count: there a field differs if it does in more than a tenth of the questions,
+    and in more than two.
     """
     known = [(one.a, one.b, limits) for one, limits in answered if one.b is not None]
     traced = any(b.history for _, b, _ in known)
