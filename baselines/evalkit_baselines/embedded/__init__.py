@@ -66,7 +66,7 @@ MAPPER = MapperSpec(
 POLYGON_MAPPER = replace(
     MAPPER,
     make=partial(CompiledGrid, True),
-    summary="the same with the scan filled as a polygon: each cell inside its outline once",
+    summary="the log-odds grid in C99 with each scan filled as a polygon: every cell inside its outline once",
     citation=CITATION,
     parameters=mapper.POLYGON_PARAMETERS,
 )
