@@ -37,9 +37,7 @@ def compute_pills(
     runs = comparison.records
     pills = [
         *(_describe_degenerate(comparison, sequence) for sequence in sequences if sequence.card.degenerate),
-        *_group(
-            "lost the track on", _find_lost(run for run in runs if not comparison.sequences[run.sequence].degenerate)
-        ),
+        *_group("lost the track on", _find_lost(sequences)),
         *_group("did not finish", _find_broken(runs)),
         _describe_load(runs),
         *_describe_tuned(comparison, sequences),
@@ -76,17 +74,13 @@ def _describe_degenerate(comparison: Comparison, sequence: SequenceAnalysis) -> 
     return Pill(f"{sequence.label} is degenerate: not counted")
 
 
-def _find_lost(runs: Iterable[RunRecord]) -> dict[str, list[str]]:
-    """Return the sequences on which a method lost the track, with the time of the first loss."""
-    times: dict[tuple[str, str], float] = {}
-    for run in runs:
-        lost = run.scores.lost
-        if lost is not None:
-            place = run.method, run.sequence
-            times[place] = min(times.get(place, lost.at_s), lost.at_s)
+def _find_lost(sequences: Iterable[SequenceAnalysis]) -> dict[str, list[str]]:
+    """Return the sequences on which a method lost the track, with the time, where the geometry does not explain it."""
     grouped: dict[str, list[str]] = {}
-    for (method, sequence), at_s in times.items():
-        grouped.setdefault(method, []).append(f"{sequence} (at {at_s:.0f} s)")
+    for sequence in sequences:
+        for score in sequence.deciding.scores if sequence.deciding and not sequence.card.degenerate else ():
+            if score.lost is not None:
+                grouped.setdefault(score.method, []).append(f"{sequence.label} (at {score.lost.at_s:.0f} s)")
     return grouped
 
 
