@@ -27,10 +27,12 @@ def test_a_planted_difference_is_the_first_one_named_and_the_correct_library_has
         assert re.search(NAMES[number], texts[0]), texts
 
 
-@pytest.mark.parametrize(("number", "rule"), [(0, ""), (1, "memory"), (14, "buffers"), (15, "bounds"), (12, "folder")])
+@pytest.mark.parametrize(
+    ("number", "rule"), [(0, ""), (1, "memory"), (14, "buffers"), (15, "bounds"), (12, "folder"), (86, "few-points")]
+)
 def test_a_planted_fault_of_state_or_resources_breaks_its_rule(number, rule, tmp_path):
     backend = examination.build(number, tmp_path, "-O2")
-    chosen = (rule,) if rule else ("memory", "buffers", "bounds", "folder", "floating-point")
+    chosen = (rule,) if rule else ("memory", "buffers", "bounds", "folder", "few-points")
     broken = {one.rule for one in runner.check(backend, only=chosen).broken}
     assert broken - {"alive"} == ({rule} if rule else set())
 

@@ -113,6 +113,8 @@ def _survives(
         try:
             match = fixture.shared.register(target, source, guess)
         except Exception as error:  # noqa: BLE001 - a back end may refuse with any exception
+            if "not finite" in str(error):
+                raise RuleBroken(f"{name}: {format_exception(error)}") from error
             refused.append(f"{name}: {format_exception(error)}")
             continue
         try:
