@@ -11,7 +11,7 @@ from evalkit.metrics.table import Metric
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import decided_by_maps
 from evalkit.report.analysis.pills import Pill, compute_pills
-from evalkit.report.analysis.ranking import Ranking
+from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.verdict import LED, SequenceVerdict
@@ -130,9 +130,15 @@ def compute_answer(
 
 
 def _find_contest(sequence: SequenceAnalysis, verdict: SequenceVerdict) -> Contest | None:
-    """Return the contest on a sequence; None if it has no verdict, or fewer than two methods count there."""
+    """Return the contest on a sequence; None if it has no verdict, or fewer than two methods count there.
+
+    A sequence on which some methods are undecided and none is worse has no verdict.
+    """
     ranking = sequence.deciding
     if ranking is None or verdict.outcome not in LED:
+        return None
+    marks = {mark(ranking, score.method) for score in ranking.ranked}
+    if "undecided" in marks and "worse" not in marks and not decided_by_maps(ranking):
         return None
     left_out = tuple(score.method for score in ranking.scores if score.tuned and score.values)
     return Contest(sequence.label, ranking, ranking.ranked, verdict.leaders, left_out) if verdict.leaders else None

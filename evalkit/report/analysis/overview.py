@@ -41,10 +41,12 @@ def _describe_wins(counted: Sequence[SequenceVerdict]) -> str:
     if not counted:
         return "No sequence has both ground truth and repeated runs to compare, so there is no overall winner."
     parts = [f"{method} wins {len(where)} ({', '.join(where)})" for method, where in _group_leads(counted, "winner")]
-    tied = [verdict.sequence for verdict in counted if verdict.outcome == "tied"]
-    if tied:
-        where = "1 sequence" if len(tied) == 1 else f"{len(tied)} sequences"
-        parts.append(f"the best methods are statistically tied on {where} ({', '.join(tied)})")
+    tied = [verdict.sequence for verdict in counted if verdict.outcome == "tied" and len(verdict.leaders) > 1]
+    undecided = [verdict.sequence for verdict in counted if verdict.outcome == "tied" and len(verdict.leaders) == 1]
+    for words, where in (("the best methods are statistically tied", tied), ("too few runs show a leader", undecided)):
+        if where:
+            count = "1 sequence" if len(where) == 1 else f"{len(where)} sequences"
+            parts.append(f"{words} on {count} ({', '.join(where)})")
     count = "the one sequence" if len(counted) == 1 else f"the {len(counted)} sequences"
     return f"Over {count} with ground truth and a geometry that determines the pose, {join_words(parts)}."
 
@@ -66,6 +68,7 @@ def _describe_reference(label: str, sequences: Sequence[SequenceAnalysis], verdi
     }
     groups: tuple[tuple[str, Mark], ...] = (
         ("loses", "worse"), ("lost the track on", "lost"), ("is not comparable on", "not comparable"),
+        ("has too few runs to tell on", "undecided"),
         ("is tied with the best on", "tied"), ("wins", "best"),
     )  # fmt: skip
     found = [(verb, [where for where, standing in marks.items() if standing == wanted]) for verb, wanted in groups]

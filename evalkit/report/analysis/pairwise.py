@@ -15,6 +15,10 @@ from evalkit.stats.runs import PairedRuns, paired_runs
 RELATIONS_FLOOR = {"m": 0.03, "deg": 0.4, "°": 0.4}
 """Accuracy of the published relations themselves, by unit."""
 
+NEAR_SHARE = 0.25
+"""Two methods are tied only if their medians differ by at most this share of the better one: a larger difference that
+the runs do not show is undecided."""
+
 MARGIN_SHARE = 0.05
 MARGIN_M = 0.002
 """A smaller difference does not matter: a share of the better value, and metres for positions."""
@@ -78,6 +82,16 @@ def separation(metric: Metric, one: MethodScore, other: MethodScore) -> Separati
     medians = (median(one.values), median(other.values))
     better = max(medians) if metric.better == "higher" else min(medians)
     return "within the margin" if size < margin(metric, better) else "clear"
+
+
+def is_tied(metric: Metric, one: MethodScore, other: MethodScore) -> bool:
+    """Return whether two scores with values are close enough to be called tied, and no difference is shown."""
+    apart = separation(metric, one, other)
+    if apart != "not shown":
+        return apart in ("within the noise floor", "within the margin")
+    medians = (median(one.values), median(other.values))
+    better = max(medians) if metric.better == "higher" else min(medians)
+    return abs(medians[0] - medians[1]) <= max(NEAR_SHARE * abs(better), margin(metric, better))
 
 
 def noise_floor(metric: Metric) -> float:

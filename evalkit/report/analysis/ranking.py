@@ -11,7 +11,7 @@ from evalkit.metrics.series import SERIES
 from evalkit.metrics.table import Group, Metric
 from evalkit.report.analysis.bootstrap import RecordBootstrap
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.pairwise import PairedDifference, Separation, compute_difference, separation
+from evalkit.report.analysis.pairwise import PairedDifference, Separation, compute_difference, is_tied, separation
 from evalkit.report.analysis.scores import DECIDING, MethodScore, compute_score
 from evalkit.results.run_record import RunRecord
 
@@ -25,7 +25,7 @@ WHY_NOT_CLEAR: Mapping[Separation, str] = {
     "not shown": "no difference shown",
 }
 
-Mark = Literal["best", "tied", "worse", "lost", "not comparable"]
+Mark = Literal["best", "tied", "undecided", "worse", "lost", "not comparable"]
 """How a method stands in one metric of one sequence, for every output."""
 
 MAX_LONG_M = 1.0
@@ -55,6 +55,12 @@ class Ranking:
         return sum(len(score.values) > 1 for score in self.ranked) > 1
 
     @property
+    def near(self) -> tuple[MethodScore, ...]:
+        """The best, and those without a clear difference from it that are close to it: they are called tied."""
+        first, rest = self.tied[:1], self.tied[1:]
+        return (*first, *(score for score in rest if is_tied(self.metric, first[0], score)))
+
+    @property
     def winner(self) -> MethodScore | None:
         """The method clearly better than every other ranked one; None for a tie or a single ranked method."""
         return self.tied[0] if len(self.tied) == 1 and len(self.ranked) > 1 else None
@@ -72,9 +78,10 @@ class Ranking:
 def mark(ranking: Ranking, method: str) -> Mark:
     """Return how a method stands in a ranking: the one rule for page, terminal and exports.
 
-    "best": clearly better than every other ranked method. "tied": no clear difference from the best value. "worse":
-    clearly worse than the best value. "lost": it lost the track. "not comparable": no complete value, a single run, a
-    single method, settings chosen on this data set, no better direction, or a sequence without a ranking.
+    "best": clearly better than every other ranked method. "tied": the best value, or close to it without a clear
+    difference. "undecided": farther from it, but these runs do not show the difference. "worse": clearly worse than the
+    best value. "lost": it lost the track. "not comparable": no complete value, a single run, a single method, settings
+    chosen on this data set, no better direction, or a sequence without a ranking.
     """
     score = ranking.of(method)
     if score is not None and score.lost is not None:
@@ -84,7 +91,9 @@ def mark(ranking: Ranking, method: str) -> Mark:
     if ranking.winner is score:
         return "best"
     if score in ranking.tied:
-        return "not comparable" if separation(ranking.metric, ranking.ranked[0], score) == "one run" else "tied"
+        if separation(ranking.metric, ranking.ranked[0], score) == "one run":
+            return "not comparable"
+        return "tied" if score in ranking.near else "undecided"
     return "worse"
 
 

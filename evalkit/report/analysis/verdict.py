@@ -129,7 +129,7 @@ def _find_outcome(sequence: SequenceAnalysis) -> Outcome:
 def _find_leaders(sequence: SequenceAnalysis, ranking: Ranking) -> tuple[str, ...]:
     if decided_by_maps(ranking) and ranking.winner is None:
         return sequence.map_agreement.agreed
-    return tuple(score.method for score in ranking.tied)
+    return tuple(score.method for score in ranking.near)
 
 
 def _describe_outcome(sequence: SequenceAnalysis, ranking: Ranking, outcome: Outcome) -> str:
@@ -160,9 +160,12 @@ def _describe_leaders(ranking: Ranking, outcome: Outcome) -> str:
         verb = "wins" if metric.group in WITH_TRUTH else "is ahead"
         return f"{ranked[0].method} {verb} on {metric.label}: {_describe_lead(ranking)}."
     pair = join_words(f"{score.method} ({format_median(metric, score)})" for score in ranking.tied[:2])
-    rest = join_words(score.method for score in ranking.tied[2:])
-    others = f" Also tied with the first: {rest}." if ranking.tied[2:] else ""
-    return f"On {metric.label}, {pair} are tied: {_describe_tie(ranking)}.{others}"
+    how = "are tied" if ranking.tied[1] in ranking.near else "are not told apart by these runs"
+    near = [score.method for score in ranking.tied[2:] if score in ranking.near]
+    untold = [score.method for score in ranking.tied[2:] if score not in ranking.near]
+    others = f" Also tied with the first: {join_words(near)}." if near else ""
+    others += f" Nor told apart from it: {join_words(untold)}." if untold else ""
+    return f"On {metric.label}, {pair} {how}: {_describe_tie(ranking)}.{others}"
 
 
 def _describe_disagreement(agreement: MapAgreement) -> str:
@@ -262,7 +265,7 @@ def _reference_clause(label: str, ranking: Ranking) -> str:
         return f"{label} {'loses' if truth else 'is behind'}, with {figures}: {format_gap(ranking.metric, own, best)}"
     if score is first:
         return f"{label} has the best value, but not by a clear difference"
-    return f"{label} is tied with the best, {first.method}"
+    return f"{label} is {'tied with' if standing == 'tied' else 'not told apart from'} the best, {first.method}"
 
 
 def _explain_unranked(score: MethodScore | None) -> str:

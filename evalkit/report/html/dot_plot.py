@@ -130,6 +130,7 @@ def _mark(panel: _Panel, score: MethodScore) -> tuple[str, str]:
         return "settings chosen here: not counted", "tuned"
     words = {
         "best": ("best", "tied"), "tied": ("tied with the best", "tied"), "worse": ("worse than the best", ""),
+        "undecided": ("too few runs to tell it from the best", "unranked"),
         "lost": ("lost the track", "lost"), "not comparable": ("not comparable", "unranked"),
     }  # fmt: skip
     return words[mark(panel.ranking, score.method)]

@@ -43,7 +43,14 @@ def runs_anchor(number: int, place: int) -> str:
     return f"sequence-{number}-runs-{place}"
 
 
-TONES: Mapping[Mark, Tone] = {"best": "good", "tied": "tied", "worse": "", "lost": "bad", "not comparable": ""}
+TONES: Mapping[Mark, Tone] = {
+    "best": "good",
+    "tied": "tied",
+    "undecided": "",
+    "worse": "",
+    "lost": "bad",
+    "not comparable": "",
+}
 
 
 def score_cell(ranking: Ranking, score: MethodScore | None, link: str = "") -> Cell:
