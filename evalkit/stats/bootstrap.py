@@ -176,7 +176,9 @@ def _draw_statistic(values: Floats, statistic: Statistic, block: int, rng: np.ra
     if statistic == "rms":
         return np.sqrt(np.maximum(draw_block_means(values**2, block, rng), 0.0))
     means = draw_block_means(values, block, rng)
-    return means if statistic == "mean" else 1.0 / means
+    if statistic == "mean":
+        return means
+    return np.divide(1.0, means, out=np.zeros_like(means), where=means != 0.0)  # as the statistic itself
 
 
 def _draw_starts(count: int, block: int, rng: np.random.Generator, draws: int) -> Ints:

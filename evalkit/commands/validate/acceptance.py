@@ -126,7 +126,7 @@ class AcceptanceReport:
         """One sentence (or two): the claim holds, or where it first fails."""
         if self.passed:
             passed = [level for level in self.levels if level.outcome(self.claim) == "passed"]
-            levels = ", ".join(f"{level.number} {level.name}" for level in passed)
+            levels = ", ".join(level.name for level in passed)
             if not self.reference:
                 return f"{self.subject} passes every level that was run ({levels})"
             if self.claim == "equal":

@@ -212,7 +212,7 @@ def test_parameters_are_passed_to_the_back_end():
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("SOUND", "--rule", "wall"), 0, "faulty_backends:SOUND passes every level that was run (0 rules)"),
+        (("SOUND", "--rule", "wall"), 0, "faulty_backends:SOUND passes every level that was run (rules)"),
         (("PARAMETERISED", "--rule", "starts", "--set", "stop=13"), 1, "2 of 3 rules broken"),
         (("PARAMETERISED", "--only", "rules", "--set", "stop=x"), 2, "parameter 'stop': found 'x', expected"),
         (("MISSING", "--only", "rules"), 2, "cannot be checked here; not installed: pip install nothing"),
