@@ -4,7 +4,8 @@ A track is lost where its motion over a window differs from a reference by more 
 path, or by ``MAX_TURN`` and ``MAX_SHARE`` of the turns: far beyond the drift of a working method. References, as far
 as they exist: the true trajectory, the relations, the wheel odometry. The odometry may be wrong itself (slip, a lifted
 robot), so a difference from it counts only where the scans at both ends of the window fit the odometry better. Without
-all three, long steps count where the scans fit the motion before them better.
+all three, long steps count where the scans fit the motion before them better. Measured references have wrong entries:
+a window or a relation does not count where the scans fit the estimate better.
 """
 
 from __future__ import annotations
@@ -64,16 +65,48 @@ def find_lost_track(evidence: Evidence, frames: Callable[[], Iterable[Frame]]) -
     if len(estimate) < 2:
         return None
     described: list[LostTrack] = []
+    differences: list[_Difference] = []
     known = 0
     if truth.trajectory is not None:
         tracks = _make_tracks(estimate, truth.trajectory)
         known = len(tracks.stamps_ns)
-        found = [*islice(_find_windows(tracks), 1), *islice(_find_long_windows(tracks), 1)]
-        described += [_describe(estimate, tracks, *window, "the ground truth") for window in found]
+        long = islice(_find_long_windows(tracks), 1)
+        described += [_describe(estimate, tracks, *window, "the ground truth") for window in long]
+        differences += [_compare(estimate, tracks, *window) for window in islice(_find_windows(tracks), MAX_JUDGED)]
     if known < MIN_KNOWN * len(estimate):
-        described += [] if truth.relations is None else _find_wrong_relation(estimate, truth.relations)
+        differences += [] if truth.relations is None else _find_wrong_relations(estimate, truth.relations)
         described += _find_contradicted_by_scans(estimate, evidence.odometry, frames)
+    described += _find_supported(differences, frames)
     return min(described, key=lambda lost: lost.at_s, default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Difference:
+    """A motion (3,) of the estimate between two scans beside that of a measured reference, and what it would mean."""
+
+    first_ns: int
+    last_ns: int
+    own: Floats
+    reference: Floats
+    lost: LostTrack
+
+
+def _compare(estimate: Trajectory, tracks: _Tracks, first: int, last: int) -> _Difference:
+    own, reference = (se2.between(poses[first], poses[last]) for poses in (tracks.estimate, tracks.reference))
+    described = _describe(estimate, tracks, first, last, "the ground truth")
+    return _Difference(int(tracks.stamps_ns[first]), int(tracks.stamps_ns[last]), own, reference, described)
+
+
+def _find_supported(differences: list[_Difference], frames: Callable[[], Iterable[Frame]]) -> list[LostTrack]:
+    """The first difference, of the first ``MAX_JUDGED``, that the scans do not decide in favour of the estimate."""
+    judged = sorted(differences, key=lambda one: one.lost.at_s)[:MAX_JUDGED]
+    points = _collect_points(frames, {stamp for one in judged for stamp in (one.first_ns, one.last_ns)})
+    for one in judged:
+        target, source = (points.get(stamp, NO_POINTS) for stamp in (one.first_ns, one.last_ns))
+        own, reference = (_fit(target, source, motion) for motion in (one.own, one.reference))
+        if own < max(MIN_FIT, reference + MIN_BETTER):
+            return [one.lost]
+    return []
 
 
 Window = tuple[int, int]
@@ -160,8 +193,8 @@ def _find_long_windows(tracks: _Tracks) -> Iterator[Window]:
     yield from ((int(first[end]), int(end)) for end in np.flatnonzero(wrong))
 
 
-def _find_wrong_relation(estimate: Trajectory, relations: Relations) -> list[LostTrack]:
-    """The first relation that the estimate misses by the limits of a window, or a long one by its share of the path."""
+def _find_wrong_relations(estimate: Trajectory, relations: Relations) -> list[_Difference]:
+    """The relations that the estimate misses by the limits of a window, or long ones by their share of the path."""
     motions, covered = compute_estimated_motions(estimate, relations)
     metres, turn = symmetric_errors(motions, relations.first_from_second[covered]).T
     ends = np.sort(np.stack([relations.first_ns[covered], relations.second_ns[covered]], axis=1), axis=1)
@@ -170,13 +203,23 @@ def _find_wrong_relation(estimate: Trajectory, relations: Relations) -> list[Los
     short = np.diff(ends, axis=1)[:, 0] <= WINDOW_S * 1e9
     too_far = metres > np.where(short, MAX_M, np.maximum(LONG_M, path) * MAX_LONG_SHARE)
     wrong = np.flatnonzero(too_far | (short & (turn > MAX_TURN)))
-    if not len(wrong):
-        return []
-    one = int(wrong[np.argmin(ends[wrong, 1])])
-    begin_s, end_s = (ends[one] - estimate.stamps_ns[0]) * 1e-9
-    where = f"from {begin_s:.1f} s to {end_s:.1f} s"
-    away = f"{metres[one]:.2f} m and {np.degrees(turn[one]):.0f} deg"
-    return [LostTrack(float(end_s), f"{where}, {away} away from the measured relation")]
+    wrong = wrong[np.argsort(ends[wrong, 1], kind="stable")][:MAX_JUDGED]
+    differences = []
+    for one in wrong.tolist():
+        begin_s, end_s = (ends[one] - estimate.stamps_ns[0]) * 1e-9
+        where = f"from {begin_s:.1f} s to {end_s:.1f} s"
+        away = f"{metres[one]:.2f} m and {np.degrees(turn[one]):.0f} deg"
+        lost = LostTrack(float(end_s), f"{where}, {away} away from the measured relation")
+        first = _nearest(estimate.stamps_ns, int(relations.first_ns[covered][one]))
+        second = _nearest(estimate.stamps_ns, int(relations.second_ns[covered][one]))
+        measured = relations.first_from_second[covered][one]
+        differences.append(_Difference(first, second, motions[one], measured, lost))
+    return differences
+
+
+def _nearest(stamps_ns: Stamps, stamp_ns: int) -> int:
+    """Return the stamp (N,) nearest to a time."""
+    return int(stamps_ns[np.argmin(np.abs(stamps_ns - stamp_ns))])
 
 
 def _find_contradicted_by_scans(

@@ -147,6 +147,25 @@ def test_relations_judge_a_track_without_a_true_trajectory():
         assert (lost and lost.at_s) == (expected and pytest.approx(expected))
 
 
+@pytest.mark.parametrize("reference", ["trajectory", "relation"])
+def test_a_reference_that_the_scans_refute_does_not_make_a_track_lost(reference):
+    true = walk()
+    wrong = with_jump(true, 70, [0.0, 0.0, np.radians(50.0)])
+    stamps = np.arange(len(true)) * 100_000_000 + 5_000_000_000
+    relation = Relations(stamps[60:61], stamps[80:81], se2.between(wrong[60:61], wrong[80:81]))
+    if reference == "trajectory":
+        wrong_truth, true_truth = (Truth("survey", Trajectory(stamps, poses)) for poses in (wrong, true))
+    else:
+        right = Relations(stamps[60:61], stamps[80:81], se2.between(true[60:61], true[80:81]))
+        wrong_truth, true_truth = Truth("survey", relations=relation), Truth("survey", relations=right)
+    steps = np.zeros(len(true), dtype=STEP)
+    steps["stamp_ns"] = stamps
+    for poses, truth, expected in ((true, wrong_truth, False), (wrong, true_truth, True)):
+        steps["x"], steps["y"], steps["theta"] = poses.T
+        lost = find_lost_track(Evidence(RunResult(steps, len(steps)), truth), lambda: frames(stamps, true, None))
+        assert (lost is not None) == expected
+
+
 def test_a_run_of_one_scan_is_not_lost_and_a_loss_has_a_reason():
     assert judge("truth", np.zeros((1, 3)), np.zeros((1, 3))) is None
     with pytest.raises(ValueError, match="expected a finite time and a reason"):

@@ -15,6 +15,9 @@ from evalkit.report.analysis.verdict import SequenceVerdict
 from evalkit.report.formatting import join_words
 from evalkit.results.run_record import RunRecord
 
+MAX_NAMED = 4
+"""More methods than these are counted, not named."""
+
 MAX_OF_A_KIND = 2
 """Methods with a pill of their own for one kind of failure."""
 
@@ -95,7 +98,8 @@ def _find_broken(runs: Iterable[RunRecord]) -> dict[str, list[str]]:
 def _group(what: str, found: Mapping[str, Sequence[str]]) -> list[Pill]:
     """Return one pill per method; of more than two methods one with their names, of many sequences the number."""
     if len(found) > MAX_OF_A_KIND:
-        return [Pill(f"{len(found)} methods {what} a sequence: {', '.join(found)}")]
+        names = f": {', '.join(found)}" if len(found) <= MAX_NAMED else ""
+        return [Pill(f"{len(found)} methods {what} a sequence{names}")]
     return [
         Pill(f"{method} {what} {join_words(where) if len(where) < 4 else f'{len(where)} sequences'}")
         for method, where in found.items()
