@@ -31,11 +31,10 @@ class Plots:
         valued = table[table["median"].notna()]
         known = list(dict.fromkeys(valued["metric"]))
         headline = [one["name"] for one in self._results.content["metrics"] if one["headline"] and one["name"] in known]
-        if metric is None:
-            metric = next(iter(headline or known), "")
-        if metric not in known:
-            raise UnknownName("metric", metric, known)
-        rows = valued[valued["metric"] == metric]
+        name: str = metric or next(iter(headline or known), "")
+        if name not in known:
+            raise UnknownName("metric", name, known)
+        rows = valued[valued["metric"] == name]
         methods = [label for label in self._results.methods if label in set(rows["method"])]
         sequences = list(dict.fromkeys(rows["sequence"]))
         figure, axes = _panels(len(sequences), height=0.6 + 0.3 * len(methods), shared=True)
@@ -44,8 +43,8 @@ class Plots:
             heights = [methods.index(label) for label in own["method"]]
             panel.hlines(heights, own["low_95"], own["high_95"], color="0.6")
             panel.plot(own["median"], heights, "o")
-            unit = self._results.units[metric]
-            panel.set(title=sequence, xlabel=f"{metric} [{unit}]" if unit else metric)
+            unit = self._results.units[name]
+            panel.set(title=sequence, xlabel=f"{name} [{unit}]" if unit else name)
         axes[0].set_yticks(range(len(methods)), methods)
         axes[0].invert_yaxis()
         return figure

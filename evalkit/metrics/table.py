@@ -119,7 +119,7 @@ def make_metrics(
     KeyError for a metric without a card or a card without a function.
     """
     content: dict[str, dict[str, Any]] = tomllib.loads(
-        files(__package__).joinpath("cards", f"{family}.toml").read_text(encoding="utf-8")
+        files("evalkit.metrics").joinpath("cards", f"{family}.toml").read_text(encoding="utf-8")
     )
     shared = content.pop("*", {})
     if unknown := content.keys() - functions.keys():

@@ -155,16 +155,21 @@ def _load_point(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:
     if _needs_trial_import(point) and (reason := _import_failure(point.module)):
         raise NotInstalled(name, f"its plug-in {point.value} does not load ({reason})", "repair or remove its package")
     try:
-        spec = point.load()
+        spec = _as_spec(point.load(), wanted)
     except Exception as error:  # third-party code may raise anything; the other plug-ins stay usable
         raise NotInstalled(
             name, f"its plug-in {point.value} does not load ({error})", "reinstall its package"
         ) from error
-    if isinstance(spec, type) and wanted is BackendSpec:
-        spec = spec_of_class(spec) or spec
     if not isinstance(spec, wanted):
         raise NotInstalled(name, f"{point.value} is a {type(spec).__name__}", f"expected a {wanted.__name__}")
     return spec
+
+
+def _as_spec(loaded: object, wanted: type[Spec]) -> object:
+    """Return the spec of a class that is a back end itself, anything else as it is."""
+    if isinstance(loaded, type) and wanted is BackendSpec:
+        return spec_of_class(loaded) or loaded
+    return loaded
 
 
 def _needs_trial_import(point: EntryPoint) -> bool:

@@ -134,12 +134,14 @@ def spec_of_class(made: type) -> BackendSpec | None:
 
     The summary is the first line of its docstring; its parameters are the fields that it declares with ``parameter``.
     """
-    kind = RegistrationSpec if hasattr(made, "register") else OdometrySpec if hasattr(made, "update") else None
-    if kind is None:
-        return None
+    make: Callable[..., Any] = made
     summary = (made.__doc__ or made.__name__).strip().splitlines()[0]
     parameters = declared_parameters(made) if is_dataclass(made) else ()
-    return kind(made, summary, NOT_STATED, NOT_STATED, parameters=parameters)
+    if hasattr(made, "register"):
+        return RegistrationSpec(make, summary, NOT_STATED, NOT_STATED, parameters=parameters)
+    if hasattr(made, "update"):
+        return OdometrySpec(make, summary, NOT_STATED, NOT_STATED, parameters=parameters)
+    return None
 
 
 @dataclass(frozen=True)

@@ -96,11 +96,11 @@ def headline_table(analysis: Analysis, sequence: SequenceAnalysis, number: int, 
     comparison = analysis.comparison
     rankings = [sequence.rankings[metric.name] for metric in headline_metrics(sequence)]
     present = [one for one in rankings if one.has_values]
-    repeated = any(len(own) > 1 or not own[0].result.is_complete for own in sequence.runs.values())
+    repeated = any(len(own) != 1 or not own[0].result.is_complete for own in sequence.runs.values())
     places = {label: place for place, label in enumerate(comparison.methods, start=1)}
     rows = []
     for label in by_rank(sequence):
-        behind = (("worse than the baseline", "warn"),) if sequence.is_behind(label) else ()
+        behind: list[tuple[str, Tone]] = [("worse than the baseline", "warn")] if sequence.is_behind(label) else []
         link = f"#{runs_anchor(number, places[label])}"
         cells = [score_cell(one, one.of(label), link) for one in present]
         success = [success_cell(sequence.runs[label])] if repeated else []

@@ -92,16 +92,17 @@ def _clear(rng: np.random.Generator) -> Iterator[DrawnQuestion]:
 def _sizes(rng: np.random.Generator, quick: bool) -> Iterator[DrawnQuestion]:
     sizes = QUICK_SIZES if quick else SIZES
     shapes = [*((150, n) for n in sizes), *((n, 60) for n in sizes), *LARGE]
-    for targets, sources in shapes:
-        pair = drawn_pair(rng, targets, sources)
-        what = f"{targets} targets, {sources} sources"
+    pairs = [
+        (f"{targets} targets, {sources} sources", drawn_pair(rng, targets, sources)) for targets, sources in shapes
+    ]
+    for what, pair in pairs:
         yield _ask("sizes", what, pair.target.points, pair.source.points, pair.guess)
-    none = np.zeros((0, 2))
+    none, last = np.zeros((0, 2)), pairs[-1][1]
     for what, target, source in (
-        ("no source", pair.target.points[:99], none),
-        ("no target", none, pair.source.points[:9]),
+        ("no source", last.target.points[:99], none),
+        ("no target", none, last.source.points[:9]),
     ):
-        yield _ask("sizes", what, target, source, pair.guess)
+        yield _ask("sizes", what, target, source, last.guess)
 
 
 def _scales(rng: np.random.Generator, shared: Shared) -> Iterator[DrawnQuestion]:
