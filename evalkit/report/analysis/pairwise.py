@@ -84,9 +84,8 @@ def separation(metric: Metric, one: MethodScore, other: MethodScore) -> Separati
     return "within the margin" if size < margin(metric, better) else "clear"
 
 
-def is_tied(metric: Metric, one: MethodScore, other: MethodScore) -> bool:
-    """Return whether two scores with values are close enough to be called tied, and no difference is shown."""
-    apart = separation(metric, one, other)
+def is_tied(metric: Metric, apart: Separation, one: MethodScore, other: MethodScore) -> bool:
+    """Return whether two scores with values and this ``separation`` are close enough to be called tied."""
     if apart != "not shown":
         return apart in ("within the noise floor", "within the margin")
     medians = (median(one.values), median(other.values))

@@ -37,8 +37,9 @@ class Ranking:
     """One metric over one sequence.
 
     ``scores``: of all methods. ``ranked``: the rankable ones, best first. ``tied``: the best and those that do not
-    differ clearly from it. ``why_tied``: the reason of the first tie, "clear" without a tie. ``comparable``: False if
-    the geometry does not determine the pose, or the map metrics that decide disagree.
+    differ clearly from it. ``near``: those of them that are close to the best; they are called tied. ``why_tied``: the
+    reason of the first tie, "clear" without a tie. ``comparable``: False if the geometry does not determine the pose,
+    or the map metrics that decide disagree.
     """
 
     sequence: str
@@ -46,6 +47,7 @@ class Ranking:
     scores: tuple[MethodScore, ...]
     ranked: tuple[MethodScore, ...]
     tied: tuple[MethodScore, ...]
+    near: tuple[MethodScore, ...]
     why_tied: Separation
     comparable: bool = True
 
@@ -53,12 +55,6 @@ class Ranking:
     def repeated(self) -> bool:
         """Whether the ranked methods ran more than once: only then are there a winner and ties."""
         return sum(len(score.values) > 1 for score in self.ranked) > 1
-
-    @property
-    def near(self) -> tuple[MethodScore, ...]:
-        """The best, and those without a clear difference from it that are close to it: they are called tied."""
-        first, rest = self.tied[:1], self.tied[1:]
-        return (*first, *(score for score in rest if is_tied(self.metric, first[0], score)))
 
     @property
     def winner(self) -> MethodScore | None:
@@ -176,7 +172,8 @@ def _compute_ranking(
     sequence = next(iter(runs.values()))[0].sequence
     tied = (*ranked[:1], *(score for score, _ in ties))
     comparable = not comparison.sequences[sequence].degenerate
-    return Ranking(sequence, metric, scores, ranked, tied, ties[0][1] if ties else "clear", comparable)
+    near = (*ranked[:1], *(score for score, why in ties if is_tied(metric, why, ranked[0], score)))
+    return Ranking(sequence, metric, scores, ranked, tied, near, ties[0][1] if ties else "clear", comparable)
 
 
 def _compute_entry(ranking: Ranking, score: MethodScore, reference: str) -> PairwiseEntry | None:
