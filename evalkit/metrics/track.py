@@ -72,7 +72,8 @@ def find_lost_track(evidence: Evidence, frames: Callable[[], Iterable[Frame]]) -
         known = len(tracks.stamps_ns)
         long = islice(_find_long_windows(tracks), 1)
         described += [_describe(estimate, tracks, *window, "the ground truth") for window in long]
-        differences += [_compare(estimate, tracks, *window) for window in islice(_find_windows(tracks), MAX_JUDGED)]
+        windows = islice(_find_windows(tracks), MAX_JUDGED)
+        differences += [_compare(estimate, tracks, *window, "the ground truth") for window in windows]
     if known < MIN_KNOWN * len(estimate):
         differences += [] if truth.relations is None else _find_wrong_relations(estimate, truth.relations)
         described += _find_contradicted_by_scans(estimate, evidence.odometry, frames)
@@ -91,22 +92,27 @@ class _Difference:
     lost: LostTrack
 
 
-def _compare(estimate: Trajectory, tracks: _Tracks, first: int, last: int) -> _Difference:
+def _compare(estimate: Trajectory, tracks: _Tracks, first: int, last: int, name: str) -> _Difference:
     own, reference = (se2.between(poses[first], poses[last]) for poses in (tracks.estimate, tracks.reference))
-    described = _describe(estimate, tracks, first, last, "the ground truth")
+    described = _describe(estimate, tracks, first, last, name)
     return _Difference(int(tracks.stamps_ns[first]), int(tracks.stamps_ns[last]), own, reference, described)
 
 
 def _find_supported(differences: list[_Difference], frames: Callable[[], Iterable[Frame]]) -> list[LostTrack]:
     """The first difference, of the first ``MAX_JUDGED``, that the scans do not decide in favour of the estimate."""
     judged = sorted(differences, key=lambda one: one.lost.at_s)[:MAX_JUDGED]
-    points = _collect_points(frames, {stamp for one in judged for stamp in (one.first_ns, one.last_ns)})
-    for one in judged:
+    fits = _measure_fits(judged, frames)
+    return next(([one.lost] for one, own, reference in fits if own < max(MIN_FIT, reference + MIN_BETTER)), [])
+
+
+def _measure_fits(
+    differences: list[_Difference], frames: Callable[[], Iterable[Frame]]
+) -> Iterator[tuple[_Difference, float, float]]:
+    """Yield each difference with how well the motions of the estimate and of the reference fit its two scans."""
+    points = _collect_points(frames, {stamp for one in differences for stamp in (one.first_ns, one.last_ns)})
+    for one in differences:
         target, source = (points.get(stamp, NO_POINTS) for stamp in (one.first_ns, one.last_ns))
-        own, reference = (_fit(target, source, motion) for motion in (one.own, one.reference))
-        if own < max(MIN_FIT, reference + MIN_BETTER):
-            return [one.lost]
-    return []
+        yield one, _fit(target, source, one.own), _fit(target, source, one.reference)
 
 
 Window = tuple[int, int]
@@ -231,16 +237,10 @@ def _find_contradicted_by_scans(
     steps = np.arange(len(tracks.stamps_ns))
     long_steps = np.flatnonzero(tracks.are_wrong(steps[:-1], steps[1:])).tolist()  # no motion lasts for a whole window
     found = ((first, first + 1) for first in long_steps) if odometry is None else _find_windows(tracks)
-    windows = list(islice(found, MAX_JUDGED))
-    points = _collect_points(frames, {int(tracks.stamps_ns[index]) for window in windows for index in window})
-    name = "the motion before" if odometry is None else "the wheel odometry"
-    for first, last in windows:
-        target, source = (points.get(int(tracks.stamps_ns[index]), NO_POINTS) for index in (first, last))
-        own = _fit(target, source, se2.between(tracks.estimate[first], tracks.estimate[last]))
-        other = _fit(target, source, se2.between(tracks.reference[first], tracks.reference[last]))
-        if other >= max(MIN_FIT, own + MIN_BETTER):
-            return [_describe(estimate, tracks, first, last, f"{name}, which fits the scans better")]
-    return []
+    name = f"{'the motion before' if odometry is None else 'the wheel odometry'}, which fits the scans better"
+    judged = [_compare(estimate, tracks, *window, name) for window in islice(found, MAX_JUDGED)]
+    fits = _measure_fits(judged, frames)
+    return next(([one.lost] for one, own, other in fits if other >= max(MIN_FIT, own + MIN_BETTER)), [])
 
 
 def _without_jumps(estimate: Trajectory) -> Trajectory:
