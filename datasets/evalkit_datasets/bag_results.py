@@ -262,14 +262,14 @@ def _messages(reader: Any, topic: str, kinds: tuple[str, ...]) -> Iterator[tuple
 
 def _transforms(reader: Any) -> Iterator[tuple[str, Any]]:
     """Yield every transform with its topic."""
-    wanted = [connection for connection in reader.connections if connection.msgtype in rosbag_parser.TRANSFORMS]
-    for connection, _, raw in reader.messages(connections=wanted) if wanted else ():
-        for stamped in reader.deserialize(raw, connection.msgtype).transforms:
+    for connection, message, _ in rosbag_parser.iter_messages(reader, rosbag_parser.TRANSFORMS):
+        for stamped in message.transforms:
             yield connection.topic, stamped
 
 
 def _edge(stamped: Any) -> tuple[str, str]:
-    return stamped.header.frame_id.lstrip("/"), stamped.child_frame_id.lstrip("/")
+    normalise = rosbag_parser.normalise_frame
+    return normalise(stamped.header.frame_id), normalise(stamped.child_frame_id)
 
 
 def _file(stamps: Stamps, poses: Floats, counts: Mapping[str, int]) -> TumFile:

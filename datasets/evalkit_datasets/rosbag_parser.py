@@ -126,12 +126,12 @@ def read_bag(path: Path, topic: str, which: slice) -> tuple[Scans, Contents]:
         topics = {name: (str(about.msgtype), int(about.msgcount)) for name, about in reader.topics.items()}
         contents = Contents()
         scans = _read_scans(reader, _select_laser_topic(path, topics, topic), contents)
-        for connection, message, _ in _iter_messages(reader, (ODOMETRY,)):
+        for connection, message, _ in iter_messages(reader, (ODOMETRY,)):
             add_odometry(contents, connection.topic, message)
         taken = scans.stamps_ns[which]
         contents.tree.near_ns = int(taken[0]) if len(taken) else 0
         contents.tree.odometry_parents = frozenset({ODOMETRY_FRAME, *(parent for _, parent, _ in contents.odometry)})
-        for connection, message, _ in _iter_messages(reader, TRANSFORMS):
+        for connection, message, _ in iter_messages(reader, TRANSFORMS):
             add_transforms(contents, message, connection.topic.endswith("tf_static"))
     return scans, contents
 
@@ -186,7 +186,7 @@ def _iter_laser_messages(reader: Any, topic: str) -> Iterator[tuple[Any, int, by
     yield from reader.messages(connections=wanted)
 
 
-def _iter_messages(reader: Any, kinds: tuple[str, ...]) -> Iterator[tuple[Any, Any, int]]:
+def iter_messages(reader: Any, kinds: tuple[str, ...]) -> Iterator[tuple[Any, Any, int]]:
     """Yield connection, message and time of recording of all messages of given types."""
     wanted = [connection for connection in reader.connections if connection.msgtype in kinds]
     if wanted:  # the reader treats an empty list as all
@@ -270,7 +270,7 @@ def _parse_sweep(message: Any, echoes: bool, recorded_ns: int) -> Sweep | None:
         return None
     return Sweep(
         parse_stamp_ns(message.header) or int(recorded_ns),
-        _normalise_frame(message.header.frame_id),
+        normalise_frame(message.header.frame_id),
         ranges,
         float(geometry[0]),
         float(geometry[1]),
@@ -288,7 +288,7 @@ def add_odometry(contents: Contents, topic: str, message: Any) -> None:
     """Add the pose of an odometry message to ``contents``, or count it as damaged."""
     matrix = _parse_matrix(contents, message.pose.pose.position, message.pose.pose.orientation)
     if matrix is not None:
-        key = topic, _normalise_frame(message.header.frame_id), _normalise_frame(message.child_frame_id)
+        key = topic, normalise_frame(message.header.frame_id), normalise_frame(message.child_frame_id)
         contents.odometry.setdefault(key, PoseBuffer()).append(
             parse_stamp_ns(message.header), planar_pose_from_matrix(matrix).row
         )
@@ -299,7 +299,7 @@ def add_transforms(contents: Contents, message: Any, static: bool) -> None:
     for stamped in message.transforms:
         matrix = _parse_matrix(contents, stamped.transform.translation, stamped.transform.rotation)
         if matrix is not None:
-            parent, child = _normalise_frame(stamped.header.frame_id), _normalise_frame(stamped.child_frame_id)
+            parent, child = normalise_frame(stamped.header.frame_id), normalise_frame(stamped.child_frame_id)
             contents.tree.add(Transform(parse_stamp_ns(stamped.header), parent, child, matrix), static)
 
 
@@ -318,6 +318,6 @@ def parse_stamp_ns(header: Any) -> int:
     return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
 
-def _normalise_frame(frame: str) -> str:
+def normalise_frame(frame: str) -> str:
     """Return the name of a frame without the leading slash that ROS 1 may write."""
     return frame.lstrip("/")
