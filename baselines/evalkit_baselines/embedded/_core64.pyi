@@ -87,6 +87,22 @@ class Grid:
     def ignored_beams(self) -> int:
         """Beams of the last scan that were longer than 1 m beyond the longest."""
 
+def optimise_graph(
+    poses: Array,
+    steps: Array,
+    step_information: Array,
+    ends: NDArray[np.uint32],
+    motions: Array,
+    information: Array,
+    *,
+    max_iterations: int,
+    tolerance: float,
+    phi: float = 0.0,
+    slice_work: int = ...,
+) -> tuple[Array, float, int, bool, Array]:
+    """Poses (N, 3) after Gauss-Newton from ``poses`` (ek/pose_graph.h), chi-square, iterations, converged, and the
+    weights (L, 1) of the loops between rows ``ends`` (L, 2). Information: rows xx, xy, xt, yy, yt, tt."""
+
 class Pipeline:
     """A sequence's way from scans to poses (ek/pipeline.h), without map."""
 
@@ -117,3 +133,39 @@ class Pipeline:
         range_limits: tuple[float, float],
     ) -> tuple[Row, Stage, Stage]:
         """``start_from_base`` at the first beam of the scan of ranges (B,) at angles (B,); and both stages."""
+
+class Slam:
+    """A SLAM (ek/slam.h), with settings by the names of its parameters: real numbers, and whole numbers."""
+
+    def __init__(self, icp: Icp, real: dict[str, float], number: dict[str, int]) -> None: ...
+    def update(
+        self,
+        *,
+        stamp_ns: int,
+        time_increment_ns: int,
+        ranges: Array,
+        angles: Array,
+        odom_from_base: Row | None,
+        start_from_end: Row | None,
+        base_from_sensor: Row,
+        range_limits: tuple[float, float],
+    ) -> tuple[Row, Row, Stage, Stage, int, int, int]:
+        """``start_from_base`` and the pose in the continuous frame at the first beam, both stages, flags (1 lost, 2
+        corrected, 4 full), the last keyframe, and the operations of the scan."""
+    def correct(self, keyframes: NDArray[np.uint32], poses: Array) -> Array:
+        """Corrected poses (N, 3) of scans from their keyframes (N,) and poses (N, 3) in the continuous frame."""
+    def records(self) -> list[tuple[int, int, Row, int, float, float, int, int]]:
+        """Candidates: later and earlier keyframe, motion, outcome, its two numbers, flags (1 accepted, 2 unconfirmed, 4
+        found again, 8 withdrawn, 16 no room), and the part of the drive."""
+    @property
+    def memory_bytes(self) -> int:
+        """Memory, fixed at the start."""
+    @property
+    def keyframes(self) -> int:
+        """Number of keyframes."""
+    @property
+    def dropped_cells(self) -> int:
+        """Cells of scans for which the lasting map had no room."""
+    @property
+    def busy(self) -> bool:
+        """Whether a loop, an optimisation or the map is in work."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -63,36 +64,39 @@ class CompiledPipeline:
         """Process one scan in the core."""
         conversion = Stopwatch()
         with conversion:
-            ranges, angles = self._beams(frame.scan)
+            ranges, angles = read_beams(frame.scan, self._core)
         row, scan_to_scan, scan_to_map = self._pipeline.update(
             stamp_ns=frame.scan.stamp_ns,
             time_increment_ns=frame.scan.time_increment_ns,
             ranges=ranges,
             angles=angles,
-            odom_from_base=_row(frame.odom_from_base),
-            start_from_end=_row(frame.start_from_end),
-            base_from_sensor=_row(frame.base_from_sensor),
+            odom_from_base=to_row(frame.odom_from_base),
+            start_from_end=to_row(frame.start_from_end),
+            base_from_sensor=to_row(frame.base_from_sensor),
             range_limits=(frame.scan.range_min_m, frame.scan.range_max_m),
         )
         with conversion:
             answers: dict[Stage, _StageAnswer] = {"s2s": scan_to_scan, "s2m": scan_to_map}
             stages: dict[Stage, StageEstimate] = {
-                name: _stage_estimate(*answer) for name, answer in answers.items() if answer[0] != NOT_RUN
+                name: make_stage_estimate(*answer) for name, answer in answers.items() if answer[0] != NOT_RUN
             }
             accepted = any(stage.accepted for stage in stages.values()) if stages else None
             pose = Pose(*row)
         return OdometryEstimate(pose, stages, accepted, Cost(conversion.cpu_ns))
 
-    def _beams(self, scan: Scan) -> tuple[Any, Any]:
-        """Return ranges and angles (B,); one invalid beam for a scan without beams, which the core would reject."""
-        if not len(scan.ranges):
-            return to_real(np.array([np.nan]), self._core), to_real(np.zeros(1), self._core)
-        return to_real(scan.ranges, self._core), to_real(scan.angles, self._core)
+
+def read_beams(scan: Scan, core: ModuleType) -> tuple[Any, Any]:
+    """Return ranges and angles (B,); one invalid beam for a scan without beams, which the core would reject."""
+    if not len(scan.ranges):
+        return to_real(np.array([np.nan]), core), to_real(np.zeros(1), core)
+    return to_real(scan.ranges, core), to_real(scan.angles, core)
 
 
-def _stage_estimate(state: int, converged: bool, iterations: int, error: float, inliers: int) -> StageEstimate:
+def make_stage_estimate(state: int, converged: bool, iterations: int, error: float, inliers: int) -> StageEstimate:
+    """Return the estimate of a stage from the core's answer."""
     return StageEstimate(state == ACCEPTED, converged, iterations, error, inliers)
 
 
-def _row(pose: Pose | None) -> tuple[float, float, float] | None:
+def to_row(pose: Pose | None) -> tuple[float, float, float] | None:
+    """Return x, y (m) and theta (rad), or None without a pose."""
     return None if pose is None else (pose.x, pose.y, pose.theta)

@@ -4,8 +4,10 @@
 #include <nanobind/stl/tuple.h>
 
 #include "defaults.hpp"
+#include "graph.hpp"
 #include "grid.hpp"
 #include "pipeline.hpp"
+#include "slam.hpp"
 
 NB_MODULE(CORE, module)
 {
@@ -37,6 +39,11 @@ NB_MODULE(CORE, module)
         .def_prop_ro("touched", &Grid::touched)
         .def_prop_ro("ignored_beams", &Grid::ignored_beams);
 
+    module.def("optimise_graph", &optimise_graph, "poses"_a.noconvert(), "steps"_a.noconvert(),
+               "step_information"_a.noconvert(), "ends"_a.noconvert(), "motions"_a.noconvert(),
+               "information"_a.noconvert(), nb::kw_only(), "max_iterations"_a, "tolerance"_a, "phi"_a = 0.0,
+               "slice_work"_a = INT64_MAX);
+
     nb::class_<Pipeline>(module, "Pipeline")
         .def(nb::init<const Icp &, bool, bool, bool, double, int64_t, double, double, int64_t, int64_t>(), "icp"_a,
              nb::kw_only(), "scan_to_scan"_a, "scan_to_map"_a, "deskew"_a, "local_radius"_a, "keyframes"_a,
@@ -44,4 +51,16 @@ NB_MODULE(CORE, module)
         .def("update", &Pipeline::update, nb::kw_only(), "stamp_ns"_a, "time_increment_ns"_a, "ranges"_a.noconvert(),
              "angles"_a.noconvert(), "odom_from_base"_a.none(), "start_from_end"_a.none(), "base_from_sensor"_a,
              "range_limits"_a);
+
+    nb::class_<Slam>(module, "Slam")
+        .def(nb::init<const Icp &, const nb::dict &, const nb::dict &>(), "icp"_a, "real"_a, "number"_a)
+        .def("update", &Slam::update, nb::kw_only(), "stamp_ns"_a, "time_increment_ns"_a, "ranges"_a.noconvert(),
+             "angles"_a.noconvert(), "odom_from_base"_a.none(), "start_from_end"_a.none(), "base_from_sensor"_a,
+             "range_limits"_a)
+        .def("correct", &Slam::correct, "keyframes"_a.noconvert(), "poses"_a.noconvert())
+        .def("records", &Slam::records)
+        .def_prop_ro("memory_bytes", &Slam::bytes)
+        .def_prop_ro("keyframes", &Slam::keyframes)
+        .def_prop_ro("dropped_cells", &Slam::dropped)
+        .def_prop_ro("busy", &Slam::busy);
 }

@@ -17,6 +17,35 @@ inline Stage stage_of(const ek_match &match, ek_stage_outcome belief)
     return {int(belief), match.converged != 0, match.iterations, double(match.error), match.inliers};
 }
 
+inline ek_sweep sweep_of(int64_t stamp_ns, int64_t time_increment_ns, const Numbers &ranges, const Numbers &angles,
+                         const std::optional<Row> &odom_from_base, const std::optional<Row> &start_from_end)
+{
+    if (ranges.shape(0) != angles.shape(0)) {
+        throw std::invalid_argument("scan: ranges and angles differ in number");
+    }
+    ek_sweep sweep = {};
+    sweep.stamp_ns = stamp_ns;
+    sweep.time_increment_ns = time_increment_ns;
+    sweep.ranges = start_of(ranges);
+    sweep.angles = start_of(angles);
+    sweep.beams = ranges.shape(0);
+    sweep.has_odometry = odom_from_base.has_value();
+    sweep.odom_from_base = pose_of(odom_from_base.value_or(Row{}));
+    sweep.has_motion = start_from_end.has_value();
+    sweep.start_from_end = pose_of(start_from_end.value_or(Row{}));
+    return sweep;
+}
+
+inline ek_scan_parameters scan_of(ek_scan_parameters scan, const Row &base_from_sensor,
+                                  const std::tuple<double, double> &range_limits)
+{
+    scan.base_from_sensor = pose_of(base_from_sensor);
+    scan.range_min = ek_real(std::get<0>(range_limits));
+    scan.range_max = ek_real(std::get<1>(range_limits));
+    require(ek_scan_check(&scan), "scan");
+    return scan;
+}
+
 class Pipeline {
 public:
     Pipeline(const Icp &icp, bool scan_to_scan, bool scan_to_map, bool deskew, double local_radius, int64_t keyframes,
@@ -47,27 +76,11 @@ public:
                                          const std::optional<Row> &start_from_end, const Row &base_from_sensor,
                                          const std::tuple<double, double> &range_limits)
     {
-        if (ranges.shape(0) != angles.shape(0)) {
-            throw std::invalid_argument("scan: ranges and angles differ in number");
-        }
-        ek_sweep sweep = {};
-        sweep.stamp_ns = stamp_ns;
-        sweep.time_increment_ns = time_increment_ns;
-        sweep.ranges = start_of(ranges);
-        sweep.angles = start_of(angles);
-        sweep.beams = ranges.shape(0);
-        sweep.has_odometry = odom_from_base.has_value();
-        sweep.odom_from_base = pose_of(odom_from_base.value_or(Row{}));
-        sweep.has_motion = start_from_end.has_value();
-        sweep.start_from_end = pose_of(start_from_end.value_or(Row{}));
+        const ek_sweep sweep =
+            sweep_of(stamp_ns, time_increment_ns, ranges, angles, odom_from_base, start_from_end);
         const nb::gil_scoped_release others_may_run;
         const std::lock_guard<std::mutex> one_at_a_time(mutex_);
-        ek_scan_parameters scan = pipeline_.parameters.scan;
-        scan.base_from_sensor = pose_of(base_from_sensor);
-        scan.range_min = ek_real(std::get<0>(range_limits));
-        scan.range_max = ek_real(std::get<1>(range_limits));
-        require(ek_scan_check(&scan), "scan");
-        pipeline_.parameters.scan = scan;
+        pipeline_.parameters.scan = scan_of(pipeline_.parameters.scan, base_from_sensor, range_limits);
         ek_estimate estimate;
         require(ek_pipeline_update(&pipeline_, &sweep, &estimate), "scan");
         return {row_of(estimate.start_from_base), stage_of(estimate.scan_to_scan, estimate.scan_to_scan_outcome),

@@ -64,8 +64,8 @@ static void see(robot *first, robot *second, ek_input *input, int64_t *stamp_ns)
     sweep.angles = angles;
     const ek_status status = ek_pipeline_update(&first->pipeline, &sweep, &estimate);
     /* a pose too far for the map is kept and not mapped */
-    const int kept = status == EK_OK || first->pipeline.frontend.stamp_ns != second->pipeline.frontend.stamp_ns ||
-                     first->pipeline.frontend.started != second->pipeline.frontend.started;
+    const int kept = status == EK_OK || first->pipeline.frontend.motion.stamp_ns != second->pipeline.frontend.motion.stamp_ns ||
+                     first->pipeline.frontend.motion.started != second->pipeline.frontend.motion.started;
     HOLDS(status == EK_OK || !kept || (status == EK_OUT_OF_RANGE && first->pipeline.parameters.map));
     if (kept) {
         HOLDS(ek_pipeline_update(&second->pipeline, &sweep, &other) == status);

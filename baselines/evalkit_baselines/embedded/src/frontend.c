@@ -6,7 +6,6 @@
 #define MAX_POINTS ((size_t)1 << 20)
 #define CELLS_PER_POINT 16u
 #define MAX_CELLS ((size_t)1 << 18)
-#define MAX_GAP_STEPS EK_R(2.0) /* steps: after a longer gap the velocity is not extrapolated further */
 
 ek_frontend_parameters ek_frontend_default(void)
 {
@@ -78,20 +77,9 @@ void ek_frontend_reset(ek_frontend *frontend)
 {
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
     frontend->oldest_keyframe = frontend->keyframe_count = 0u;
-    frontend->started = frontend->has_last_odometry = 0;
-    frontend->start_from_base = frontend->start_from_keyframe = frontend->step = identity;
-    frontend->stamp_ns = frontend->step_ns = 0;
+    memset(&frontend->motion, 0, sizeof frontend->motion);
+    frontend->start_from_keyframe = identity;
     frontend->last.count = frontend->local_map.count = 0u;
-}
-
-ek_pose ek_frontend_predict_motion(const ek_frontend *frontend, int64_t elapsed_ns)
-{
-    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
-    if (frontend->step_ns <= 0) {
-        return identity;
-    }
-    const ek_real share = (ek_real)elapsed_ns / (ek_real)frontend->step_ns;
-    return ek_se2_fraction(frontend->step, share < MAX_GAP_STEPS ? share : MAX_GAP_STEPS);
 }
 
 /* Check that a pose, and the points of a keyframe at it, stay within EK_MAX_COORDINATE. */
@@ -165,22 +153,7 @@ static ek_status check(const ek_frontend *frontend, const ek_real *xy, size_t co
             return isfinite(xy[i]) ? EK_OUT_OF_RANGE : EK_NOT_FINITE;
         }
     }
-    return frontend->started && prior->stamp_ns <= frontend->stamp_ns ? EK_OUT_OF_RANGE : EK_OK;
-}
-
-/* Time since the last scan (ns), saturated at INT64_MAX. */
-static int64_t time_since_last(const ek_frontend *frontend, int64_t stamp_ns)
-{
-    const uint64_t elapsed = (uint64_t)stamp_ns - (uint64_t)frontend->stamp_ns;
-    return elapsed < (uint64_t)INT64_MAX ? (int64_t)elapsed : INT64_MAX;
-}
-
-static ek_pose predict(const ek_frontend *frontend, const ek_prior *prior)
-{
-    if (prior->has_odometry && frontend->has_last_odometry) {
-        return ek_se2_between(frontend->odom_from_base, prior->odom_from_base);
-    }
-    return ek_frontend_predict_motion(frontend, frontend->started ? time_since_last(frontend, prior->stamp_ns) : 0);
+    return frontend->motion.started && prior->stamp_ns <= frontend->motion.stamp_ns ? EK_OUT_OF_RANGE : EK_OK;
 }
 
 /* Run both stages; fills *estimate except for `keyframe`. */
@@ -188,16 +161,16 @@ static ek_status run_stages(ek_frontend *frontend, const ek_real *xy, size_t cou
                         ek_estimate *estimate)
 {
     const ek_frontend_parameters *const p = &frontend->parameters;
-    ek_pose last_from_base = predict(frontend, prior);
+    ek_pose last_from_base = ek_motion_predict(&frontend->motion, prior);
     ek_status status = EK_OK;
-    if (frontend->started && p->use_scan_to_scan) {
+    if (frontend->motion.started && p->use_scan_to_scan) {
         status = run_stage(frontend, &frontend->last, xy, count, &p->scan_to_scan, &last_from_base,
                           &estimate->scan_to_scan, &estimate->scan_to_scan_outcome);
     }
-    if (frontend->started) {
-        estimate->start_from_base = ek_se2_compose(frontend->start_from_base, last_from_base);
+    if (frontend->motion.started) {
+        estimate->start_from_base = ek_se2_compose(frontend->motion.start_from_base, last_from_base);
     }
-    if (status == EK_OK && frontend->started && p->use_scan_to_map) {
+    if (status == EK_OK && frontend->motion.started && p->use_scan_to_map) {
         status = run_stage(frontend, &frontend->local_map, xy, count, &p->scan_to_map, &estimate->start_from_base,
                           &estimate->scan_to_map, &estimate->scan_to_map_outcome);
     }
@@ -224,15 +197,7 @@ static ek_status store_scan(ek_frontend *frontend, const ek_real *xy, size_t cou
     if (status == EK_OK) {
         status = ek_index_build(&frontend->last, xy, count);
     }
-    if (frontend->started) {
-        frontend->step_ns = time_since_last(frontend, prior->stamp_ns);
-        frontend->step = ek_se2_between(frontend->start_from_base, estimate->start_from_base);
-    }
-    frontend->started = 1;
-    frontend->stamp_ns = prior->stamp_ns;
-    frontend->start_from_base = estimate->start_from_base;
-    frontend->has_last_odometry = prior->has_odometry;
-    frontend->odom_from_base = prior->odom_from_base;
+    ek_motion_store(&frontend->motion, prior, estimate->start_from_base);
     return status;
 }
 

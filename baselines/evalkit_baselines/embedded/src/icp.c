@@ -1,5 +1,6 @@
 #include "ek/icp.h"
 #include "ek/fit.h"
+#include "ek/normals.h"
 #include "ek/table.h"
 
 #include <string.h>
@@ -154,6 +155,9 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_
         icp->tx[i] = found ? target->xy[2u * answer.slot] : EK_FAR;
         icp->ty[i] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
         icp->distance[i] = found ? answer.distance : EK_FAR;
+        if (found && target->deferred) {
+            ek_normals_ensure(target, answer.slot);
+        }
         if (normals) {
             icp->nx[i] = found ? normals[2u * target->id[answer.slot]] : EK_R(0.0);
             icp->ny[i] = found ? normals[2u * target->id[answer.slot] + 1u] : EK_R(0.0);

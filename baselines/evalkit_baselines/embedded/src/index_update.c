@@ -184,7 +184,7 @@ static void update_in_place(ek_index_updater *updater, ek_index *index, uint32_t
     swap_arrays(updater, index);
     index->count = (size_t)kept + count;
     index->version++;
-    index->normals = NULL;
+    index->normals = index->deferred = NULL;
 }
 
 /* Build the index again from the remaining points and the new ones. */

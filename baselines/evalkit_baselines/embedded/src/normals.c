@@ -1,5 +1,7 @@
 #include "ek/normals.h"
 
+#include <string.h>
+
 #define WIDER EK_R(1.2) /* first search: as wide as the last point's neighbours, and this much wider */
 #define BLOCK 32u      /* points compared at once */
 #define LEAST_WALL 3u  /* points within the radius that define a wall */
@@ -106,6 +108,20 @@ static void normal_of(const ek_index *index, const nearest_points *found, ek_rea
     }
 }
 
+/* Compute the normal of the point in a slot; returns the distance of the farthest neighbour. */
+static ek_real compute_one(const ek_index *index, uint32_t slot, ek_real first, ek_real radius, nearest_points *found,
+                           ek_real *normal)
+{
+    const ek_real x = index->xy[2u * slot], y = index->xy[2u * slot + 1u];
+    const ek_real farthest = find_nearest(index, x, y, first, radius, found);
+    if (radius < EK_FAR && (found->count < LEAST_WALL || !(farthest > EK_R(0.0)))) {
+        normal[0] = normal[1] = EK_R(0.0);
+    } else {
+        normal_of(index, found, x, y, normal);
+    }
+    return farthest;
+}
+
 ek_status ek_normals_compute(const ek_index *index, size_t neighbours, ek_real radius, ek_real *normals)
 {
     nearest_points found;
@@ -119,16 +135,36 @@ ek_status ek_normals_compute(const ek_index *index, size_t neighbours, ek_real r
     const ek_real widest = index->cells.cell * (EK_R(1.0) + (ek_real)neighbours / EK_R(3.0)); /* 3 points per cell */
     ek_real first = index->cells.cell;
     for (uint32_t k = 0; k < index->count; k++) {
-        const ek_real x = index->xy[2u * k], y = index->xy[2u * k + 1u];
-        const ek_real farthest = WIDER * find_nearest(index, x, y, first, radius, &found);
-        ek_real *const normal = normals + 2u * index->id[k];
-        if (radius < EK_FAR && (found.count < LEAST_WALL || farthest == EK_R(0.0))) {
-            normal[0] = normal[1] = EK_R(0.0);
-        } else {
-            normal_of(index, &found, x, y, normal);
-        }
-        first = farthest < widest ? farthest : widest;
+        first = WIDER * compute_one(index, k, first, radius, &found, normals + 2u * index->id[k]);
+        first = first < widest ? first : widest;
         first = first > EK_R(0.25) * index->cells.cell ? first : EK_R(0.25) * index->cells.cell;
     }
     return EK_OK;
+}
+
+ek_status ek_normals_defer(ek_index *index, size_t neighbours, ek_real *normals)
+{
+    if (!index || (!normals && index->count)) {
+        return EK_NULL_POINTER;
+    }
+    if (neighbours < 2u || neighbours > EK_MAX_NEIGHBOURS) {
+        return EK_OUT_OF_RANGE;
+    }
+    if (index->count) {
+        memset(normals, 0, 2u * index->count * sizeof *normals);
+    }
+    index->normals = index->deferred = normals;
+    index->neighbours = (uint32_t)neighbours;
+    return EK_OK;
+}
+
+void ek_normals_ensure(const ek_index *index, uint32_t slot)
+{
+    ek_real *const normal = index->deferred + 2u * (size_t)index->id[slot];
+    nearest_points found;
+    if (EK_FABS(normal[0]) + EK_FABS(normal[1]) > EK_R(0.0)) {
+        return;
+    }
+    found.wanted = index->neighbours < index->count ? index->neighbours : index->count;
+    compute_one(index, slot, index->cells.cell, EK_FAR, &found, normal);
 }

@@ -59,15 +59,7 @@ ek_status ek_pipeline_update(ek_pipeline *pipeline, const ek_sweep *sweep, ek_es
         return EK_NULL_POINTER;
     }
     const ek_pipeline_parameters *const p = &pipeline->parameters;
-    const int64_t gaps = sweep->beams > 1u ? (int64_t)(sweep->beams - 1u) : 0;
-    if (sweep->time_increment_ns < 0 || (gaps && sweep->time_increment_ns > INT64_MAX / gaps)) {
-        return EK_OUT_OF_RANGE;
-    }
-    const ek_pose moved = sweep->has_motion
-                              ? sweep->start_from_end
-                              : ek_frontend_predict_motion(&pipeline->frontend, sweep->time_increment_ns * gaps);
-    const int moves = p->deskew && sweep->time_increment_ns > 0;
-    ek_status status = ek_scan_project(&pipeline->scan, sweep, &p->scan, moves ? &moved : NULL);
+    ek_status status = ek_motion_project(&pipeline->frontend.motion, &pipeline->scan, sweep, &p->scan, p->deskew);
     if (status != EK_OK) {
         return status;
     }

@@ -94,6 +94,21 @@ static void points_beyond_the_radius_are_no_neighbours(void)
     CHECK(ek_normals_compute(&reference, 4u, EK_R(0.0), normals) == EK_OUT_OF_RANGE);
 }
 
+static void deferred_normals_are_the_same_to_the_bit(void)
+{
+    static ek_real later[2u * POINTS];
+    CHECK(ek_index_build(&reference, cloud, POINTS) == EK_OK);
+    CHECK(ek_normals_compute(&reference, 8u, EK_FAR, normals) == EK_OK);
+    CHECK(ek_normals_defer(&reference, 8u, later) == EK_OK && reference.normals == later);
+    for (uint32_t slot = POINTS; slot-- > 0u;) {
+        ek_normals_ensure(&reference, slot);
+        ek_normals_ensure(&reference, slot);
+    }
+    CHECK(memcmp(normals, later, sizeof later) == 0);
+    CHECK(ek_normals_defer(&reference, 1u, later) == EK_OUT_OF_RANGE);
+    CHECK(ek_index_build(&reference, cloud, 5u) == EK_OK && reference.deferred == NULL);
+}
+
 static void bad_input_is_named(void)
 {
     CHECK(ek_normals_compute(&reference, 1u, EK_FAR, normals) == EK_OUT_OF_RANGE);
@@ -120,6 +135,7 @@ int main(void)
     a_line_has_the_normal_across_it();
     without_a_direction_the_normal_is_y();
     points_beyond_the_radius_are_no_neighbours();
+    deferred_normals_are_the_same_to_the_bit();
     bad_input_is_named();
     free(arena.memory);
     return verdict();

@@ -8,6 +8,7 @@
 
 #include "ek/icp.h"
 #include "ek/index_update.h"
+#include "ek/motion.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -23,13 +24,6 @@ typedef struct {
     size_t points;                             /* maximum number of points of a scan */
     size_t cells;                              /* cells of the local map's index; 0: 16 per point, at most 2^18 */
 } ek_frontend_parameters;
-
-/* Time and wheel odometry of a scan. */
-typedef struct {
-    int64_t stamp_ns;
-    int32_t has_odometry;
-    ek_pose odom_from_base;
-} ek_prior;
 
 /* Outcome of a stage: skipped (switched off, or first scan), guess kept (too few pairs), or result accepted. */
 typedef enum { EK_STAGE_SKIPPED = -1, EK_STAGE_GUESS_KEPT = 0, EK_STAGE_ACCEPTED = 1 } ek_stage_outcome;
@@ -50,16 +44,14 @@ typedef struct {
     ek_real *keyframe;        /* points of the newest keyframe, pairs x y in the start frame (m) */
     size_t *keyframe_counts;  /* number of points of each keyframe in the local map */
     uint32_t oldest_keyframe, keyframe_count; /* ring buffer of keyframe_counts */
-    int32_t started, has_last_odometry;
-    ek_pose start_from_base, start_from_keyframe, odom_from_base, step;
-    int64_t stamp_ns, step_ns;
+    ek_motion motion;
+    ek_pose start_from_keyframe;
 } ek_frontend;
 
 #define ek_frontend_default EK_NAME(frontend_default)
 #define ek_frontend_check EK_NAME(frontend_check)
 #define ek_frontend_init EK_NAME(frontend_init)
 #define ek_frontend_reset EK_NAME(frontend_reset)
-#define ek_frontend_predict_motion EK_NAME(frontend_predict_motion)
 #define ek_frontend_update EK_NAME(frontend_update)
 
 /* Default parameters: both stages with ek_icp_default, 10 keyframes every 0.5 m or 20 deg, 10 inliers, 2048 points. */
@@ -73,9 +65,6 @@ ek_status ek_frontend_init(ek_frontend *frontend, ek_arena *arena, const ek_fron
 
 /* Reset: the next scan is the first. */
 void ek_frontend_reset(ek_frontend *frontend);
-
-/* Predict the base's motion over `elapsed_ns` at constant velocity from the last two scans; the identity before. */
-ek_pose ek_frontend_predict_motion(const ek_frontend *frontend, int64_t elapsed_ns);
 
 /* Process a scan: count pairs x y in the base frame (m), deskewed. The initial guess comes from wheel odometry if this
  * scan and the previous one have it, otherwise from constant velocity. A scan without points keeps the guess and never

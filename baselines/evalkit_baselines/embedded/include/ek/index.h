@@ -36,6 +36,8 @@ typedef struct {
     uint32_t version;     /* changes with the points */
     const ek_real *normals; /* NULL, or a normal x y per point, in the order of the cloud; set after each change of the
                                points (normals.h) */
+    ek_real *deferred;      /* NULL, or `normals` that are computed when first needed (ek_normals_defer) */
+    uint32_t neighbours;    /* that define a deferred normal */
     ek_table *table;      /* NULL, or the table of its neighbours (table.h) */
 } ek_index;
 

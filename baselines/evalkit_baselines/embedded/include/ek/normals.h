@@ -11,6 +11,8 @@ extern "C" {
 #define EK_MAX_NEIGHBOURS 64u
 
 #define ek_normals_compute EK_NAME(normals_compute)
+#define ek_normals_defer EK_NAME(normals_defer)
+#define ek_normals_ensure EK_NAME(normals_ensure)
 
 /* Compute the unit normal of each point of an index: the eigenvector for the smaller eigenvalue of the covariance of
  * its nearest `neighbours` points, itself included (all points if there are fewer; of equally near points the lowest
@@ -20,6 +22,14 @@ extern "C" {
  * normal is (0, 0). EK_FAR: no such limit.
  * EK_OUT_OF_RANGE: neighbours below 2 or above EK_MAX_NEIGHBOURS, a radius that is not positive. */
 ek_status ek_normals_compute(const ek_index *index, size_t neighbours, ek_real radius, ek_real *normals);
+
+/* Give an index normals that are computed when a registration first needs them, without a radius: those of
+ * ek_normals_compute to the bit. normals: memory for one pair per point. An index with such normals must not be used by two
+ * threads at once. EK_OUT_OF_RANGE: neighbours below 2 or above EK_MAX_NEIGHBOURS. */
+ek_status ek_normals_defer(ek_index *index, size_t neighbours, ek_real *normals);
+
+/* Compute the normal of the point in a slot of such an index unless it is known. */
+void ek_normals_ensure(const ek_index *index, uint32_t slot);
 
 #ifdef __cplusplus
 }

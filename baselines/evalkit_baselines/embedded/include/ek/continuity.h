@@ -1,0 +1,48 @@
+/* continuity.h - whether a scan continues the one before it, or the track was lost.
+ *
+ * Computes the same as evalkit_baselines/slam/continuity.py: the share of points that lie on the scan before, of those
+ * that it could see.
+ * With odometry a point that lies on the local map counts too.
+ */
+#ifndef EK_CONTINUITY_H
+#define EK_CONTINUITY_H
+
+#include "ek/index.h"
+#include "ek/se2.h"
+#include "ek/thin.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* A direction from the sensor, and the range of the scan there. */
+typedef struct {
+    ek_real bearing, range; /* rad, m */
+} ek_view_ray;
+
+typedef struct {
+    ek_index before; /* points of the scan before, at its pose */
+    size_t rays;
+    ek_view_ray *ray, *other; /* of the scan before, by bearing; working memory of the sort */
+    ek_real *thinned, *moved;
+    uint32_t *seen;
+    ek_pose sensor;           /* pose of the scan before */
+    int32_t started;
+} ek_continuity;
+
+#define ek_continuity_init EK_NAME(continuity_init)
+#define ek_continuity_is_lost EK_NAME(continuity_is_lost)
+
+/* Initialise for scans of up to `capacity` points in an arena (or measure it). Returns what ek_index_init returns. */
+ek_status ek_continuity_init(ek_continuity *continuity, ek_arena *arena, size_t capacity);
+
+/* 1 if a scan contradicts the one before, each at its own pose: count pairs x y of the base frame (m), finite and within
+ * EK_MAX_COORDINATE. Points that the scan before could not see do not count; with too few others the odometry is
+ * believed, and without odometry the track is lost. At most 60 operations a point. */
+int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const ek_real *xy, size_t count,
+                          ek_pose odom_from_base, ek_pose base_from_sensor, int has_odometry, const ek_index *map, ek_work *work);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

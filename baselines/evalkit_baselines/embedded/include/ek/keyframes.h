@@ -1,0 +1,64 @@
+/* keyframes.h - the keyframes of a drive: their points, the graph that connects them, and distances through it.
+ *
+ * Computes the same as evalkit_baselines/slam/keyframes.py, with room for a fixed number of keyframes and points.
+ */
+#ifndef EK_KEYFRAMES_H
+#define EK_KEYFRAMES_H
+
+#include "ek/observability.h"
+#include "ek/pose_graph.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* A distance through the graph that is not known: another part of the drive. */
+#define EK_APART EK_R(1e12)
+
+/* Assumed random errors of matched motions, 1 sigma after one metre; they grow with the root of the path. */
+typedef struct {
+    ek_real sigma;       /* m */
+    ek_real sigma_theta; /* rad */
+} ek_drift;
+
+typedef struct {
+    size_t capacity, point_capacity;
+    size_t count;
+    ek_pose_graph graph;
+    ek_drift drift;
+    ek_real *points;     /* of all keyframes, each in its own frame; pairs x y (m) */
+    size_t *start;       /* first point of a keyframe; count + 1 entries */
+    ek_real *path;       /* driven distance (m) */
+    ek_real *apart;      /* distance from the last keyframe along steps and loops (m), or EK_APART */
+    uint32_t *section;   /* part of the drive without a lost track */
+} ek_keyframes;
+
+#define ek_keyframes_init EK_NAME(keyframes_init)
+#define ek_keyframes_reset EK_NAME(keyframes_reset)
+#define ek_keyframes_add EK_NAME(keyframes_add)
+#define ek_keyframes_measure EK_NAME(keyframes_measure)
+#define ek_keyframes_join EK_NAME(keyframes_join)
+
+/* Initialise in an arena (or measure it). EK_OUT_OF_RANGE: no points, or what ek_pose_graph_init refuses. */
+ek_status ek_keyframes_init(ek_keyframes *keyframes, ek_arena *arena, size_t capacity, size_t points, size_t loops,
+                            ek_drift drift);
+
+/* Remove all keyframes. */
+void ek_keyframes_reset(ek_keyframes *keyframes);
+
+/* Add a keyframe by its motion from the last one: count pairs x y in its own frame (m). `known`: whether that motion was
+ * measured. EK_TOO_MANY_POINTS: no room for it or its points; what ek_pose_graph_add refuses. An error changes nothing.
+ * One operation a keyframe. */
+ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t count, ek_pose last_from_keyframe, int known,
+                           const ek_openness *open, ek_work *work);
+
+/* Measure the distances through the graph again: at most one pass of all keyframes for each loop. */
+void ek_keyframes_measure(ek_keyframes *keyframes, ek_work *work);
+
+/* Move the part of the drive that begins after a lost track to where a loop from an earlier part puts it. */
+void ek_keyframes_join(ek_keyframes *keyframes, const ek_loop_edge *loop, ek_work *work);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

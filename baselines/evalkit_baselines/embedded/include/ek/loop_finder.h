@@ -1,0 +1,125 @@
+/* loop_finder.h - find and verify loop closures: place, branch and bound, ICP, overlap, observability, chi-square; in
+ * slices.
+ *
+ * Computes the same as evalkit_baselines/slam/loop_closure.py, which gives the reasons. Points of several keyframes are
+ * taken as far as there is memory for them, those nearest along the path first.
+ */
+#ifndef EK_LOOP_FINDER_H
+#define EK_LOOP_FINDER_H
+
+#include "ek/icp.h"
+#include "ek/keyframes.h"
+#include "ek/search.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct {
+    ek_real path;       /* m: a loop is at least so long through the graph */
+    ek_real spacing;    /* m: path between two candidates */
+    ek_real radius;     /* m: largest distance of a candidate, and half the search window */
+    ek_real submap;     /* m: path on either side of a keyframe whose points are matched */
+    ek_real cell;       /* m: of branch and bound */
+    ek_real score;      /* smallest score of branch and bound */
+    ek_real ambiguity;  /* share of the best score that another motion may not reach */
+    ek_real near;       /* m: a point within this distance lies on the other map */
+    ek_real overlap;    /* smallest share of points on the other map */
+    ek_real degenerate; /* m: largest 1-sigma error of the matched position */
+    ek_real gate;       /* largest chi-square of a confirmed closure */
+    ek_real quick_gate; /* and of one without confirmation */
+} ek_loop_settings;
+
+typedef enum {
+    EK_LOOP_PASSED = 0, /* numbers: chi-square, overlap */
+    EK_LOOP_FEW_POINTS, /* points */
+    EK_LOOP_SCORE,      /* none */
+    EK_LOOP_AMBIGUOUS,  /* share of the best score, best score */
+    EK_LOOP_OVERLAP,    /* overlap */
+    EK_LOOP_DEGENERATE, /* m */
+    EK_LOOP_CHI         /* chi-square */
+} ek_loop_outcome;
+
+typedef struct {
+    ek_loop_edge edge;
+    ek_loop_outcome outcome;
+    ek_real number[2];
+    ek_real chi;     /* of the residual; nan where it was not computed */
+    int32_t is_local; /* the search window was small */
+} ek_loop_candidate;
+
+typedef enum {
+    EK_FINDER_IDLE = 0,
+    EK_FINDER_PREDICT,
+    EK_FINDER_TARGET,
+    EK_FINDER_SOURCE,
+    EK_FINDER_DRAW,
+    EK_FINDER_RAISE,
+    EK_FINDER_SEARCH,
+    EK_FINDER_RIVAL,
+    EK_FINDER_INDEX,
+    EK_FINDER_COARSE,
+    EK_FINDER_FINE,
+    EK_FINDER_JUDGE
+} ek_finder_phase;
+
+typedef struct {
+    ek_loop_settings settings;
+    ek_icp_parameters coarse, fine;
+    size_t capacity; /* points of either map, before thinning */
+    ek_finder_phase phase;
+    int32_t tried, looks_near;
+    ek_real tried_at; /* m */
+    size_t next_place;
+    /* the candidate in work */
+    ek_loop_candidate candidate;
+    int32_t known; /* 0: after a lost track the graph predicts no motion */
+    ek_pose motion, match;
+    ek_sym3 covariance;
+    ek_real match_error, best_score, half[3];
+    ek_pose best;
+    uint32_t level, rival, gathered, gather_end;
+    size_t raw_count, target_count, source_count, sample_count;
+    /* working memory */
+    ek_real *raw, *target, *source, *sample, *normals;
+    ek_index index;
+    ek_icp icp;
+    ek_score_grid grid;
+    ek_search search;
+    ek_observer observer;
+    ek_thinner thinner;
+} ek_loop_finder;
+
+#define ek_loop_default EK_NAME(loop_default)
+#define ek_loop_check EK_NAME(loop_check)
+#define ek_loop_finder_init EK_NAME(loop_finder_init)
+#define ek_loop_finder_reset EK_NAME(loop_finder_reset)
+#define ek_loop_finder_begin EK_NAME(loop_finder_begin)
+#define ek_loop_finder_work EK_NAME(loop_finder_work)
+
+/* Default settings: those of the reference. */
+ek_loop_settings ek_loop_default(void);
+
+/* Check settings: EK_OK, EK_NOT_FINITE or EK_OUT_OF_RANGE. */
+ek_status ek_loop_check(const ek_loop_settings *settings);
+
+/* Initialise in an arena (or measure it): `points` of either map, `cells` of the score grid (score_grid.h), ICP parameters
+ * of the first and of the final match. Returns what its parts return. */
+ek_status ek_loop_finder_init(ek_loop_finder *finder, ek_arena *arena, const ek_loop_settings *settings,
+                              const ek_icp_parameters *coarse, const ek_icp_parameters *fine, size_t points, size_t cells);
+
+/* Forget the candidate in work and the places tried. */
+void ek_loop_finder_reset(ek_loop_finder *finder);
+
+/* Look for a place to compare with the last keyframe; 1: there is one, and a candidate is in work. Two operations a
+ * keyframe. The graph must not be in work. */
+int ek_loop_finder_begin(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *work);
+
+/* Go on with the candidate while work is left; 1: finder->candidate is judged. The largest part is one match: at most
+ * 40 iterations of the points of the source, 12 operations each. */
+int ek_loop_finder_work(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *work);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

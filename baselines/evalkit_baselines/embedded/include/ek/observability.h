@@ -1,0 +1,49 @@
+/* observability.h - which direction the walls of a scan leave open.
+ *
+ * Computes the same as evalkit_baselines/slam/observability.py: the eigenvalues of the scatter of the normals of a cloud
+ * thinned to 0.1 m.
+ */
+#ifndef EK_OBSERVABILITY_H
+#define EK_OBSERVABILITY_H
+
+#include "ek/index.h"
+#include "ek/se2.h"
+#include "ek/thin.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* The unit direction in the scan's frame that the walls fix least, and the ratio of the eigenvalues, 0 to 1. */
+typedef struct {
+    ek_real x, y, ratio;
+} ek_openness;
+
+typedef struct {
+    ek_index index;
+    ek_real *thinned, *normals;
+} ek_observer;
+
+#define ek_observer_init EK_NAME(observer_init)
+#define ek_observer_measure EK_NAME(observer_measure)
+#define ek_openness_trust EK_NAME(openness_trust)
+#define ek_openness_limit EK_NAME(openness_limit)
+
+/* Initialise for clouds of up to `capacity` points in an arena (or measure it). Returns what ek_index_init returns. */
+ek_status ek_observer_init(ek_observer *observer, ek_arena *arena, size_t capacity);
+
+/* Measure a cloud: count pairs x y (m), finite and within EK_MAX_COORDINATE, at most `capacity`. With fewer than eight
+ * cells all directions are open. At most 200 operations a point. */
+ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, const ek_real *xy, size_t count,
+                                ek_work *work);
+
+/* Share, 0 to 1, of a match that counts along the open direction. */
+ek_real ek_openness_trust(const ek_openness *open);
+
+/* The pose of a match, with the guess along the open direction of the scan. */
+ek_pose ek_openness_limit(const ek_openness *open, ek_pose match, ek_pose guess);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

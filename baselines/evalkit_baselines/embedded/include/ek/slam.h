@@ -1,0 +1,145 @@
+/* slam.h - the paper's ICP against a lasting map, with loop closure and a pose graph; one call per scan.
+ *
+ * Computes the same as evalkit_baselines/slam/paper_slam.py. All memory is the caller's and is fixed at the start. The
+ * search for loops, the optimisation and the redrawing of the map are done in slices: each scan works on them until
+ * `work` operations are used up, and the scans go on being matched with the map as it is. Without a limit each loop is
+ * closed within the scan that found it, as in the reference.
+ */
+#ifndef EK_SLAM_H
+#define EK_SLAM_H
+
+#include "ek/continuity.h"
+#include "ek/loop_finder.h"
+#include "ek/motion.h"
+#include "ek/voxel_map.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct {
+    ek_scan_parameters scan;
+    ek_icp_parameters matcher;   /* EK_METRIC_LINE */
+    ek_real fine_correspondence; /* m: largest distance of a pair in the last match of a loop */
+    int32_t deskew, use_odometry; /* 1 or 0 */
+    int32_t min_inliers;         /* with fewer pairs the result is rejected and the guess kept */
+    ek_real keyframe_distance, keyframe_angle; /* m, rad */
+    ek_real map_voxel, map_radius; /* m: side of the voxels; scans are matched with those within the radius */
+    ek_real map_reach;           /* m: keyframes farther apart through the graph leave the map */
+    ek_drift drift;
+    ek_loop_settings loop;
+    int64_t work;                /* operations a scan for loops, optimisation and map; 0: no limit */
+    /* memory */
+    size_t points;               /* of a scan */
+    size_t keyframes, keyframe_points, loops, records;
+    size_t voxels, map_points;   /* of the lasting map, and of its part around the robot */
+    size_t loop_points, score_cells; /* of the two maps that a loop compares, and of a level of its score grid */
+} ek_slam_parameters;
+
+/* A candidate as reported. */
+typedef struct {
+    ek_loop_candidate candidate;
+    int32_t accepted;    /* the graph uses it now */
+    int32_t unconfirmed; /* passed, but neither good enough alone nor confirmed by another one */
+    int32_t found_again; /* it placed a part of the drive that began after a lost track */
+    int32_t withdrawn;   /* it was accepted, and contradicts other loops */
+    int32_t no_room;     /* the memory for loops is used up */
+    uint32_t section;    /* the part of the drive of its later keyframe */
+} ek_loop_record;
+
+typedef enum {
+    EK_TASK_IDLE = 0,
+    EK_TASK_FIND,
+    EK_TASK_SOLVE,  /* with dynamic covariance scaling */
+    EK_TASK_DOUBT,  /* some loop contradicts the others: without a kernel, */
+    EK_TASK_ROUND,  /* then rounds of graduated non-convexity, */
+    EK_TASK_SETTLE, /* then with the loops that are kept */
+    EK_TASK_REDRAW
+} ek_slam_task;
+
+/* Result for one scan. */
+typedef struct {
+    ek_pose start_from_base; /* in the frame of the corrected poses */
+    ek_pose odom_from_base;  /* in the continuous frame of the front end: for ek_slam_correct */
+    ek_match scan_to_scan, scan_to_map;
+    int32_t has_stages, scan_to_scan_accepted, scan_to_map_accepted;
+    int32_t lost;      /* 1: the scan contradicts the one before; the map begins anew */
+    int32_t corrected; /* 1: earlier poses changed */
+    int32_t full;      /* 1: no memory for another keyframe: no loop is closed any more */
+    uint32_t keyframe; /* the last one */
+    uint64_t work;     /* operations of this scan for loops, optimisation and map */
+} ek_slam_estimate;
+
+/* Scale of the wheel odometry: matched path over that of the wheels, both since about 50 m (odometry_scale.py). */
+typedef struct {
+    ek_real matched, driven;      /* m */
+    int32_t has_last, has_keyframe, seen;
+    ek_pose last, scaled;         /* raw and scaled odometry at the last scan */
+    ek_pose now;                  /* raw odometry of this scan */
+    ek_pose keyframe;             /* raw odometry at the last keyframe */
+} ek_wheels;
+
+typedef struct {
+    ek_slam_parameters parameters;
+    ek_motion motion;
+    ek_scan scan;
+    ek_icp icp;
+    ek_index last, map_index;
+    ek_real *last_normals, *map_normals, *map_points;
+    ek_thinner thinner;
+    ek_observer observer;
+    ek_continuity continuity;
+    ek_voxel_map maps[2];    /* the map, and the one that is being drawn */
+    uint32_t drawn;          /* which of them is the map */
+    ek_real *moved, *sums, *stored;
+    uint32_t *counts;
+    ek_real centre_x, centre_y; /* of the part of the map around the robot */
+    int32_t map_changed, has_keyframe;
+    ek_pose odom_from_front; /* of the front end's last keyframe */
+    ek_keyframes keyframes;
+    ek_pose *odom_from_keyframe;
+    ek_pose odom_from_start, next_odom_from_start;
+    ek_loop_finder finder;
+    ek_loop_candidate waiting[4];
+    uint32_t waiting_count;
+    ek_loop_record *record;
+    size_t record_count;
+    uint32_t *record_of_loop;
+    ek_slam_task task;
+    ek_wheels wheels;
+    ek_real *smoothed, *scratch;
+    int32_t undecided, corrected, full, rounds;
+    ek_real mu, built_at;
+    size_t redrawn;
+    uint64_t unrecorded; /* candidates for which there was no room */
+} ek_slam;
+
+#define ek_slam_default EK_NAME(slam_default)
+#define ek_slam_bytes EK_NAME(slam_bytes)
+#define ek_slam_start EK_NAME(slam_start)
+#define ek_slam_update EK_NAME(slam_update)
+#define ek_slam_correct EK_NAME(slam_correct)
+
+/* Default parameters: those of the reference; memory for 2048 points a scan, 2000 keyframes of 500 points, 64 loops. */
+ek_slam_parameters ek_slam_default(void);
+
+/* Compute how many bytes ek_slam_start needs besides the struct. EK_NOT_FINITE or EK_OUT_OF_RANGE for wrong parameters and
+ * for more memory than this processor can address; *bytes is then 0. */
+ek_status ek_slam_bytes(const ek_slam_parameters *parameters, size_t *bytes);
+
+/* Initialise in memory aligned to EK_ALIGNMENT, which must outlive it. EK_TOO_LITTLE_MEMORY, or what ek_slam_bytes
+ * returns. */
+ek_status ek_slam_start(ek_slam *slam, void *memory, size_t bytes, const ek_slam_parameters *parameters);
+
+/* Process a sweep. Returns what ek_scan_project returns; EK_OUT_OF_RANGE: a stamp not later than the last, or a pose or a
+ * point too far away; EK_NOT_FINITE: the odometry. An error changes no state. */
+ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate *estimate);
+
+/* The corrected pose of a scan from its estimate's `keyframe` and `odom_from_base`, which the caller keeps: between two
+ * keyframes the correction is distributed by the driven distance. */
+ek_pose ek_slam_correct(const ek_slam *slam, uint32_t keyframe, ek_pose odom_from_base);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,56 @@
+/* voxel_map.h - one lasting map: a mean for each square voxel, with room for a fixed number of voxels.
+ *
+ * Computes the same as VoxelMap in evalkit/odometry/local_map.py: a voxel takes no more points once it has max_points, so
+ * that later visits, which drift, do not move the map.
+ */
+#ifndef EK_VOXEL_MAP_H
+#define EK_VOXEL_MAP_H
+
+#include "ek/se2.h"
+#include "ek/thin.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct {
+    int32_t column, row;
+    uint32_t points;
+    ek_real x, y; /* sums (m) */
+} ek_voxel;
+
+typedef struct {
+    size_t capacity, count; /* voxels */
+    size_t mask;            /* entries of the hash table - 1 */
+    ek_real size;           /* m */
+    uint32_t max_points;
+    ek_voxel *voxel;        /* in the order of their first points */
+    uint32_t *entry;        /* hash table: 1 + voxel, 0: free */
+    uint64_t dropped;       /* cells of scans for which there was no room */
+} ek_voxel_map;
+
+#define ek_voxel_map_init EK_NAME(voxel_map_init)
+#define ek_voxel_map_clear EK_NAME(voxel_map_clear)
+#define ek_voxel_map_add EK_NAME(voxel_map_add)
+#define ek_voxel_map_cloud EK_NAME(voxel_map_cloud)
+
+/* Initialise an empty map in an arena (or measure it). EK_OUT_OF_RANGE: capacity 0 or above 2^26, a voxel below 0.01 m or
+ * above 100 m, max_points 0. */
+ek_status ek_voxel_map_init(ek_voxel_map *map, ek_arena *arena, size_t capacity, ek_real size, uint32_t max_points);
+
+/* Remove all voxels. */
+void ek_voxel_map_clear(ek_voxel_map *map);
+
+/* Add points at a pose: count pairs x y (m), which stay within EK_MAX_COORDINATE; `moved`, `sums` and `counts` are working
+ * memory for as many. At most 14 operations a point. */
+void ek_voxel_map_add(ek_voxel_map *map, ek_thinner *thinner, const ek_real *xy, size_t count, ek_pose map_from_points,
+                      ek_real *moved, ek_real *sums, uint32_t *counts, ek_work *work);
+
+/* Write the means within a radius (m) of a place, at most `capacity` pairs; returns their number. 1 operation a voxel. */
+size_t ek_voxel_map_cloud(const ek_voxel_map *map, ek_real x, ek_real y, ek_real radius, ek_real *means, size_t capacity,
+                          ek_work *work);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

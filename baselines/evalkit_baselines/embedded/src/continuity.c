@@ -1,0 +1,151 @@
+#include "ek/continuity.h"
+
+#include <string.h>
+
+#define NEAR EK_R(0.25) /* m: a point within it lies on the scan before; as in the reference, like the others */
+#define MIN_SHARE EK_R(0.7)
+#define MIN_POINTS 20u
+#define VOXEL EK_R(0.1)
+#define GAP (EK_R(5.0) * EK_PI / EK_R(180.0))
+#define BEHIND EK_R(0.5) /* m */
+#define SAMPLES 100u
+#define POINT_WORK 50u /* operations: sort, search of a ray, share of the index */
+#define CELLS_PER_POINT 16u
+#define MAX_CELLS ((size_t)1 << 16)
+
+ek_status ek_continuity_init(ek_continuity *continuity, ek_arena *arena, size_t capacity)
+{
+    if (!continuity || !arena) {
+        return EK_NULL_POINTER;
+    }
+    memset(continuity, 0, sizeof *continuity);
+    const size_t cells = capacity < MAX_CELLS / CELLS_PER_POINT ? CELLS_PER_POINT * capacity : MAX_CELLS;
+    const ek_status status = ek_index_init(&continuity->before, arena, capacity, cells);
+    continuity->ray = (ek_view_ray *)ek_arena_alloc(arena, capacity, sizeof(ek_view_ray));
+    continuity->other = (ek_view_ray *)ek_arena_alloc(arena, capacity, sizeof(ek_view_ray));
+    continuity->thinned = (ek_real *)ek_arena_alloc(arena, capacity, 2u * sizeof(ek_real));
+    continuity->moved = (ek_real *)ek_arena_alloc(arena, capacity, 2u * sizeof(ek_real));
+    continuity->seen = (uint32_t *)ek_arena_alloc(arena, capacity, sizeof(uint32_t));
+    return status;
+}
+
+static void transform(ek_pose pose, const ek_real *from, size_t count, ek_real *to)
+{
+    const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta);
+    for (size_t i = 0; i < 2u * count; i += 2u) {
+        const ek_real x = from[i], y = from[i + 1u];
+        to[i] = c * x - s * y + pose.x;
+        to[i + 1u] = s * x + c * y + pose.y;
+    }
+}
+
+/* Sort the rays by bearing: merge runs of doubling length; stable. */
+static void sort_rays(ek_continuity *continuity)
+{
+    const size_t count = continuity->rays;
+    for (size_t width = 1u; width < count; width *= 2u) {
+        const ek_view_ray *const from = continuity->ray;
+        ek_view_ray *const to = continuity->other;
+        for (size_t start = 0u; start < count; start += 2u * width) {
+            const size_t middle = start + width < count ? start + width : count;
+            const size_t end = middle + width < count ? middle + width : count;
+            size_t i = start, j = middle;
+            for (size_t k = start; k < end; k++) {
+                const int left = i < middle && (j >= end || from[i].bearing <= from[j].bearing);
+                to[k] = left ? from[i++] : from[j++];
+            }
+        }
+        continuity->other = continuity->ray;
+        continuity->ray = to;
+    }
+}
+
+/* The ray next to a bearing, and how far it is from it (rad). */
+static ek_view_ray nearest_ray(const ek_continuity *continuity, ek_real bearing, ek_real *gap)
+{
+    const ek_view_ray *const ray = continuity->ray;
+    const size_t count = continuity->rays;
+    size_t low = 0u, high = count; /* the first ray that is not before the bearing */
+    while (low < high) {
+        const size_t middle = (low + high) / 2u;
+        if (ray[middle].bearing < bearing) {
+            low = middle + 1u;
+        } else {
+            high = middle;
+        }
+    }
+    const ek_real turn = EK_R(2.0) * EK_PI;
+    const ek_view_ray left = low > 0u ? ray[low - 1u] : ray[count - 1u], right = low < count ? ray[low] : ray[0];
+    const ek_real before = bearing - (low > 0u ? left.bearing : left.bearing - turn);
+    const ek_real after = (low < count ? right.bearing : right.bearing + turn) - bearing;
+    *gap = before < after ? before : after;
+    return before < after ? left : right;
+}
+
+/* Select the points that the scan before could see; returns their number. */
+static size_t select_seen(ek_continuity *continuity, size_t count)
+{
+    const ek_pose world_from_sensor = continuity->sensor;
+    size_t seen = 0u;
+    for (uint32_t i = 0; i < count; i++) {
+        const ek_real *const point = continuity->moved + 2u * (size_t)i;
+        const ek_pose at = {point[0], point[1], EK_R(0.0)};
+        const ek_pose view = ek_se2_between(world_from_sensor, at);
+        ek_real gap;
+        const ek_view_ray ray = nearest_ray(continuity, EK_ATAN2(view.y, view.x), &gap);
+        const ek_real range = EK_SQRT(view.x * view.x + view.y * view.y);
+        continuity->seen[seen] = i;
+        seen += gap <= GAP && range <= ray.range + BEHIND;
+    }
+    return seen;
+}
+
+/* Share of the selected points that lie on the scan before, or on the map if there is one; about a hundred of them are
+ * searched. */
+static ek_real share_on_scan(const ek_continuity *continuity, size_t seen, const ek_index *map)
+{
+    const size_t every = seen / SAMPLES > 1u ? seen / SAMPLES : 1u;
+    size_t on = 0u, asked = 0u;
+    for (size_t k = 0; k < seen; k += every) {
+        const ek_real *const point = continuity->moved + 2u * (size_t)continuity->seen[k];
+        on += ek_index_nearest(&continuity->before, point[0], point[1], NEAR, NEAR).slot != EK_NONE ||
+              (map && ek_index_nearest(map, point[0], point[1], NEAR, NEAR).slot != EK_NONE);
+        asked++;
+    }
+    return (ek_real)on / (ek_real)asked;
+}
+
+/* Keep the scan as the one before. */
+static void store(ek_continuity *continuity, size_t count, ek_pose odom_from_base, ek_pose base_from_sensor)
+{
+    const ek_pose sensor_from_base = ek_se2_inverse(base_from_sensor);
+    continuity->sensor = ek_se2_compose(odom_from_base, base_from_sensor);
+    continuity->started = ek_index_build(&continuity->before, continuity->moved, count) == EK_OK;
+    transform(sensor_from_base, continuity->thinned, count, continuity->thinned);
+    for (size_t i = 0; i < count; i++) {
+        const ek_real x = continuity->thinned[2u * i], y = continuity->thinned[2u * i + 1u];
+        continuity->ray[i].bearing = EK_ATAN2(y, x);
+        continuity->ray[i].range = EK_SQRT(x * x + y * y);
+    }
+    continuity->rays = count;
+    sort_rays(continuity);
+}
+
+int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const ek_real *xy, size_t count,
+                          ek_pose odom_from_base, ek_pose base_from_sensor, int has_odometry, const ek_index *map, ek_work *work)
+{
+    const size_t cells = ek_thin(thinner, xy, count, VOXEL, continuity->thinned, work);
+    if (cells < MIN_POINTS) {
+        return 0;
+    }
+    int lost = 0;
+    transform(odom_from_base, continuity->thinned, cells, continuity->moved);
+    if (continuity->started) {
+        const size_t seen = select_seen(continuity, cells);
+        lost = seen < MIN_POINTS ? !has_odometry : share_on_scan(continuity, seen, NULL) < MIN_SHARE;
+        lost = lost && seen >= MIN_POINTS && has_odometry ? share_on_scan(continuity, seen, map) < MIN_SHARE : lost;
+    }
+    store(continuity, cells, odom_from_base, base_from_sensor);
+    ek_work_spend(work, POINT_WORK * (uint64_t)cells);
+    return lost;
+}

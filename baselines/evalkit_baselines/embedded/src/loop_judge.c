@@ -1,0 +1,270 @@
+#include "loop_parts.h"
+
+#include <string.h>
+
+#define CORRELATED EK_R(10.0)  /* points near each other have the same error: so many count as one */
+#define CLEAR_RATIO EK_R(0.3)  /* from this ratio on the position along a corridor is as good as across */
+#define OPEN_SIGMA EK_R(0.15)  /* m */
+#define MIN_ERROR EK_R(0.01)   /* m */
+#define POINT_WORK 20u
+
+static const ek_sym3 FLOOR = {EK_R(0.015) * EK_R(0.015), EK_R(0.0), EK_R(0.0), EK_R(0.015) * EK_R(0.015), EK_R(0.0),
+                              EK_R(0.004) * EK_R(0.004)};
+
+ek_loop_settings ek_loop_default(void)
+{
+    ek_loop_settings settings;
+    settings.path = EK_R(15.0);
+    settings.spacing = EK_R(1.0);
+    settings.radius = EK_R(7.0);
+    settings.submap = EK_R(3.0);
+    settings.cell = EK_R(0.1);
+    settings.score = EK_R(0.55);
+    settings.ambiguity = EK_R(0.92);
+    settings.near = EK_R(0.15);
+    settings.overlap = EK_R(0.8);
+    settings.degenerate = EK_R(0.13);
+    settings.gate = EK_R(11.345);
+    settings.quick_gate = EK_R(6.25);
+    return settings;
+}
+
+ek_status ek_loop_check(const ek_loop_settings *settings)
+{
+    if (!settings) {
+        return EK_NULL_POINTER;
+    }
+    const ek_real all[] = {settings->path,      settings->spacing, settings->radius,  settings->submap,
+                           settings->cell,      settings->score,   settings->ambiguity, settings->near,
+                           settings->overlap,   settings->degenerate, settings->gate, settings->quick_gate};
+    for (size_t k = 0; k < sizeof all / sizeof *all; k++) {
+        if (!isfinite(all[k])) {
+            return EK_NOT_FINITE;
+        }
+        if (all[k] < EK_R(0.0) || all[k] > EK_R(1e6)) {
+            return EK_OUT_OF_RANGE;
+        }
+    }
+    const int shares = settings->score <= EK_R(1.0) && settings->ambiguity <= EK_R(1.0) && settings->overlap <= EK_R(1.0);
+    const int window = settings->cell >= EK_R(0.02) && settings->cell <= EK_R(1.0) &&
+                       settings->radius <= (ek_real)EK_SEARCH_MAX_HALF * settings->cell;
+    return shares && window && settings->near > EK_R(0.0) ? EK_OK : EK_OUT_OF_RANGE;
+}
+
+ek_status ek_loop_finder_init(ek_loop_finder *finder, ek_arena *arena, const ek_loop_settings *settings,
+                              const ek_icp_parameters *coarse, const ek_icp_parameters *fine, size_t points, size_t cells)
+{
+    if (!finder || !arena || !coarse || !fine) {
+        return EK_NULL_POINTER;
+    }
+    ek_status status = ek_loop_check(settings);
+    if (status != EK_OK) {
+        return status;
+    }
+    memset(finder, 0, sizeof *finder);
+    finder->settings = *settings;
+    finder->coarse = *coarse;
+    finder->fine = *fine;
+    finder->capacity = points;
+    status = ek_thinner_init(&finder->thinner, arena, points);
+    status = status == EK_OK ? ek_index_init(&finder->index, arena, points, 4u * points) : status;
+    status = status == EK_OK ? ek_icp_init(&finder->icp, arena, points, points) : status;
+    status = status == EK_OK ? ek_icp_init_lines(&finder->icp, arena) : status;
+    status = status == EK_OK ? ek_score_grid_init(&finder->grid, arena, cells) : status;
+    status = status == EK_OK ? ek_search_init(&finder->search, arena, points) : status;
+    status = status == EK_OK ? ek_observer_init(&finder->observer, arena, points) : status;
+    ek_real **const clouds[] = {&finder->raw, &finder->target, &finder->source, &finder->sample, &finder->normals};
+    for (size_t k = 0; status == EK_OK && k < sizeof clouds / sizeof *clouds; k++) {
+        *clouds[k] = (ek_real *)ek_arena_alloc(arena, points, 2u * sizeof(ek_real));
+    }
+    return status;
+}
+
+void ek_loop_finder_reset(ek_loop_finder *finder)
+{
+    finder->phase = EK_FINDER_IDLE;
+    finder->tried = finder->looks_near = 0;
+    finder->next_place = 0u;
+}
+
+/* The nearest keyframe that is far apart through the graph, within the radius that the drift since then allows. */
+static size_t nearest_place(const ek_loop_finder *finder, const ek_keyframes *keyframes)
+{
+    const ek_loop_settings *const settings = &finder->settings;
+    const ek_pose *const pose = keyframes->graph.pose, last = pose[keyframes->count - 1u];
+    ek_real least = EK_FAR;
+    size_t place = keyframes->count;
+    for (size_t k = 0; k < keyframes->count; k++) {
+        const ek_real apart = keyframes->apart[k], x = pose[k].x - last.x, y = pose[k].y - last.y;
+        const ek_real distance = EK_SQRT(x * x + y * y), grown = EK_R(1.0) + EK_R(0.1) * apart;
+        const ek_real radius = grown < settings->radius ? grown : settings->radius;
+        if (apart >= settings->path && apart < EK_APART && distance <= radius && distance < least) {
+            least = distance;
+            place = k;
+        }
+    }
+    return place;
+}
+
+/* The place of another part of the drive nearest to where the robot seems to be, within the radius. */
+static size_t nearest_other_part(const ek_loop_finder *finder, const ek_keyframes *keyframes)
+{
+    const ek_pose *const pose = keyframes->graph.pose, last = pose[keyframes->count - 1u];
+    ek_real least = EK_FAR;
+    size_t place = keyframes->count;
+    for (size_t k = 0; k < keyframes->count; k++) {
+        const ek_real x = pose[k].x - last.x, y = pose[k].y - last.y, distance = EK_SQRT(x * x + y * y);
+        if (keyframes->apart[k] >= EK_APART && distance < least) {
+            least = distance;
+            place = k;
+        }
+    }
+    return least <= finder->settings.radius ? place : keyframes->count;
+}
+
+/* The next place to look for the robot after a lost track, one for each keyframe: by turns the one nearest to where the
+ * robot seems to be, because the track may be only a little wrong, and the next of all. */
+static size_t another_place(ek_loop_finder *finder, const ek_keyframes *keyframes)
+{
+    const size_t count = keyframes->count;
+    const ek_real from = keyframes->path[finder->next_place < count ? finder->next_place : count - 1u];
+    size_t first = count, ahead = count;
+    finder->looks_near = !finder->looks_near;
+    if (finder->looks_near && nearest_other_part(finder, keyframes) < count) {
+        return nearest_other_part(finder, keyframes);
+    }
+    for (size_t k = count; k-- > 0u;) {
+        if (keyframes->apart[k] >= EK_APART) {
+            first = k;
+            ahead = keyframes->path[k] >= from ? k : ahead;
+        }
+    }
+    if (ahead == count) {
+        finder->next_place = 0u;
+        ahead = first;
+    }
+    if (ahead == count) {
+        return count;
+    }
+    size_t next = 0u;
+    while (next < count && keyframes->path[next] < keyframes->path[ahead] + EK_R(0.5) * finder->settings.radius) {
+        next++;
+    }
+    finder->next_place = next;
+    return ahead;
+}
+
+int ek_loop_finder_begin(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *work)
+{
+    const ek_sym3 anywhere = {EK_R(1e4), EK_R(0.0), EK_R(0.0), EK_R(1e4), EK_R(0.0), EK_R(1e2)};
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    const size_t count = keyframes->count, last = count - 1u;
+    if (count < 2u || (finder->tried && keyframes->path[last] - finder->tried_at < finder->settings.spacing)) {
+        return 0;
+    }
+    size_t place = nearest_place(finder, keyframes);
+    ek_work_spend(work, 2u * (uint64_t)count);
+    place = place < count ? place : another_place(finder, keyframes);
+    if (place >= last) {
+        return 0;
+    }
+    finder->tried = 1;
+    finder->tried_at = keyframes->path[last];
+    finder->known = keyframes->apart[place] < EK_APART;
+    finder->motion = finder->known ? ek_se2_between(keyframes->graph.pose[place], keyframes->graph.pose[last]) : identity;
+    finder->covariance = anywhere;
+    memset(&finder->candidate, 0, sizeof finder->candidate);
+    finder->candidate.edge.first = (uint32_t)place;
+    finder->candidate.edge.second = (uint32_t)last;
+    finder->candidate.edge.first_from_second = finder->motion;
+    finder->candidate.chi = (ek_real)NAN;
+    finder->phase = EK_FINDER_PREDICT;
+    return !finder->known || ek_pose_graph_predict(&keyframes->graph, (uint32_t)place, (uint32_t)last) == EK_OK;
+}
+
+/* Squared Mahalanobis distance of a motion from the predicted one. */
+static ek_real chi_square(const ek_loop_finder *finder, ek_pose motion, const ek_sym3 *covariance)
+{
+    const ek_pose gap = ek_se2_between(motion, finder->motion);
+    const ek_real residual[3] = {gap.x, gap.y, gap.theta};
+    ek_sym3 information;
+    return ek_sym3_inverse(covariance, &information) ? ek_sym3_quadratic(&information, residual) : (ek_real)INFINITY;
+}
+
+int ek_loop_is_possible(const ek_loop_finder *finder, ek_pose motion)
+{
+    const ek_real cell = finder->settings.cell * finder->settings.cell;
+    const ek_sym3 rounding = {cell, EK_R(0.0), EK_R(0.0), cell, EK_R(0.0), EK_R(1e-4)};
+    ek_sym3 covariance = ek_sym3_sum(&finder->covariance, &FLOOR, EK_R(1.0));
+    covariance = ek_sym3_sum(&covariance, &rounding, EK_R(1.0));
+    return chi_square(finder, motion, &covariance) <= EK_R(2.0) * finder->settings.gate;
+}
+
+/* Sum up the information of a point-to-line fit in the source's frame; the points on the map go to `raw`. */
+static ek_sym3 add_points(ek_loop_finder *finder, size_t *on_map)
+{
+    ek_sym3 sum = {EK_R(0.0), EK_R(0.0), EK_R(0.0), EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    const ek_pose motion = finder->match;
+    const ek_real c = EK_COS(motion.theta), s = EK_SIN(motion.theta), near = finder->settings.near;
+    *on_map = 0u;
+    for (size_t k = 0; k < finder->source_count; k++) {
+        const ek_real x = finder->source[2u * k], y = finder->source[2u * k + 1u];
+        const ek_neighbour found =
+            ek_index_nearest(&finder->index, c * x - s * y + motion.x, s * x + c * y + motion.y, near, near);
+        if (found.slot == EK_NONE) {
+            continue;
+        }
+        const ek_real *const normal = finder->normals + 2u * (size_t)finder->index.id[found.slot];
+        const ek_real u = c * normal[0] + s * normal[1], v = c * normal[1] - s * normal[0], turn = x * v - y * u;
+        const ek_sym3 more = {u * u, u * v, u * turn, v * v, v * turn, turn * turn};
+        sum = ek_sym3_sum(&sum, &more, EK_R(1.0));
+        finder->raw[2u * *on_map] = x;
+        finder->raw[2u * (*on_map)++ + 1u] = y;
+    }
+    return sum;
+}
+
+/* Covariance of the match: of the fit, at least FLOOR, and more along an open direction. */
+static ek_sym3 match_covariance(ek_loop_finder *finder, const ek_sym3 *sum, size_t on_map, ek_work *work)
+{
+    const ek_sym3 weak = {EK_R(1e-4), EK_R(0.0), EK_R(0.0), EK_R(1e-4), EK_R(0.0), EK_R(1e-2)};
+    const ek_real error = finder->match_error > MIN_ERROR ? finder->match_error : MIN_ERROR;
+    const ek_sym3 information = ek_sym3_sum(&weak, sum, EK_R(1.0) / (CORRELATED * error * error));
+    ek_sym3 covariance = FLOOR;
+    ek_sym3_inverse(&information, &covariance);
+    covariance = ek_sym3_sum(&covariance, &FLOOR, EK_R(1.0));
+    const ek_openness open = ek_observer_measure(&finder->observer, &finder->thinner, finder->raw, on_map, work);
+    const ek_real share = EK_R(1.0) - open.ratio / CLEAR_RATIO, sigma = OPEN_SIGMA * (share > EK_R(0.0) ? share : EK_R(0.0));
+    const ek_sym3 along = {open.x * open.x, open.x * open.y, EK_R(0.0), open.y * open.y, EK_R(0.0), EK_R(0.0)};
+    return ek_sym3_sum(&covariance, &along, sigma * sigma);
+}
+
+void ek_loop_judge(ek_loop_finder *finder, ek_work *work)
+{
+    const ek_loop_settings *const settings = &finder->settings;
+    ek_loop_candidate *const candidate = &finder->candidate;
+    size_t on_map;
+    const ek_sym3 sum = add_points(finder, &on_map);
+    const ek_real overlap = (ek_real)on_map / (ek_real)finder->source_count;
+    ek_work_spend(work, POINT_WORK * (uint64_t)finder->source_count);
+    finder->phase = EK_FINDER_IDLE;
+    candidate->edge.first_from_second = finder->match;
+    candidate->number[0] = overlap;
+    candidate->outcome = EK_LOOP_OVERLAP;
+    if (!(overlap >= settings->overlap)) {
+        return;
+    }
+    ek_sym3 covariance = match_covariance(finder, &sum, on_map, work);
+    const ek_real mean = EK_R(0.5) * (covariance.xx + covariance.yy), half = EK_R(0.5) * (covariance.xx - covariance.yy);
+    const ek_real loosest = EK_SQRT(mean + EK_SQRT(half * half + covariance.xy * covariance.xy));
+    candidate->number[0] = loosest;
+    candidate->outcome = EK_LOOP_DEGENERATE;
+    if (!(loosest <= settings->degenerate) || !ek_sym3_inverse(&covariance, &candidate->edge.information)) {
+        return;
+    }
+    covariance = ek_sym3_sum(&covariance, &finder->covariance, EK_R(1.0));
+    candidate->chi = chi_square(finder, finder->match, &covariance);
+    candidate->number[0] = candidate->chi;
+    candidate->number[1] = overlap;
+    candidate->outcome = candidate->chi <= settings->gate ? EK_LOOP_PASSED : EK_LOOP_CHI;
+}

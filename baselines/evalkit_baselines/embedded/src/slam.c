@@ -1,0 +1,298 @@
+#include "slam_parts.h"
+#include "ek/normals.h"
+
+#include <string.h>
+
+#define NEIGHBOURS 8u
+#define CELLS_PER_POINT 16u
+#define MAX_CELLS ((size_t)1 << 18)
+#define MAX_VOXEL_POINTS 20u
+#define RECENTRE EK_R(0.1)      /* share of the map's radius that the robot moves before its part is taken again */
+#define NEAR_LIMIT (EK_R(0.25) * EK_MAX_COORDINATE)
+
+ek_slam_parameters ek_slam_default(void)
+{
+    ek_slam_parameters p;
+    memset(&p, 0, sizeof p);
+    p.scan.range_min = EK_R(0.15);
+    p.scan.range_max = EK_R(12.0);
+    p.matcher = ek_icp_default();
+    p.matcher.epsilon = EK_R(1e-6);
+    p.matcher.one_to_one = 0;
+    p.matcher.metric = EK_METRIC_LINE;
+    p.matcher.cauchy = EK_R(0.1);
+    p.matcher.max_correspondence = EK_R(1.0);
+    p.fine_correspondence = EK_R(0.3);
+    p.deskew = p.use_odometry = 1;
+    p.min_inliers = 10;
+    p.keyframe_distance = EK_R(0.3);
+    p.keyframe_angle = EK_R(10.0) * EK_PI / EK_R(180.0);
+    p.map_voxel = EK_R(0.1);
+    p.map_radius = EK_R(15.0);
+    p.map_reach = EK_R(20.0);
+    p.drift.sigma = EK_R(0.02);
+    p.drift.sigma_theta = EK_R(0.3) * EK_PI / EK_R(180.0);
+    p.loop = ek_loop_default();
+    p.work = 200000;
+    p.points = 2048u;
+    p.keyframes = 2000u;
+    p.keyframe_points = 500u * p.keyframes;
+    p.loops = 64u;
+    p.records = 512u;
+    p.voxels = 16384u;
+    p.map_points = 12288u;
+    p.loop_points = 16384u;
+    p.score_cells = (size_t)512 * 512;
+    return p;
+}
+
+static ek_status check_parameters(const ek_slam_parameters *p)
+{
+    const ek_real all[] = {p->fine_correspondence, p->keyframe_distance, p->keyframe_angle, p->map_radius, p->map_reach};
+    if (p->matcher.metric != EK_METRIC_LINE || p->min_inliers < 0 || p->points < 1u || p->points > (size_t)1 << 20 ||
+        p->records < 1u || p->records > (size_t)1 << 20 || p->work < 0) {
+        return EK_OUT_OF_RANGE;
+    }
+    for (size_t k = 0; k < sizeof all / sizeof *all; k++) {
+        if (!isfinite(all[k])) {
+            return EK_NOT_FINITE;
+        }
+        if (all[k] < EK_R(0.0) || all[k] > EK_R(1e6)) {
+            return EK_OUT_OF_RANGE;
+        }
+    }
+    const ek_status status = ek_scan_check(&p->scan);
+    return status == EK_OK ? ek_icp_check(&p->matcher) : status;
+}
+
+static size_t cells_for(size_t points)
+{
+    return points < MAX_CELLS / CELLS_PER_POINT ? CELLS_PER_POINT * points : MAX_CELLS;
+}
+
+/* Memory of the front end and its map. */
+static ek_status init_front(ek_slam *slam, ek_arena *arena, const ek_slam_parameters *p)
+{
+    const size_t most = p->points > p->map_points ? p->points : p->map_points;
+    ek_status status = ek_scan_init(&slam->scan, arena, p->points);
+    status = status == EK_OK ? ek_icp_init(&slam->icp, arena, p->points, most) : status;
+    status = status == EK_OK ? ek_icp_init_lines(&slam->icp, arena) : status;
+    status = status == EK_OK ? ek_index_init(&slam->last, arena, p->points, cells_for(p->points)) : status;
+    status = status == EK_OK ? ek_index_init(&slam->map_index, arena, p->map_points, cells_for(p->map_points)) : status;
+    status = status == EK_OK ? ek_thinner_init(&slam->thinner, arena, p->points) : status;
+    status = status == EK_OK ? ek_observer_init(&slam->observer, arena, p->points) : status;
+    status = status == EK_OK ? ek_continuity_init(&slam->continuity, arena, p->points) : status;
+    for (size_t k = 0; status == EK_OK && k < 2u; k++) {
+        status = ek_voxel_map_init(&slam->maps[k], arena, p->voxels, p->map_voxel, MAX_VOXEL_POINTS);
+    }
+    slam->last_normals = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
+    slam->map_normals = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
+    slam->map_points = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
+    slam->moved = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
+    slam->sums = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
+    slam->stored = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
+    slam->smoothed = (ek_real *)ek_arena_alloc(arena, p->points, sizeof(ek_real));
+    slam->scratch = (ek_real *)ek_arena_alloc(arena, p->points, sizeof(ek_real));
+    slam->counts = (uint32_t *)ek_arena_alloc(arena, p->points, sizeof(uint32_t));
+    return status;
+}
+
+ek_status ek_slam_init(ek_slam *slam, ek_arena *arena, const ek_slam_parameters *parameters)
+{
+    ek_icp_parameters fine = parameters->matcher;
+    fine.max_correspondence = parameters->fine_correspondence;
+    memset(slam, 0, sizeof *slam);
+    slam->parameters = *parameters;
+    ek_slam_start_wheels(slam);
+    ek_status status = check_parameters(parameters);
+    status = status == EK_OK ? init_front(slam, arena, parameters) : status;
+    if (status == EK_OK) {
+        status = ek_keyframes_init(&slam->keyframes, arena, parameters->keyframes, parameters->keyframe_points,
+                                   parameters->loops, parameters->drift);
+    }
+    if (status == EK_OK) {
+        status = ek_loop_finder_init(&slam->finder, arena, &parameters->loop, &parameters->matcher, &fine,
+                                     parameters->loop_points, parameters->score_cells);
+    }
+    if (status == EK_OK) {
+        slam->odom_from_keyframe = (ek_pose *)ek_arena_alloc(arena, parameters->keyframes, sizeof(ek_pose));
+        slam->record = (ek_loop_record *)ek_arena_alloc(arena, parameters->records, sizeof(ek_loop_record));
+        slam->record_of_loop = (uint32_t *)ek_arena_alloc(arena, parameters->loops, sizeof(uint32_t));
+    }
+    return status == EK_OK && arena->used > EK_ARENA_MAX ? EK_OUT_OF_RANGE : status;
+}
+
+/* Index a cloud; its normals are computed when a match needs them. */
+static ek_status index_lines(ek_index *index, ek_real *normals, const ek_real *xy, size_t count)
+{
+    const ek_status status = ek_index_build(index, xy, count);
+    return status == EK_OK ? ek_normals_defer(index, NEIGHBOURS, normals) : status;
+}
+
+/* Take the part of the map around a pose, if the map has changed or the robot has moved on. */
+static ek_status take_map(ek_slam *slam, ek_pose near, ek_work *work)
+{
+    const ek_real x = near.x - slam->centre_x, y = near.y - slam->centre_y, radius = slam->parameters.map_radius;
+    if (!slam->map_changed && x * x + y * y <= RECENTRE * radius * RECENTRE * radius) {
+        return EK_OK;
+    }
+    const size_t count = ek_voxel_map_cloud(&slam->maps[slam->drawn], near.x, near.y, radius, slam->map_points,
+                                            slam->parameters.map_points, work);
+    slam->centre_x = near.x;
+    slam->centre_y = near.y;
+    slam->map_changed = 0;
+    return index_lines(&slam->map_index, slam->map_normals, slam->map_points, count);
+}
+
+/* One stage: the pose after it is the match, or the guess where the match has too few pairs. */
+static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openness *open, ek_pose *pose, ek_match *match,
+                           int32_t *accepted)
+{
+    *accepted = 0;
+    if (slam->scan.count == 0u) {
+        match->target_from_source = *pose;
+        return EK_OK;
+    }
+    const ek_status status = ek_slam_match(slam, target, *pose, match);
+    *accepted = status == EK_OK && match->inliers >= slam->parameters.min_inliers;
+    if (*accepted) {
+        *pose = ek_openness_limit(open, match->target_from_source, *pose);
+    }
+    return status;
+}
+
+ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work)
+{
+    ek_pose last_from_base = ek_motion_predict(&slam->motion, prior), pose = estimate->odom_from_base;
+    if (!slam->motion.started) {
+        return EK_OK;
+    }
+    const ek_openness open =
+        ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
+    ek_status status = run_stage(slam, &slam->last, &open, &last_from_base, &estimate->scan_to_scan,
+                                 &estimate->scan_to_scan_accepted);
+    pose = ek_se2_compose(slam->motion.start_from_base, last_from_base);
+    if (status == EK_OK) {
+        status = take_map(slam, pose, work);
+    }
+    if (status == EK_OK) {
+        status = run_stage(slam, &slam->map_index, &open, &pose, &estimate->scan_to_map, &estimate->scan_to_map_accepted);
+    }
+    estimate->has_stages = 1;
+    estimate->odom_from_base = pose;
+    return status;
+}
+
+static ek_status check_sweep(const ek_slam *slam, const ek_sweep *sweep)
+{
+    if (sweep->has_odometry && !ek_se2_is_finite(sweep->odom_from_base)) {
+        return EK_NOT_FINITE;
+    }
+    const ek_pose at = slam->parameters.scan.base_from_sensor;
+    const int near = EK_FABS(at.x) <= EK_R(1e3) && EK_FABS(at.y) <= EK_R(1e3) &&
+                     (!sweep->has_odometry || (EK_FABS(sweep->odom_from_base.x) <= EK_MAX_COORDINATE &&
+                                               EK_FABS(sweep->odom_from_base.y) <= EK_MAX_COORDINATE));
+    return near && !(slam->motion.started && sweep->stamp_ns <= slam->motion.stamp_ns) ? EK_OK : EK_OUT_OF_RANGE;
+}
+
+static ek_status check_points(const ek_scan *scan)
+{
+    for (size_t k = 0; k < 2u * scan->count; k++) {
+        if (!(EK_FABS(scan->hits[k]) <= NEAR_LIMIT)) {
+            return isfinite(scan->hits[k]) ? EK_OUT_OF_RANGE : EK_NOT_FINITE;
+        }
+    }
+    return EK_OK;
+}
+
+static int is_near(ek_pose pose)
+{
+    return ek_se2_is_finite(pose) && EK_FABS(pose.x) <= NEAR_LIMIT && EK_FABS(pose.y) <= NEAR_LIMIT;
+}
+
+/* Keep the scan: as the one before, and as a keyframe if the base has moved enough or the track was lost. */
+static ek_status keep(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_slam_estimate *estimate, ek_work *work)
+{
+    const ek_slam_parameters *const p = &slam->parameters;
+    const ek_pose pose = estimate->odom_from_base, moved = ek_se2_between(slam->odom_from_front, pose);
+    const int far = moved.x * moved.x + moved.y * moved.y >= p->keyframe_distance * p->keyframe_distance;
+    const int keyframe = !slam->has_keyframe || far || EK_FABS(moved.theta) >= p->keyframe_angle;
+    ek_status status = take_map(slam, pose, work);
+    estimate->lost = ek_continuity_is_lost(&slam->continuity, &slam->thinner, slam->scan.hits, slam->scan.count, pose,
+                                           p->scan.base_from_sensor, has_odometry, &slam->map_index, work);
+    if (keyframe) {
+        slam->odom_from_front = pose;
+        slam->has_keyframe = 1;
+    }
+    if (status == EK_OK) {
+        status = index_lines(&slam->last, slam->last_normals, slam->scan.hits, slam->scan.count);
+    }
+    ek_motion_store(&slam->motion, prior, pose);
+    ek_work task = ek_work_make(p->work ? p->work : INT64_MAX);
+    if (status == EK_OK && (keyframe || estimate->lost)) {
+        status = ek_slam_insert(slam, pose, !estimate->lost, &task);
+    }
+    ek_slam_work(slam, &task);
+    estimate->work = task.done;
+    return status;
+}
+
+ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate *estimate)
+{
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    const ek_match none = {identity, 0, 0, 0, (ek_real)NAN, 0u};
+    ek_work work = ek_work_make(INT64_MAX);
+    if (!slam || !sweep || !estimate) {
+        return EK_NULL_POINTER;
+    }
+    const ek_slam_parameters *const p = &slam->parameters;
+    ek_status status = check_sweep(slam, sweep);
+    ek_wheels wheels = slam->wheels;
+    ek_sweep prepared = *sweep;
+    if (status == EK_OK) {
+        prepared = ek_slam_prepare(slam, sweep, &wheels);
+        status = ek_motion_project(&slam->motion, &slam->scan, &prepared, &p->scan, p->deskew);
+    }
+    status = status == EK_OK ? check_points(&slam->scan) : status;
+    if (status != EK_OK) {
+        return status;
+    }
+    const ek_prior prior = {sweep->stamp_ns, p->use_odometry && sweep->has_odometry, prepared.odom_from_base};
+    memset(estimate, 0, sizeof *estimate);
+    estimate->odom_from_base = identity;
+    estimate->scan_to_scan = estimate->scan_to_map = none;
+    slam->corrected = 0;
+    status = ek_slam_track(slam, &prior, estimate, &work);
+    if (status != EK_OK || !is_near(estimate->odom_from_base)) {
+        return status == EK_OK ? EK_OUT_OF_RANGE : status;
+    }
+    slam->wheels = wheels;
+    status = keep(slam, &prior, sweep->has_odometry, estimate, &work);
+    estimate->start_from_base = ek_se2_compose(ek_se2_inverse(slam->odom_from_start), estimate->odom_from_base);
+    estimate->corrected = slam->corrected;
+    estimate->full = slam->full;
+    estimate->keyframe = slam->keyframes.count ? (uint32_t)(slam->keyframes.count - 1u) : 0u;
+    return status;
+}
+
+ek_status ek_slam_bytes(const ek_slam_parameters *parameters, size_t *bytes)
+{
+    ek_slam slam;
+    ek_arena arena = ek_arena_make(NULL, 0u);
+    if (!parameters || !bytes) {
+        return EK_NULL_POINTER;
+    }
+    const ek_status status = ek_slam_init(&slam, &arena, parameters);
+    *bytes = status == EK_OK ? arena.used : 0u;
+    return status;
+}
+
+ek_status ek_slam_start(ek_slam *slam, void *memory, size_t bytes, const ek_slam_parameters *parameters)
+{
+    ek_arena arena = ek_arena_make(memory, bytes);
+    if (!slam || !memory || !parameters) {
+        return EK_NULL_POINTER;
+    }
+    const ek_status status = ek_slam_init(slam, &arena, parameters);
+    return status == EK_OK ? ek_arena_check(&arena) : status;
+}

@@ -1,0 +1,96 @@
+#include "ek/smooth.h"
+#include "slam_parts.h"
+
+#define MEMORY EK_R(50.0)    /* m: path over which the scale is averaged */
+#define PRIOR EK_R(5.0)      /* m: path at scale 1 that is assumed to have been driven before */
+#define MAX_ERROR EK_R(0.1)  /* a motion whose length differs by a larger share does not count */
+#define MIN_STEP EK_R(0.1)   /* m */
+#define SEEING EK_R(0.065)
+#define POOR EK_R(0.1)       /* m: a larger mean distance is doubted */
+#define NEAR EK_R(0.15)      /* m: of two answers, the one with more points within it is taken */
+
+void ek_slam_start_wheels(ek_slam *slam)
+{
+    slam->wheels.matched = slam->wheels.driven = PRIOR;
+}
+
+static ek_pose scaled(ek_pose motion, ek_real scale)
+{
+    motion.x *= scale;
+    motion.y *= scale;
+    return motion;
+}
+
+ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *wheels)
+{
+    const ek_real scale = slam->wheels.matched / slam->wheels.driven;
+    ek_sweep prepared = *sweep;
+    *wheels = slam->wheels;
+    wheels->has_last = sweep->has_odometry;
+    wheels->now = sweep->odom_from_base;
+    if (sweep->has_odometry) {
+        const ek_pose step = ek_se2_between(slam->wheels.last, sweep->odom_from_base);
+        wheels->scaled = slam->wheels.has_last ? ek_se2_compose(slam->wheels.scaled, scaled(step, scale))
+                                               : sweep->odom_from_base;
+        wheels->last = sweep->odom_from_base;
+        prepared.odom_from_base = wheels->scaled;
+        prepared.start_from_end = scaled(sweep->start_from_end, scale);
+    }
+    if (sweep->ranges && sweep->angles && sweep->beams <= slam->parameters.points &&
+        ek_smooth_ranges(sweep->ranges, sweep->angles, sweep->beams, slam->smoothed, slam->scratch)) {
+        prepared.ranges = slam->smoothed;
+    }
+    return prepared;
+}
+
+void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *open, int known)
+{
+    ek_wheels *const wheels = &slam->wheels;
+    const int seen = open->ratio >= SEEING, both = seen && wheels->seen;
+    if (known && both && wheels->has_last && wheels->has_keyframe) {
+        const ek_pose motion = ek_se2_between(wheels->keyframe, wheels->now);
+        const ek_real driven = EK_SQRT(motion.x * motion.x + motion.y * motion.y);
+        const ek_real along = (matched.x * motion.x + matched.y * motion.y) / (driven > EK_R(0.0) ? driven : EK_R(1.0));
+        if (driven >= MIN_STEP && EK_FABS(along - driven) <= MAX_ERROR * driven) {
+            wheels->matched += along;
+            wheels->driven += driven;
+            if (wheels->driven > MEMORY) {
+                wheels->matched *= MEMORY / wheels->driven;
+                wheels->driven = MEMORY;
+            }
+        }
+    }
+    wheels->seen = seen;
+    wheels->has_keyframe = wheels->has_last;
+    wheels->keyframe = wheels->now;
+}
+
+/* Number of points of the scan within NEAR of a target. */
+static size_t count_near(const ek_slam *slam, const ek_index *target, ek_pose pose)
+{
+    const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta);
+    size_t near = 0u;
+    for (size_t k = 0; k < slam->scan.count; k++) {
+        const ek_real x = slam->scan.hits[2u * k], y = slam->scan.hits[2u * k + 1u];
+        near += ek_index_nearest(target, c * x - s * y + pose.x, s * x + c * y + pose.y, NEAR, NEAR).slot != EK_NONE;
+    }
+    return near;
+}
+
+ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match)
+{
+    ek_icp_parameters narrow = slam->parameters.matcher;
+    ek_match second;
+    ek_status status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, guess, &narrow, NULL, NULL,
+                                       match);
+    if (status != EK_OK || !(match->error > POOR)) {
+        return status;
+    }
+    narrow.max_correspondence = slam->parameters.fine_correspondence;
+    status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, guess, &narrow, NULL, NULL, &second);
+    if (status == EK_OK &&
+        count_near(slam, target, second.target_from_source) > count_near(slam, target, match->target_from_source)) {
+        *match = second;
+    }
+    return status;
+}

@@ -1,0 +1,61 @@
+/* slam_parts.h - parts of slam.h that several files share. */
+#ifndef EK_SLAM_PARTS_H
+#define EK_SLAM_PARTS_H
+
+#include "ek/slam.h"
+
+#define ek_slam_start_wheels EK_NAME(slam_start_wheels)
+#define ek_slam_prepare EK_NAME(slam_prepare)
+#define ek_slam_observe_wheels EK_NAME(slam_observe_wheels)
+#define ek_slam_match EK_NAME(slam_match)
+#define ek_slam_init EK_NAME(slam_init)
+#define ek_slam_track EK_NAME(slam_track)
+#define ek_slam_draw EK_NAME(slam_draw)
+#define ek_slam_redraw EK_NAME(slam_redraw)
+#define ek_slam_insert EK_NAME(slam_insert)
+#define ek_slam_solve EK_NAME(slam_solve)
+#define ek_slam_next_run EK_NAME(slam_next_run)
+#define ek_slam_odom_from_start EK_NAME(slam_odom_from_start)
+#define ek_slam_work EK_NAME(slam_work)
+
+/* Initialise in an arena (or measure it). */
+ek_status ek_slam_init(ek_slam *slam, ek_arena *arena, const ek_slam_parameters *parameters);
+
+/* Scale 1 for the wheel odometry. */
+void ek_slam_start_wheels(ek_slam *slam);
+
+/* The sweep with smoothed ranges and scaled odometry; `wheels` becomes the state after this sweep. */
+ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *wheels);
+
+/* Compare the motion between the last two keyframes as matched with that of the wheels. */
+void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *open, int known);
+
+/* Match the projected scan with a target; where the answer fits poorly, try again with near pairs, and take the better
+ * one. */
+ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match);
+
+/* Match the projected scan with the last one and with the map; fills stages and odom_from_base. */
+ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work);
+
+/* Draw points, in their own frame, into one of the two maps. */
+void ek_slam_draw(ek_slam *slam, uint32_t map, const ek_real *xy, size_t count, ek_pose odom_from_points, ek_work *work);
+
+/* Begin to draw the map anew, with `next_odom_from_start`. */
+void ek_slam_redraw(ek_slam *slam);
+
+/* Make the projected scan a keyframe at a pose; `known`: whether the track was not lost. */
+ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, int known, ek_work *work);
+
+/* Begin to optimise all keyframes with the loops; those that contradict the others are withdrawn. */
+void ek_slam_solve(ek_slam *slam);
+
+/* The next run of the solver after one has ended; after the last one the map is redrawn. */
+void ek_slam_next_run(ek_slam *slam, ek_work *work);
+
+/* The motion between the corrected poses and the continuous frame, at the last keyframe. */
+ek_pose ek_slam_odom_from_start(const ek_slam *slam);
+
+/* Go on with the task in hand while work is left. */
+void ek_slam_work(ek_slam *slam, ek_work *work);
+
+#endif

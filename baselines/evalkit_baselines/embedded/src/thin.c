@@ -1,0 +1,123 @@
+#include "ek/thin.h"
+
+#include <string.h>
+
+#define MAX_COUNT ((size_t)1 << 30)
+#define DIGIT_BITS 11u
+#define DIGITS ((uint32_t)1 << DIGIT_BITS)
+
+ek_status ek_thinner_init(ek_thinner *thinner, ek_arena *arena, size_t capacity)
+{
+    if (!thinner || !arena) {
+        return EK_NULL_POINTER;
+    }
+    if (capacity == 0u || capacity > MAX_COUNT) {
+        return EK_OUT_OF_RANGE;
+    }
+    thinner->capacity = capacity;
+    thinner->key = (uint64_t *)ek_arena_alloc(arena, capacity, sizeof(uint64_t));
+    thinner->other_key = (uint64_t *)ek_arena_alloc(arena, capacity, sizeof(uint64_t));
+    thinner->order = (uint32_t *)ek_arena_alloc(arena, capacity, sizeof(uint32_t));
+    thinner->other_order = (uint32_t *)ek_arena_alloc(arena, capacity, sizeof(uint32_t));
+    thinner->digits = (uint32_t *)ek_arena_alloc(arena, DIGITS + 1u, sizeof(uint32_t));
+    return EK_OK;
+}
+
+/* Number the cells of the points row by row; returns the largest number. */
+static uint64_t number_cells(ek_thinner *thinner, const ek_real *xy, size_t count, ek_real size)
+{
+    int64_t left = INT64_MAX, low = INT64_MAX, high = INT64_MIN;
+    uint64_t largest = 0u;
+    for (size_t i = 0; i < count; i++) {
+        const int64_t x = (int64_t)EK_FLOOR(xy[2u * i] / size), y = (int64_t)EK_FLOOR(xy[2u * i + 1u] / size);
+        left = x < left ? x : left;
+        low = y < low ? y : low;
+        high = y > high ? y : high;
+    }
+    const uint64_t height = (uint64_t)(high - low) + 1u;
+    for (size_t i = 0; i < count; i++) {
+        const int64_t x = (int64_t)EK_FLOOR(xy[2u * i] / size), y = (int64_t)EK_FLOOR(xy[2u * i + 1u] / size);
+        thinner->key[i] = (uint64_t)(x - left) * height + (uint64_t)(y - low);
+        thinner->order[i] = (uint32_t)i;
+        largest = thinner->key[i] > largest ? thinner->key[i] : largest;
+    }
+    return largest;
+}
+
+/* One stable pass of the radix sort; swaps the arrays. */
+static void sort_by_digit(ek_thinner *thinner, size_t count, unsigned shift)
+{
+    uint32_t *const digits = thinner->digits;
+    memset(digits, 0, (DIGITS + 1u) * sizeof *digits);
+    for (size_t i = 0; i < count; i++) {
+        digits[(thinner->key[i] >> shift & (DIGITS - 1u)) + 1u]++;
+    }
+    for (uint32_t digit = 1; digit < DIGITS; digit++) {
+        digits[digit] += digits[digit - 1u];
+    }
+    for (size_t i = 0; i < count; i++) {
+        const uint32_t to = digits[thinner->key[i] >> shift & (DIGITS - 1u)]++;
+        thinner->other_key[to] = thinner->key[i];
+        thinner->other_order[to] = thinner->order[i];
+    }
+    uint64_t *const key = thinner->key;
+    uint32_t *const order = thinner->order;
+    thinner->key = thinner->other_key;
+    thinner->order = thinner->other_order;
+    thinner->other_key = key;
+    thinner->other_order = order;
+}
+
+static void sort_by_cell(ek_thinner *thinner, const ek_real *xy, size_t count, ek_real size, ek_work *work)
+{
+    const uint64_t largest = number_cells(thinner, xy, count, size);
+    for (unsigned shift = 0u; shift < 64u && largest >> shift; shift += DIGIT_BITS) {
+        sort_by_digit(thinner, count, shift);
+    }
+    ek_work_spend(work, 8u * (uint64_t)count);
+}
+
+size_t ek_thin_sums(ek_thinner *thinner, const ek_real *xy, size_t count, ek_real size, ek_real *sums, uint32_t *counts,
+                    ek_work *work)
+{
+    size_t cells = 0u;
+    if (count == 0u) {
+        return 0u;
+    }
+    sort_by_cell(thinner, xy, count, size, work);
+    for (size_t i = 0; i < count; i++) {
+        const ek_real *const point = xy + 2u * (size_t)thinner->order[i];
+        if (i == 0u || thinner->key[i] != thinner->key[i - 1u]) {
+            sums[2u * cells] = sums[2u * cells + 1u] = EK_R(0.0);
+            counts[cells++] = 0u;
+        }
+        sums[2u * cells - 2u] += point[0];
+        sums[2u * cells - 1u] += point[1];
+        counts[cells - 1u]++;
+    }
+    return cells;
+}
+
+size_t ek_thin(ek_thinner *thinner, const ek_real *xy, size_t count, ek_real size, ek_real *means, ek_work *work)
+{
+    size_t cells = 0u;
+    if (count == 0u) {
+        return 0u;
+    }
+    sort_by_cell(thinner, xy, count, size, work);
+    for (size_t i = 0, from = 0; i < count; i++) {
+        const ek_real *const point = xy + 2u * (size_t)thinner->order[i];
+        if (i == 0u || thinner->key[i] != thinner->key[i - 1u]) {
+            means[2u * cells] = means[2u * cells + 1u] = EK_R(0.0);
+            cells++;
+            from = i;
+        }
+        means[2u * cells - 2u] += point[0];
+        means[2u * cells - 1u] += point[1];
+        if (i + 1u == count || thinner->key[i + 1u] != thinner->key[i]) {
+            means[2u * cells - 2u] /= (ek_real)(i + 1u - from);
+            means[2u * cells - 1u] /= (ek_real)(i + 1u - from);
+        }
+    }
+    return cells;
+}

@@ -1,0 +1,107 @@
+#include "ek/voxel_map.h"
+
+#include <string.h>
+
+#define MAX_VOXELS ((size_t)1 << 26)
+
+ek_status ek_voxel_map_init(ek_voxel_map *map, ek_arena *arena, size_t capacity, ek_real size, uint32_t max_points)
+{
+    size_t entries = 16u;
+    if (!map || !arena) {
+        return EK_NULL_POINTER;
+    }
+    if (capacity == 0u || capacity > MAX_VOXELS || !(size >= EK_R(0.01) && size <= EK_R(100.0)) || max_points == 0u) {
+        return EK_OUT_OF_RANGE;
+    }
+    while (entries < 2u * capacity) {
+        entries *= 2u;
+    }
+    memset(map, 0, sizeof *map);
+    map->capacity = capacity;
+    map->mask = entries - 1u;
+    map->size = size;
+    map->max_points = max_points;
+    map->voxel = (ek_voxel *)ek_arena_alloc(arena, capacity, sizeof(ek_voxel));
+    map->entry = (uint32_t *)ek_arena_alloc(arena, entries, sizeof(uint32_t));
+    if (arena->memory && ek_arena_check(arena) == EK_OK) {
+        memset(map->entry, 0, entries * sizeof(uint32_t));
+    }
+    return EK_OK;
+}
+
+void ek_voxel_map_clear(ek_voxel_map *map)
+{
+    map->count = 0u;
+    memset(map->entry, 0, (map->mask + 1u) * sizeof *map->entry);
+}
+
+/* Entry of a voxel in the hash table, or the free entry where it belongs. */
+static size_t find_entry(const ek_voxel_map *map, int32_t column, int32_t row)
+{
+    uint32_t hash = (uint32_t)column * 0x9E3779B1u ^ (uint32_t)row * 0x85EBCA77u;
+    hash ^= hash >> 15;
+    size_t at = hash & map->mask;
+    while (map->entry[at]) {
+        const ek_voxel *const voxel = map->voxel + map->entry[at] - 1u;
+        if (voxel->column == column && voxel->row == row) {
+            break;
+        }
+        at = (at + 1u) & map->mask;
+    }
+    return at;
+}
+
+static void add_to_voxel(ek_voxel_map *map, int32_t column, int32_t row, const ek_real *sum, uint32_t points)
+{
+    const size_t at = find_entry(map, column, row);
+    if (!map->entry[at]) {
+        if (map->count == map->capacity) {
+            map->dropped++;
+            return;
+        }
+        const ek_voxel fresh = {column, row, 0u, EK_R(0.0), EK_R(0.0)};
+        map->voxel[map->count++] = fresh;
+        map->entry[at] = (uint32_t)map->count;
+    }
+    ek_voxel *const voxel = map->voxel + map->entry[at] - 1u;
+    if (voxel->points < map->max_points) {
+        voxel->points += points;
+        voxel->x += sum[0];
+        voxel->y += sum[1];
+    }
+}
+
+void ek_voxel_map_add(ek_voxel_map *map, ek_thinner *thinner, const ek_real *xy, size_t count, ek_pose map_from_points,
+                      ek_real *moved, ek_real *sums, uint32_t *counts, ek_work *work)
+{
+    const ek_real c = EK_COS(map_from_points.theta), s = EK_SIN(map_from_points.theta);
+    for (size_t i = 0; i < count; i++) {
+        moved[2u * i] = c * xy[2u * i] - s * xy[2u * i + 1u] + map_from_points.x;
+        moved[2u * i + 1u] = s * xy[2u * i] + c * xy[2u * i + 1u] + map_from_points.y;
+    }
+    const size_t cells = ek_thin_sums(thinner, moved, count, map->size, sums, counts, work);
+    size_t first = 0u;
+    for (size_t k = 0; k < cells; k++) {
+        const ek_real *const point = moved + 2u * (size_t)thinner->order[first];
+        add_to_voxel(map, (int32_t)EK_FLOOR(point[0] / map->size), (int32_t)EK_FLOOR(point[1] / map->size),
+                     sums + 2u * k, counts[k]);
+        first += counts[k];
+    }
+    ek_work_spend(work, 6u * (uint64_t)count);
+}
+
+size_t ek_voxel_map_cloud(const ek_voxel_map *map, ek_real x, ek_real y, ek_real radius, ek_real *means, size_t capacity,
+                          ek_work *work)
+{
+    size_t count = 0u;
+    for (size_t k = 0; k < map->count && count < capacity; k++) {
+        const ek_voxel *const voxel = map->voxel + k;
+        const ek_real points = (ek_real)voxel->points, u = voxel->x / points, v = voxel->y / points;
+        means[2u * count] = u;
+        means[2u * count + 1u] = v;
+        count += (u - x) * (u - x) + (v - y) * (v - y) <= radius * radius;
+    }
+    ek_work_spend(work, map->count);
+    return count;
+}
+

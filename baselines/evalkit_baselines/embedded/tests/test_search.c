@@ -1,0 +1,190 @@
+/* Thinning, the score grid and branch and bound, each against a plain computation. */
+#include "check.h"
+#include "ek/search.h"
+
+#define CAPACITY 512u
+#define CELLS ((size_t)192 * 192)
+#define CELL 0.1
+
+static ek_thinner thinner;
+static ek_score_grid grid;
+static ek_search search;
+static ek_real target[2u * CAPACITY], source[2u * CAPACITY], means[2u * CAPACITY], sums[2u * CAPACITY];
+static uint32_t counts[CAPACITY];
+static ek_work work;
+
+static void means_of_cells_are_those_of_a_hand_calculation(void)
+{
+    /* cells of 1 m: (-1, 0) has two points, (0, -2) and (0, 0) one each; ordered by x, then y */
+    const ek_real xy[] = {EK_R(0.5), EK_R(0.25), EK_R(-0.5), EK_R(0.5), EK_R(0.75), EK_R(-1.5), EK_R(-0.25), EK_R(0.0)};
+    CHECK(ek_thin(&thinner, xy, 4u, EK_R(1.0), means, &work) == 3u);
+    CHECK_NEAR(means[0], -0.375, TOLERANCE);
+    CHECK_NEAR(means[1], 0.25, TOLERANCE);
+    CHECK_NEAR(means[3], -1.5, TOLERANCE);
+    CHECK_NEAR(means[5], 0.25, TOLERANCE);
+    CHECK(ek_thin_sums(&thinner, xy, 4u, EK_R(1.0), sums, counts, &work) == 3u);
+    CHECK(counts[0] == 2u && counts[1] == 1u && counts[2] == 1u);
+    CHECK_NEAR(sums[0], -0.75, TOLERANCE);
+    CHECK(ek_thin(&thinner, xy, 0u, EK_R(1.0), means, &work) == 0u);
+}
+
+static void cells_are_found_wherever_they_lie(uint64_t *seed)
+{
+    for (size_t i = 0; i < CAPACITY; i++) { /* far apart: all digits of the keys are sorted */
+        target[2u * i] = uniform(seed, -9e5, 9e5);
+        target[2u * i + 1u] = uniform(seed, -9e5, 9e5);
+    }
+    const size_t cells = ek_thin(&thinner, target, CAPACITY, EK_R(0.05), means, &work);
+    CHECK(cells > CAPACITY - 20u);
+    for (size_t k = 1; k < cells; k++) {
+        CHECK(EK_FLOOR(means[2u * k] / EK_R(0.05)) >= EK_FLOOR(means[2u * k - 2u] / EK_R(0.05)));
+    }
+}
+
+/* Scores of cells: 255 where a point is at the centre; exp(-1 / 2) of it a cell farther; maxima over squares. */
+static void scores_and_their_maxima_are_those_of_a_hand_calculation(void)
+{
+    const ek_real xy[] = {EK_R(1.05), EK_R(2.05)};
+    ek_score_grid_draw(&grid, &thinner, xy, 1u, EK_R(CELL), EK_R(0.0), EK_R(0.0), means, &work);
+    const int32_t column = (int32_t)EK_FLOOR((xy[0] - grid.left) / grid.cell),
+                  row = (int32_t)EK_FLOOR((xy[1] - grid.bottom) / grid.cell);
+    const uint8_t *const at = grid.level[0] + (size_t)row * (size_t)grid.columns + column;
+    CHECK(at[0] == 255u && at[1] == 155u && at[-1] == 155u && at[grid.columns] == 155u); /* 255 exp(-1/2) = 154.7 */
+    CHECK(at[grid.columns + 1] == 94u && at[3] == 3u && at[4] == 0u);                     /* 93.8, 2.8 */
+    for (uint32_t level = 1; level < EK_SCORE_LEVELS; level++) {
+        ek_score_grid_raise(&grid, level, &work);
+    }
+    for (uint32_t level = 1; level < EK_SCORE_LEVELS; level++) {
+        const int32_t side = (int32_t)1 << level;
+        for (int32_t y = 0; y < grid.rows; y += 3) {
+            for (int32_t x = 0; x < grid.columns; x += 3) {
+                uint8_t most = 0u;
+                for (int32_t v = y; v < y + side && v < grid.rows; v++) {
+                    for (int32_t u = x; u < x + side && u < grid.columns; u++) {
+                        const uint8_t score = grid.level[0][v * grid.columns + u];
+                        most = score > most ? score : most;
+                    }
+                }
+                CHECK(grid.level[level][y * grid.columns + x] == most);
+            }
+        }
+    }
+}
+
+/* Walls of a room with a pillar, seen from a pose. */
+static size_t room(ek_real *xy, ek_pose from, uint64_t *seed)
+{
+    size_t count = 0u;
+    for (int k = 0; k < 60; k++) {
+        const double along = 0.1 * k;
+        const ek_pose points[] = {{EK_R(along), EK_R(0.0), EK_R(0.0)},        {EK_R(0.0), EK_R(0.7 * along), EK_R(0.0)},
+                                  {EK_R(along), EK_R(4.2), EK_R(0.0)},        {EK_R(6.0), EK_R(0.7 * along), EK_R(0.0)},
+                                  {EK_R(2.0 + 0.01 * k), EK_R(1.5), EK_R(0.0)}};
+        for (size_t i = 0; i < 5u; i++, count++) {
+            const ek_pose seen = ek_se2_between(from, points[i]);
+            xy[2u * count] = seen.x + uniform(seed, -0.02, 0.02);
+            xy[2u * count + 1u] = seen.y + uniform(seed, -0.02, 0.02);
+        }
+    }
+    return count;
+}
+
+/* The best score of all motions of the lattice. */
+static ek_real exhaustive(const ek_search *of)
+{
+    ek_real best = EK_R(0.0);
+    for (uint32_t a = 0; a < of->angles; a++) {
+        const ek_real offset = (ek_real)(of->lowest + (int32_t)a) * of->step, theta = of->window.centre.theta + offset;
+        const ek_real c = EK_COS(theta), s = EK_SIN(theta);
+        for (int32_t x = -of->half_x; x <= of->half_x; x++) {
+            for (int32_t y = -of->half_y; y <= of->half_y; y++) {
+                uint32_t sum = 0u;
+                for (size_t i = 0; i < of->count; i++) {
+                    const ek_real u = of->xy[2u * i], v = of->xy[2u * i + 1u];
+                    const ek_real px = c * u - s * v + (of->window.centre.x - grid.left);
+                    const ek_real py = s * u + c * v + (of->window.centre.y - grid.bottom);
+                    const int32_t column = (int32_t)EK_FLOOR(px / grid.cell) + x, row = (int32_t)EK_FLOOR(py / grid.cell) + y;
+                    const int inside = column >= 0 && row >= 0 && column < grid.columns && row < grid.rows;
+                    sum += inside ? grid.level[0][row * grid.columns + column] : 0u;
+                }
+                const ek_real u = (ek_real)x * grid.cell, v = (ek_real)y * grid.cell;
+                const ek_real squares = of->prior.theta > EK_R(0.0)
+                                            ? u * u / (of->prior.x * of->prior.x) + v * v / (of->prior.y * of->prior.y) +
+                                                  offset * offset / (of->prior.theta * of->prior.theta)
+                                            : EK_R(0.0);
+                const ek_real score = (ek_real)sum / (ek_real)(EK_SCORE_FULL * of->count) / (EK_R(1.0) + EK_R(0.02) * squares);
+                best = score > best ? score : best;
+            }
+        }
+    }
+    return best;
+}
+
+static void the_best_score_is_that_of_an_exhaustive_search(uint64_t *seed)
+{
+    static const ek_search_prior priors[] = {{EK_R(0.2), EK_R(0.3), EK_R(0.1)}, {EK_R(0.0), EK_R(0.0), EK_R(0.0)}};
+    const ek_pose origin = {EK_R(0.0), EK_R(0.0), EK_R(0.0)}, there = {EK_R(2.5), EK_R(1.9), EK_R(0.4)};
+    size_t count = room(target, origin, seed);
+    ek_score_grid_draw(&grid, &thinner, target, count, EK_R(CELL), EK_R(2.0), EK_R(2.0), means, &work);
+    for (uint32_t level = 1; level < EK_SCORE_LEVELS; level++) {
+        ek_score_grid_raise(&grid, level, &work);
+    }
+    count = room(source, there, seed);
+    for (int k = 0; k < 8; k++) {
+        ek_search_window window = {there, EK_R(0.65), EK_R(0.35), k == 7 ? EK_PI : EK_R(0.1)};
+        window.centre.x += uniform(seed, -0.4, 0.4);
+        window.centre.y += uniform(seed, -0.3, 0.3);
+        CHECK(ek_search_begin(&search, &grid, source, k == 7 ? 40u : 120u, &window, priors + k % 2, EK_R(0.1)) == EK_OK);
+        for (int done = 0; !done;) {
+            ek_work little = ek_work_make(500);
+            done = ek_search_work(&search, &little);
+            CHECK(little.done <= 500u + 72u * search.count);
+        }
+        CHECK(search.found);
+        CHECK_NEAR(search.score, exhaustive(&search), TOLERANCE);
+        CHECK(k >= 6 || EK_FABS(ek_se2_between(search.best, there).theta) < EK_R(0.06));
+    }
+    const ek_search_window far = {{EK_R(100.0), EK_R(0.0), EK_R(0.0)}, EK_R(0.5), EK_R(0.5), EK_R(0.1)};
+    ek_work all = ek_work_make(INT64_MAX);
+    CHECK(ek_search_begin(&search, &grid, source, count, &far, priors, EK_R(0.1)) == EK_OK);
+    CHECK(ek_search_work(&search, &all) && !search.found);
+}
+
+static void a_target_that_does_not_fit_is_cropped_around_the_place(void)
+{
+    const ek_real xy[] = {EK_R(-500.0), EK_R(0.0), EK_R(3.05), EK_R(2.05), EK_R(900.0), EK_R(900.0)};
+    ek_score_grid_draw(&grid, &thinner, xy, 3u, EK_R(CELL), EK_R(2.0), EK_R(2.0), means, &work);
+    CHECK((size_t)grid.columns * (size_t)grid.rows <= CELLS);
+    uint32_t full = 0u;
+    for (int32_t k = 0; k < grid.columns * grid.rows; k++) {
+        full += grid.level[0][k] == 255u;
+    }
+    CHECK(full == 1u);
+    ek_score_grid_draw(&grid, &thinner, xy, 1u, EK_R(CELL), EK_R(2.0), EK_R(2.0), means, &work);
+    CHECK(grid.columns > 1); /* a single point fits, wherever it is */
+}
+
+int main(void)
+{
+    ek_arena measured = ek_arena_make(NULL, 0u), taken = measured, *arena = &measured;
+    uint64_t seed = 3u;
+    for (int pass = 0; pass < 2; pass++) {
+        CHECK(ek_thinner_init(&thinner, arena, CAPACITY) == EK_OK);
+        CHECK(ek_score_grid_init(&grid, arena, CELLS) == EK_OK && ek_search_init(&search, arena, CAPACITY) == EK_OK);
+        if (pass == 0) {
+            taken = memory_of(measured.used);
+            arena = &taken;
+        }
+    }
+    CHECK(ek_arena_check(arena) == EK_OK);
+    work = ek_work_make(INT64_MAX);
+    means_of_cells_are_those_of_a_hand_calculation();
+    cells_are_found_wherever_they_lie(&seed);
+    scores_and_their_maxima_are_those_of_a_hand_calculation();
+    the_best_score_is_that_of_an_exhaustive_search(&seed);
+    a_target_that_does_not_fit_is_cropped_around_the_place();
+    CHECK(ek_thinner_init(&thinner, &measured, 0u) == EK_OUT_OF_RANGE);
+    CHECK(ek_score_grid_init(&grid, &measured, 100u) == EK_OUT_OF_RANGE);
+    free(taken.memory);
+    return verdict();
+}
