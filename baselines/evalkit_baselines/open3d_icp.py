@@ -222,7 +222,6 @@ POINT_TO_PLANE = replace(
     make=point_to_plane,
     summary="Open3D point-to-plane ICP with normals computed in the plane",
     citation=f"Chen and Medioni, IVC 1992; {_OPEN3D}",
-    role="",
     parameters=declared_parameters(Open3DPlaneSettings),
     default=True,
     missing=plane_missing,
@@ -233,6 +232,7 @@ GENERALIZED = replace(
     make=generalized,
     summary="Open3D generalised ICP with covariances computed in the plane",
     citation=f"Segal, Haehnel and Thrun, RSS 2009; {_OPEN3D}",
+    role="",  # one peer of each kind of ICP and library is enough
     parameters=declared_parameters(GeneralizedSettings),
     default=False,
 )

@@ -38,7 +38,7 @@ LAB = {p.name: p.default for p in registry.dataset("lab").parameters} | {"laps":
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOOLS)}; the core's own tests need them")
-@pytest.mark.parametrize("sanitize", ["OFF", "ON"])
+@pytest.mark.parametrize("sanitize", ["OFF", pytest.param("ON", marks=pytest.mark.thorough)])
 def test_the_tests_of_the_core_pass_without_a_warning(tmp_path, sanitize):
     options = [f"-DEK_SANITIZE={sanitize}", "-DEK_WERROR=ON", "-DCMAKE_BUILD_TYPE=Debug", "-DEK_BUILD_PROGRAMS=OFF"]
     for command in (

@@ -1,0 +1,75 @@
+"""The map that scans are matched with: the keyframes around the robot whose poses agree with each other."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.core.se2 import Floats
+from evalkit.odometry.local_map import ORIGIN, VoxelMap
+from evalkit_baselines.slam.keyframes import Keyframes
+
+REBUILT_EVERY_M = 5.0
+"""Keyframes that came too far apart through the graph leave the map after this path."""
+
+
+class NewKeyframe(NamedTuple):
+    """Points (N, 2) of a keyframe in the base frame, and its pose ``odom_from_base``."""
+
+    points: Floats
+    odom_from_base: Pose
+
+
+class LastingMap:
+    """The map of evalkit's front end (a LocalMap), in the continuous frame ``odom`` of the front end.
+
+    A keyframe belongs to it while it is within ``reach_m`` of the robot through the graph, so a place seen long ago
+    does not pull the scans before a loop closure has connected it. A correction moves the map, not the robot: ``odom``
+    stays continuous and ``odom_from_start`` changes.
+    """
+
+    def __init__(self, keyframes: Keyframes, voxel_m: float, radius_m: float, reach_m: float) -> None:
+        self._keyframes, self._voxel_m, self._radius_m, self._reach_m = keyframes, voxel_m, radius_m, reach_m
+        self._voxels = VoxelMap(voxel_m, radius_m)
+        self._built_at_m = 0.0
+        self._waiting: NewKeyframe | None = None
+        self.odom_from_start = Pose()
+
+    def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
+        """Hold a keyframe until ``take`` returns it; the front end's start frame is ``odom`` here."""
+        del base_from_sensor  # the points alone matter
+        self._waiting = NewKeyframe(points, start_from_base)
+
+    def take(self) -> NewKeyframe | None:
+        """Return the keyframe that the last scan became, if any, once."""
+        waiting, self._waiting = self._waiting, None
+        return waiting
+
+    def cloud(self, near: Pose) -> Cloud:
+        """Return the voxel means (K, 2) around a pose in ``odom``."""
+        return self._voxels.cloud(near)
+
+    def extend(self) -> None:
+        """Draw the last keyframe; those that came too far apart are left out from time to time."""
+        last = len(self._keyframes) - 1
+        if self._keyframes.path_m[last] - self._built_at_m >= REBUILT_EVERY_M:
+            self.rebuild()
+        else:
+            self._draw(last)
+
+    def rebuild(self) -> None:
+        """Draw all keyframes that belong to the map at their poses of now, the oldest first."""
+        keyframes = self._keyframes
+        last = len(keyframes) - 1
+        self._voxels = VoxelMap(self._voxel_m, self._radius_m)
+        self._built_at_m = keyframes.path_m[last]
+        gap = keyframes.poses[:, :2] - keyframes.poses[last, :2]
+        near = np.hypot(gap[:, 0], gap[:, 1]) <= 2.0 * self._radius_m
+        for row in np.flatnonzero(near & (keyframes.apart_m <= self._reach_m)):
+            self._draw(int(row))
+
+    def _draw(self, row: int) -> None:
+        self._voxels.add(self._keyframes.clouds[row], self.odom_from_start @ self._keyframes.pose(row))

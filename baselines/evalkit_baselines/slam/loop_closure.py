@@ -1,0 +1,268 @@
+"""Find and verify loop closures: place, branch and bound, ICP, fit, uniqueness, observability, chi-square.
+
+A candidate is the nearest earlier keyframe that is far apart through the graph, within the radius that the drift since
+then allows. Points of several keyframes on either side are matched, because single scans of equal rooms differ less.
+A candidate is rejected with the first of these reasons:
+
+1. *score*: branch and bound finds no motion, within three sigma of what the graph predicts, that fits;
+2. *ambiguous*: another motion within the gate fits nearly as well (equal doors of a corridor);
+3. *overlap*: after ICP too few points lie on the other map;
+4. *degenerate*: the geometry does not fix the position (a bare corridor);
+5. *chi2*: the motion contradicts the graph: the squared Mahalanobis distance of its residual is above the gate.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from evalkit.core import se2
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.core.se2 import Floats
+from evalkit.odometry.correlative import (
+    Prior,
+    ScoreGrid,
+    Window,
+    branch_and_bound,
+    other_headings,
+    windows_around,
+)
+from evalkit.odometry.local_map import voxel_means
+from evalkit.plugins.parameters import parameter
+from evalkit.plugins.protocols import Registration
+from evalkit_baselines.paper.icp import line_normals
+from evalkit_baselines.slam import pose_graph
+from evalkit_baselines.slam.keyframes import Edge, Keyframes
+from evalkit_baselines.slam.observability import Openness, measure_openness
+
+_SOURCE_POINTS = 300
+_SIGMAS = 3.0
+_MIN_WINDOW_M, _MIN_WINDOW_RAD = 0.3, math.radians(3.0)
+_MAX_WINDOW_RAD = math.radians(30.0)
+_CORRELATED = 10.0
+"""Points near each other have the same error: so many count as one."""
+_FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])
+"""Covariance of the best closure: maps of noisy scans are no better (m^2, rad^2)."""
+
+_CLEAR_RATIO = 0.3
+"""From this ratio of eigenvalues on (see ``observability``) the position along a corridor is as good as across."""
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Parameters of the loop closure."""
+
+    loop_path_m: float = parameter(15.0, "m", "a loop is at least so long through the graph", low=1.0)
+    loop_spacing_m: float = parameter(1.0, "m", "path between two candidates", low=0.0)
+    loop_radius_m: float = parameter(7.0, "m", "largest distance of a candidate, and half the search window", low=0.5)
+    loop_submap_m: float = parameter(3.0, "m", "path on either side of a keyframe whose points are matched", low=0.0)
+    loop_cell_m: float = parameter(0.1, "m", "cell of branch and bound", low=0.02, high=1.0)
+    loop_score: float = parameter(0.55, "", "smallest score of branch and bound", low=0.0, high=1.0)
+    loop_ambiguity: float = parameter(
+        0.92, "", "share of the best score that another motion may not reach", low=0.0, high=1.0
+    )
+    loop_near_m: float = parameter(0.15, "m", "a point within this distance lies on the other map", low=0.01)
+    loop_overlap: float = parameter(0.8, "", "smallest share of points on the other map", low=0.0, high=1.0)
+    loop_degenerate_m: float = parameter(0.13, "m", "largest 1-sigma error of the matched position", low=0.0)
+    loop_gate: float = parameter(11.345, "", "largest chi-square of a confirmed closure", low=0.0)
+    loop_quick_gate: float = parameter(6.25, "", "largest chi-square of a closure without confirmation", low=0.0)
+
+
+class Candidate(NamedTuple):
+    """The edge that a candidate measured, whether it passed all checks, and why or why not.
+
+    ``chi_square``: of its residual, nan where it was not computed. ``is_local``: the search window was small.
+    """
+
+    edge: Edge
+    passed: bool
+    reason: str
+    chi_square: float = math.nan
+    is_local: bool = False
+
+
+class _Prediction(NamedTuple):
+    """The motion ``target_from_source`` that the graph predicts and its covariance (3, 3) in the source's frame.
+
+    ``known``: False after a lost track; then the motion is a place to search around, at any heading.
+    """
+
+    motion: Pose
+    covariance: Floats
+    known: bool = True
+
+
+class LoopFinder:
+    """Proposes at most one verified candidate per keyframe: bounded work whatever the length of the drive."""
+
+    def __init__(self, settings: LoopSettings, coarse: Registration, fine: Registration) -> None:
+        self._settings, self._coarse, self._fine = settings, coarse, fine
+        self._tried_at_m = -math.inf
+        self._next_place = 0
+        self._looks_near = False
+
+    def find(self, keyframes: Keyframes) -> Candidate | None:
+        """Return the candidate of the last keyframe, None where there is no place to compare."""
+        last = len(keyframes) - 1
+        if keyframes.path_m[last] - self._tried_at_m < self._settings.loop_spacing_m:
+            return None
+        other = self._nearest_place(keyframes)
+        if other is None:
+            other = self._another_place(keyframes)
+        if other is None:
+            return None
+        self._tried_at_m = keyframes.path_m[last]
+        return self._verify(keyframes, other, last)
+
+    def _nearest_place(self, keyframes: Keyframes) -> int | None:
+        settings, apart = self._settings, keyframes.apart_m
+        gap = keyframes.poses[:, :2] - keyframes.poses[-1, :2]
+        distance = np.hypot(gap[:, 0], gap[:, 1])
+        radius = np.minimum(settings.loop_radius_m, 1.0 + 0.1 * apart)
+        eligible = np.flatnonzero((apart >= settings.loop_path_m) & np.isfinite(apart) & (distance <= radius))
+        if not len(eligible):
+            return None
+        return int(eligible[np.argmin(distance[eligible])])
+
+    def _another_place(self, keyframes: Keyframes) -> int | None:
+        """Return the next place to look for the robot after a lost track, one for each keyframe.
+
+        By turns the one nearest to where the robot seems to be, because the track may be only a little wrong, and the
+        next of all.
+        """
+        path, apart = np.array(keyframes.path_m), keyframes.apart_m
+        self._looks_near = not self._looks_near
+        if self._looks_near:
+            gap = keyframes.poses[:, :2] - keyframes.poses[-1, :2]
+            distance = np.where(np.isinf(apart), np.hypot(gap[:, 0], gap[:, 1]), np.inf)
+            if distance.min() <= self._settings.loop_radius_m:
+                return int(np.argmin(distance))
+        ahead = np.flatnonzero(np.isinf(apart) & (path >= path[min(self._next_place, len(path) - 1)]))
+        if not len(ahead):
+            self._next_place = 0
+            ahead = np.flatnonzero(np.isinf(apart))
+        if not len(ahead):
+            return None
+        place = int(ahead[0])
+        self._next_place = int(np.searchsorted(path, path[place] + 0.5 * self._settings.loop_radius_m))
+        return place
+
+    def _verify(self, keyframes: Keyframes, other: int, last: int) -> Candidate:
+        settings = self._settings
+        target = voxel_means(
+            keyframes.points_around(other, keyframes.near_in_time(other, settings.loop_submap_m)), 0.05
+        )
+        source = voxel_means(keyframes.points_around(last, keyframes.near_in_time(last, settings.loop_submap_m)), 0.1)
+        predicted = self._predict(keyframes, other, last)
+        guess = Edge(other, last, predicted.motion, np.eye(3))
+        if len(source) < 50 or len(target) < 50:
+            return Candidate(guess, False, f"{min(len(source), len(target))} points, fewer than 50")
+        found, reason, is_local = self._search(target, source, predicted)
+        if found is None:
+            return Candidate(guess, False, reason)
+        cloud = Cloud(target, "target")
+        coarse = self._coarse.register(cloud, Cloud(source, "source"), found)
+        match = self._fine.register(cloud, Cloud(source, "source"), coarse.target_from_source)
+        return self._judge(target, source, match, predicted, guess, is_local)
+
+    def _predict(self, keyframes: Keyframes, other: int, last: int) -> _Prediction:
+        motion = keyframes.pose(other).inverse() @ keyframes.pose(last)
+        if np.isinf(keyframes.apart_m[other]):
+            return _Prediction(Pose(), np.diag([1e4, 1e4, 1e2]), known=False)
+        return _Prediction(motion, pose_graph.relative_covariance(keyframes.graph(), other, last))
+
+    def _search(self, target: Floats, source: Floats, predicted: _Prediction) -> tuple[Pose | None, str, bool]:
+        """Return the motion that branch and bound finds, or None and the reason, and whether the window was small."""
+        settings, motion = self._settings, predicted.motion
+        cos, sin = math.cos(motion.theta), math.sin(motion.theta)
+        turn = np.array([[cos, -sin], [sin, cos]])
+        sigma = np.sqrt(np.diag(turn @ predicted.covariance[:2, :2] @ turn.T))
+        half = np.clip(_SIGMAS * sigma, _MIN_WINDOW_M, settings.loop_radius_m)
+        sigma_rad = math.sqrt(predicted.covariance[2, 2])
+        half_rad = min(max(_SIGMAS * sigma_rad, _MIN_WINDOW_RAD), _MAX_WINDOW_RAD) if predicted.known else math.pi
+        grid = ScoreGrid.from_points(target, settings.loop_cell_m, settings.loop_cell_m, 5)
+        thinned = source[:: max(len(source) // _SOURCE_POINTS, 1)]
+        window = Window(motion, float(half[0]), float(half[1]), half_rad)
+        best = branch_and_bound(grid, thinned, window, settings.loop_score, _weight(half / _SIGMAS, half_rad / _SIGMAS))
+        is_local = bool(half.max() <= 0.75)
+        if best is None:
+            return None, f"score below {settings.loop_score:.2f}", is_local
+        bound = settings.loop_ambiguity * best.score
+        turned = [] if predicted.known else [other_headings(best.target_from_source)]
+        for part in (*windows_around(window, best.target_from_source), *turned):
+            rival = branch_and_bound(grid, thinned, part, bound)
+            if rival is not None and self._is_possible(rival.target_from_source, predicted):
+                share = f"{rival.score / best.score:.2f}"
+                return None, f"ambiguous: another motion has {share} of the score {best.score:.2f}", is_local
+        return best.target_from_source, "", is_local
+
+    def _is_possible(self, motion: Pose, predicted: _Prediction) -> bool:
+        covariance = predicted.covariance + _FLOOR + np.diag([self._settings.loop_cell_m**2] * 2 + [1e-4])
+        return _chi_square(motion, predicted.motion, covariance) <= 2.0 * self._settings.loop_gate
+
+    def _judge(
+        self, target: Floats, source: Floats, match: Match, predicted: _Prediction, guess: Edge, is_local: bool
+    ) -> Candidate:
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - specs are listed without SciPy
+
+        settings, motion = self._settings, match.target_from_source
+        tree = cKDTree(target)
+        distance, nearest = map(
+            np.asarray, tree.query(motion.transform(source), distance_upper_bound=settings.loop_near_m)
+        )
+        on_map = np.isfinite(distance)
+        overlap = float(on_map.mean())
+        measured = Edge(guess.first, guess.second, motion, guess.information)
+        if not overlap >= settings.loop_overlap:
+            return Candidate(measured, False, f"overlap {overlap:.2f} < {settings.loop_overlap:.2f}", is_local=is_local)
+        normals = line_normals(tree, 8)[nearest[on_map]]
+        covariance = _covariance(source[on_map], normals, motion, max(match.error, 0.01)) + _FLOOR
+        covariance += _open_covariance(measure_openness(source[on_map]))
+        loosest = math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
+        if loosest > settings.loop_degenerate_m:
+            return Candidate(measured, False, f"degenerate: position known to {loosest:.2f} m", is_local=is_local)
+        chi = _chi_square(motion, predicted.motion, predicted.covariance + covariance)
+        information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+        edge = Edge(guess.first, guess.second, motion, 0.5 * (information + information.T))
+        if not chi <= settings.loop_gate:
+            return Candidate(edge, False, f"chi2 {chi:.1f} > {settings.loop_gate:.1f}", chi, is_local)
+        return Candidate(edge, True, f"chi2 {chi:.1f}, overlap {overlap:.2f}", chi, is_local)
+
+
+def _chi_square(motion: Pose, predicted: Pose, covariance: Floats) -> float:
+    residual = se2.between(motion.row, predicted.row)
+    return float(residual @ np.linalg.solve(covariance, residual))
+
+
+def _covariance(points: Floats, normals: Floats, motion: Pose, sigma_m: float) -> Floats:
+    """Return the covariance (3, 3) of a point-to-line fit in the source's frame; large where nothing is observed."""
+    facing = se2.transform([0.0, 0.0, -motion.theta], normals)
+    jacobian = np.column_stack([facing, points[:, 0] * facing[:, 1] - points[:, 1] * facing[:, 0]])
+    hessian = jacobian.T @ jacobian / (_CORRELATED * sigma_m**2)
+    return np.asarray(np.linalg.inv(hessian + np.diag([1e-4, 1e-4, 1e-2])), dtype=np.float64)
+
+
+def _open_covariance(openness: Openness) -> Floats:
+    """Return the covariance (3, 3) along a corridor, where few points fix the position: 0.1 m at a ratio of 0.1.
+
+    Measured on closures in corridors with door niches: the scatter of their points alone does not show their errors.
+    """
+    covariance = np.zeros((3, 3))
+    sigma_m = 0.15 * max(1.0 - openness.ratio / _CLEAR_RATIO, 0.0)
+    covariance[:2, :2] = sigma_m**2 * np.outer(openness.direction, openness.direction)
+    return np.asarray(covariance)
+
+
+def _weight(sigma_m: Floats, sigma_rad: float) -> Prior:
+    """Return a mild preference for the predicted motion: 0.85 at three sigma in one direction."""
+
+    def weigh(x: Floats, y: Floats, theta: Floats) -> Floats:
+        squares = (x / sigma_m[0]) ** 2 + (y / sigma_m[1]) ** 2 + (theta / sigma_rad) ** 2
+        return np.asarray(1.0 / (1.0 + 0.02 * squares))
+
+    return weigh

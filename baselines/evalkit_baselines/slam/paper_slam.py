@@ -1,0 +1,271 @@
+"""``paper-slam``: the paper's ICP against a lasting map, with loop closure and a pose graph.
+
+The front end is evalkit's, with the settings of ``paper-map-line``; ``matcher`` selects the ICP in C99 or in NumPy,
+which answer the same. A loop closure corrects all keyframes and redraws the map around the robot.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from evalkit.core import se2
+from evalkit.core.loop_closure import LoopClosure
+from evalkit.core.odometry_estimate import OdometryEstimate
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
+from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
+from evalkit.odometry.frontend import FrontEnd, FrontEndSettings
+from evalkit.odometry.local_map import voxel_means
+from evalkit.plugins.parameters import declared_parameters, parameter
+from evalkit.plugins.protocols import Registration
+from evalkit.plugins.specs import SlamSpec
+from evalkit_baselines import embedded, paper
+from evalkit_baselines.embedded.compiled import compiled_missing
+from evalkit_baselines.slam import pose_graph
+from evalkit_baselines.slam.continuity import Continuity
+from evalkit_baselines.slam.keyframes import DriftModel, Edge, Keyframes
+from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
+from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder, LoopSettings
+from evalkit_baselines.slam.observability import ObservableIcp
+from evalkit_baselines.slam.odometry_gate import OdometryGate
+from evalkit_baselines.slam.odometry_scale import OdometryScale
+from evalkit_baselines.slam.range_noise import smooth_ranges
+from evalkit_baselines.slam.second_try import SecondTry
+
+DCS_PHI = 10.0
+_STORED_VOXEL_M = 0.03
+_CONFIRMED_WITHIN_M = 6.0
+_AGREE_M, _AGREE_RAD = 0.2, math.radians(2.0)
+_CORRECTED_M, _CORRECTED_RAD = 0.01, math.radians(0.5)
+"""An earlier pose that moves by more was corrected, see ``OdometryEstimate.corrected``."""
+
+
+@dataclass(frozen=True)
+class SlamSettings(LoopSettings):
+    """Parameters of ``paper-slam``."""
+
+    matcher: str = parameter("embedded", "", "the paper's ICP in C99 or in NumPy", choices=("embedded", "paper"))
+    prior: str = parameter("odometry", "", "source of the first guess", choices=("odometry", "constant-velocity"))
+    odometry_gate: bool = parameter(
+        False, "", "believe no match that is far from wheel odometry, unless it fits well: for dirty scans"
+    )
+    map_voxel_m: float = parameter(0.1, "m", "side of the voxels of the lasting map", low=0.01)
+    map_reach_m: float = parameter(20.0, "m", "keyframes farther apart through the graph leave the map", low=1.0)
+    keyframe_distance_m: float = parameter(0.3, "m", "a new keyframe after this distance", low=0.01)
+    keyframe_angle_deg: float = parameter(10.0, "deg", "or after this turn", low=0.1)
+    drift_m: float = parameter(0.02, "m", "1 sigma of the matched position after one metre", low=1e-4)
+    drift_deg: float = parameter(0.3, "deg", "1 sigma of the matched heading after one metre", low=1e-3)
+
+
+PARAMETERS = declared_parameters(SlamSettings)
+
+
+@dataclass
+class _Recorded:
+    """A candidate as reported, and the loop edge it became; ``edge`` is None where it was rejected."""
+
+    closure: LoopClosure
+    edge: Edge | None = None
+
+
+class PaperSlam:
+    """A Slam; poses are ``start_from_base`` at the first beam of each scan."""
+
+    def __init__(self, settings: SlamSettings) -> None:
+        self._settings = settings
+        self._keyframes = Keyframes(DriftModel(settings.drift_m, math.radians(settings.drift_deg)))
+        self._map = LastingMap(self._keyframes, settings.map_voxel_m, 15.0, settings.map_reach_m)
+        front_end = FrontEndSettings(
+            prior=settings.prior,
+            keyframe_distance_m=settings.keyframe_distance_m,
+            keyframe_angle_deg=settings.keyframe_angle_deg,
+        )
+        wide = _make_icp(settings.matcher)
+        narrow = _make_icp(settings.matcher, max_correspondence_m=0.3)
+        self._gate = OdometryGate(ObservableIcp(SecondTry(wide, narrow)))
+        self._front = FrontEnd(self._gate, self._gate, front_end, self._map)
+        self._finder = LoopFinder(settings, wide, narrow)
+        self._continuity = Continuity()
+        self._candidates: list[_Recorded] = []
+        self._waiting: list[Candidate] = []
+        self._stamps_ns: list[int] = []
+        self._odom_from_base: list[Floats] = []
+        self._keyframe_of: list[int] = []
+        self._odom_from_keyframe: list[Floats] = []
+        self._corrected = False
+        self._scale = OdometryScale()
+        self._wheels: Pose | None = None  # raw odometry at the last keyframe
+
+    def update(self, frame: Frame) -> OdometryEstimate:
+        """Match one scan; a new keyframe may close a loop, which corrects this pose and all earlier ones.
+
+        Where the scan does not lie on the one before, the track is lost: the answer is not accepted, and the map begins
+        anew until a loop closure connects it with the old one. Raises ValueError where time does not advance.
+        """
+        if self._stamps_ns and frame.scan.stamp_ns <= self._stamps_ns[-1]:
+            found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {self._stamps_ns[-1]} ns"
+            raise ValueError(f"paper-slam: {found}; give the scans in the order of time")
+        self._corrected = False
+        wheels = frame.odom_from_base
+        self._gate.is_measured = self._settings.odometry_gate and frame.odom_from_base is not None
+        frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
+        estimate = self._front.update(frame)
+        points = frame.points_in_base(frame.start_from_end)
+        lost = self._is_lost(frame, points, estimate.pose)
+        new = self._map.take() or (NewKeyframe(points, estimate.pose) if lost else None)
+        if new is not None:
+            thinned = voxel_means(new.points, _STORED_VOXEL_M)
+            self._insert(frame.scan.stamp_ns, thinned, new.odom_from_base, wheels, known=not lost)
+        if lost:
+            estimate = replace(estimate, accepted=False)
+        self._stamps_ns.append(frame.scan.stamp_ns)
+        self._odom_from_base.append(estimate.pose.row)
+        self._keyframe_of.append(len(self._keyframes) - 1)
+        return replace(estimate, pose=self._map.odom_from_start.inverse() @ estimate.pose, corrected=self._corrected)
+
+    def trajectory(self) -> Trajectory:
+        """Return the corrected poses: between two keyframes the correction is distributed by the driven distance."""
+        if not self._stamps_ns:
+            return Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), "start", "base")
+        odom = np.array(self._odom_from_base)
+        keyframe = np.array(self._keyframe_of)
+        odom_from_keyframe = np.array(self._odom_from_keyframe)
+        corrected = self._keyframes.poses
+        since = se2.between(odom_from_keyframe[keyframe], odom)
+        poses = se2.compose(corrected[keyframe], since)
+        following = np.minimum(keyframe + 1, len(corrected) - 1)
+        arrived = se2.compose(corrected[:-1], se2.between(odom_from_keyframe[:-1], odom_from_keyframe[1:]))
+        missing = np.concatenate([se2.between(arrived, corrected[1:]), np.zeros((1, 3))])[keyframe]
+        step = np.linalg.norm(odom_from_keyframe[following, :2] - odom_from_keyframe[keyframe, :2], axis=1)
+        turn = np.abs(se2.wrap(odom_from_keyframe[following, 2] - odom_from_keyframe[keyframe, 2]))
+        share = (np.hypot(since[:, 0], since[:, 1]) + np.abs(since[:, 2])) / np.maximum(step + turn, 1e-9)
+        poses = se2.compose(poses, np.clip(share, 0.0, 1.0)[:, None] * missing)
+        return Trajectory(np.array(self._stamps_ns), poses, "start", "base")
+
+    def loop_closures(self) -> tuple[LoopClosure, ...]:
+        """Return all candidates so far."""
+        return tuple(recorded.closure for recorded in self._candidates)
+
+    def _is_lost(self, frame: Frame, points: Floats, odom_from_base: Pose) -> bool:
+        has_odometry, near = frame.odom_from_base is not None, self._map.cloud(odom_from_base).points
+        return self._continuity.is_lost(points, odom_from_base, frame.base_from_sensor, has_odometry, near)
+
+    def _insert(self, stamp_ns: int, points: Floats, odom_from_base: Pose, wheels: Pose | None, known: bool) -> None:
+        last = Pose.of(self._odom_from_keyframe[-1]) if self._odom_from_keyframe else odom_from_base
+        motion = last.inverse() @ odom_from_base
+        self._keyframes.add(stamp_ns, points, motion, known)
+        self._odom_from_keyframe.append(odom_from_base.row)
+        if known and wheels is not None and self._wheels is not None and self._keyframes.is_last_step_seen():
+            self._scale.observe(motion, self._wheels.inverse() @ wheels)
+        self._wheels = wheels
+        if not known:
+            self._waiting = []
+            self._map.rebuild()
+            return
+        candidate = self._finder.find(self._keyframes)
+        if candidate is None or not self._consider(candidate):
+            self._map.extend()
+
+    def _consider(self, candidate: Candidate) -> bool:
+        """Record a candidate; return whether it closed a loop, after which the map has been redrawn."""
+        passed = candidate.passed
+        quick = candidate.is_local and candidate.chi_square <= self._settings.loop_quick_gate
+        agreeing = [other for other in self._waiting if passed and self._agree(other, candidate)]
+        if not passed or not (quick or agreeing):
+            reason = candidate.reason if not passed else f"not confirmed yet: {candidate.reason}"
+            self._record(candidate.edge, False, reason)
+            if passed:
+                self._waiting = [*self._waiting[-3:], candidate]
+            return False
+        self._waiting = []
+        edge, sections = candidate.edge, self._keyframes.sections
+        found_again = bool(np.isinf(self._keyframes.apart_m[edge.first]))
+        if found_again:
+            self._keyframes.join(edge)
+            self._corrected = True
+        lost = f"found again after a lost track (part {sections[edge.second]}): " if found_again else ""
+        self._record(edge, True, lost + candidate.reason)
+        self._optimise()
+        return True
+
+    def _agree(self, earlier: Candidate, later: Candidate) -> bool:
+        keyframes, first, second = self._keyframes, earlier.edge, later.edge
+        if keyframes.path_m[second.second] - keyframes.path_m[first.second] > _CONFIRMED_WITHIN_M:
+            return False
+        driven = keyframes.pose(first.second).inverse() @ keyframes.pose(second.second)
+        one = keyframes.pose(first.first) @ first.first_from_second @ driven
+        two = keyframes.pose(second.first) @ second.first_from_second
+        gap = one.inverse() @ two
+        return math.hypot(gap.x, gap.y) <= _AGREE_M and abs(gap.theta) <= _AGREE_RAD
+
+    def _record(self, edge: Edge, accepted: bool, reason: str) -> None:
+        stamps = self._keyframes.stamps_ns
+        closure = LoopClosure(stamps[edge.second], stamps[edge.first], edge.first_from_second, accepted, reason)
+        self._candidates.append(_Recorded(closure, edge if accepted else None))
+        if accepted:
+            self._keyframes.loops.append(edge)
+
+    def _optimise(self) -> None:
+        """Optimise all keyframes; loops that contradict the others are withdrawn."""
+        keyframes = self._keyframes
+        graph, trusted = keyframes.graph(), keyframes.trusted()
+        kernel = pose_graph.dcs_kernel(DCS_PHI, trusted)
+        solution = pose_graph.optimise(graph, kernel=kernel, max_iterations=10, tolerance=1e-6)
+        kept = keyframes.loops
+        if (solution.graph.chi_squares()[~trusted] > pose_graph.SLOW_GATE).any():
+            solution = pose_graph.optimise_truncated(graph, trusted)
+            weights = solution.weights[~trusted]
+            kept = [loop for loop, weight in zip(keyframes.loops, weights, strict=True) if weight > 0.5]
+            self._withdraw(kept)
+        moved = np.abs(se2.between(keyframes.poses[:-1], solution.graph.poses[:-1]))  # the last one is of this scan
+        self._corrected |= bool((np.hypot(moved[:, 0], moved[:, 1]) > _CORRECTED_M).any())
+        self._corrected |= bool((moved[:, 2] > _CORRECTED_RAD).any())
+        keyframes.correct(solution.graph.poses, kept)
+        last = Pose.of(self._odom_from_keyframe[-1])
+        self._map.odom_from_start = last @ keyframes.pose(len(keyframes) - 1).inverse()
+        self._map.rebuild()
+
+    def _withdraw(self, kept: list[Edge]) -> None:
+        for recorded in self._candidates:
+            if recorded.edge is not None and not any(recorded.edge is edge for edge in kept):
+                reason = f"withdrawn, contradicts other loops: {recorded.closure.reason}"
+                recorded.closure = replace(recorded.closure, accepted=False, reason=reason)
+                recorded.edge = None
+
+
+def _make_icp(matcher: str, **changed: Any) -> Registration:
+    spec = embedded.MAP_LINE if matcher == "embedded" else paper.MAP_LINE
+    made: Registration = spec.make(**{**{each.name: each.default for each in spec.parameters}, **changed})
+    return made
+
+
+def make(**parameters: Any) -> PaperSlam:
+    """Make a new ``paper-slam`` with the parameters of ``SlamSettings``."""
+    return PaperSlam(SlamSettings(**parameters))
+
+
+SPEC = SlamSpec(
+    make=make,
+    summary="the paper's ICP against a lasting map, with loop closure and a pose graph",
+    citation=paper.CITATION,
+    licence="MIT",
+    guess="wheel odometry where recorded, else constant velocity",
+    requires=("scipy",),
+    parameters=PARAMETERS,
+    missing=compiled_missing,
+    tuned_on=(
+        *paper.MAP_LINE.tuned_on,
+        "rplidar-slambot",
+        "loop",
+        "office",
+        "long-loop",
+        "doors",
+        "wings",
+        "symmetric-office",
+    ),
+)

@@ -1,0 +1,62 @@
+"""Smooth the ranges of a noisy lidar with fine beams before its points are matched.
+
+A point of a narrow face, displaced by noise along its beam, has its nearest map point on the wall beside that face,
+and is lost for the face. What remains is biased to one side: with noise of 5 cm all matchers make corridors with door
+niches up to 1 % too long. The median of neighbouring beams has less noise and keeps steps; where beams are wide it
+would remove what is narrow, and where the noise is small nothing is to be gained.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from evalkit.core.scan import Scan
+from evalkit.core.se2 import Floats
+
+MAX_BEAMS = 5
+"""Beams in a median; with 9 and more a corridor of door niches becomes 0.3 % too short."""
+
+MAX_SPAN_RAD = math.radians(1.2)
+"""Largest angle between the first and the last beam of a median."""
+
+MIN_NOISE_M = 0.02
+"""Ranges with less noise are not changed."""
+
+_SIGMA_OF_SECOND_DIFFERENCE = 0.6745 * math.sqrt(6.0)
+"""Median of the absolute second difference of three ranges, for normal noise of 1 sigma."""
+
+
+def smooth_ranges(scan: Scan) -> Scan:
+    """Return the scan with the median of neighbouring ranges; the same scan where beams are wide or noise is small.
+
+    A beam whose window has a beam without a valid return, or reaches beyond the ends of the scan, keeps its range.
+    """
+    beams = count_beams(scan.angles)
+    if beams < 3 or len(scan.ranges) < beams or not estimate_noise(scan.ranges) > MIN_NOISE_M:
+        return scan
+    half = beams // 2
+    windows = np.lib.stride_tricks.sliding_window_view(scan.ranges, beams)
+    ranges = scan.ranges.copy()
+    valid = np.isfinite(windows).all(axis=1)
+    ranges[half : len(ranges) - half][valid] = np.partition(windows[valid], half, axis=1)[:, half]
+    return replace(scan, ranges=ranges)
+
+
+def count_beams(angles: Floats) -> int:
+    """Return the number of neighbouring beams in a median, odd: 1 where beams (B,) in rad are too wide."""
+    if len(angles) < 2:
+        return 1
+    step = float(np.median(np.abs(np.diff(angles))))
+    fitting = MAX_BEAMS if step * (MAX_BEAMS - 1) <= MAX_SPAN_RAD else int(MAX_SPAN_RAD / step) + 1
+    return fitting - 1 + fitting % 2
+
+
+def estimate_noise(ranges: Floats) -> float:
+    """Return 1 sigma of the noise of ranges (B,) in m, robust against steps; 0 without three valid neighbours."""
+    triples = np.lib.stride_tricks.sliding_window_view(ranges, 3) if len(ranges) > 2 else np.zeros((0, 3))
+    triples = triples[np.isfinite(triples).all(axis=1)]
+    bend = np.abs(triples[:, 0] + triples[:, 2] - 2.0 * triples[:, 1])
+    return float(np.median(bend)) / _SIGMA_OF_SECOND_DIFFERENCE if len(bend) else 0.0

@@ -1,0 +1,178 @@
+"""``embedded-slam`` against ``paper-slam``: the same scans, the same loops, the same poses."""
+
+import runpy
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evalkit.core import se2
+from evalkit_baselines.slam import embedded_slam, paper_slam
+
+pytest.importorskip("evalkit_baselines.embedded._core64")
+
+shared = runpy.run_path(str(Path(__file__).with_name("test_paper_slam.py")))
+RING, STEP_NS = shared["RING"], shared["STEP_NS"]
+errors_m, make_frames, ring_drive = shared["errors_m"], shared["make_frames"], shared["ring_drive"]
+
+LAPS, DRIFT = 1.25, 2e-4
+SMALL = {
+    "beams": 400, "keyframes": 400, "keyframe_points": 100_000, "loops": 16, "records": 64, "voxels": 8192,
+    "map_points": 8192, "loop_points": 16384, "score_cells": 1 << 17, "loop_path_m": 10.0,
+}  # fmt: skip
+
+
+def run(make, frames, **parameters):
+    slam = make(**parameters)
+    return slam, [slam.update(frame) for frame in frames]
+
+
+@cache
+def drive():
+    return list(make_frames(RING, ring_drive(LAPS), drift=DRIFT))
+
+
+@cache
+def reference():
+    return run(paper_slam.make, drive(), loop_path_m=10.0)
+
+
+def rows(estimates):
+    return np.array([estimate.pose.row for estimate in estimates])
+
+
+def decisions(slam):
+    return [(loop.stamp_ns, loop.other_stamp_ns, loop.accepted, loop.reason) for loop in slam.loop_closures()]
+
+
+def test_without_a_limit_of_work_it_is_paper_slam_to_the_stop_rule_of_icp():
+    expected, estimates = reference()
+    slam, found = run(embedded_slam.make, drive(), work=0, **SMALL)
+    assert decisions(slam) == decisions(expected)
+    closed = min(loop.stamp_ns for loop in slam.loop_closures() if loop.accepted) // STEP_NS
+    gap = np.abs(se2.between(rows(estimates), rows(found)))
+    assert gap[:closed].max() < 1e-9  # until the first loop closes
+    assert gap.max() < 2e-5
+    assert np.abs(se2.between(expected.trajectory().poses, slam.trajectory().poses)).max() < 2e-5
+    assert [one.accepted for one in found] == [one.accepted for one in estimates]
+
+
+@pytest.mark.parametrize("work", [200_000, 50_000])
+def test_slices_close_the_same_loops_later_and_end_within_5_mm(work):
+    expected, _ = reference()
+    slam, _ = run(embedded_slam.make, drive(), work=work, **SMALL)
+    accepted = [loop for loop in slam.loop_closures() if loop.accepted]
+    assert len(accepted) == sum(loop.accepted for loop in expected.loop_closures())
+    assert np.abs(se2.between(expected.trajectory().poses, slam.trajectory().poses))[:, :2].max() < 0.005
+    assert errors_m(slam.trajectory().poses, ring_drive(LAPS)).max() < 0.05
+
+
+def test_a_slice_of_work_ends_soon_after_its_operations_are_used_up():
+    limit, slam = 50_000, embedded_slam.make(work=50_000, **SMALL)
+    used = []
+    update = slam._slam.update
+
+    class Counting:
+        """The core's SLAM, with its operations noted."""
+
+        def __getattr__(self, name):
+            return getattr(inner, name)
+
+        def update(self, **scan):
+            answer = update(**scan)
+            used.append(answer[-1])
+            return answer
+
+    inner, slam._slam = slam._slam, Counting()
+    for frame in drive():
+        slam.update(frame)
+    # the largest part: the normals of a loop's target, 160 operations a point
+    assert limit < max(used) < limit + 160 * 4000
+    assert sorted(used)[len(used) // 2] <= limit
+
+
+def test_single_precision_closes_the_loop():
+    slam, _ = run(embedded_slam.make, drive(), precision="float", **SMALL)
+    assert any(loop.accepted for loop in slam.loop_closures())
+    assert errors_m(slam.trajectory().poses, ring_drive(LAPS)).max() < 0.05
+
+
+def test_a_kidnapped_robot_is_reported_and_found_again():
+    there = ring_drive(1.0)
+    carried = there[20:66]
+    frames = list(make_frames(RING, there))
+    slam = embedded_slam.make(work=0, **SMALL | {"loop_path_m": 15.0})
+    estimates = [slam.update(frame) for frame in frames]
+    for frame in make_frames(RING, carried, seed=1):  # the wheels stand still
+        later = replace(frame.scan, stamp_ns=frame.scan.stamp_ns + len(there) * STEP_NS)
+        estimates.append(slam.update(replace(frame, scan=later, odom_from_base=frames[-1].odom_from_base)))
+    assert all(estimate.accepted is not False for estimate in estimates[: len(there)])
+    assert estimates[len(there)].accepted is False
+    assert any(loop.accepted and "lost track" in loop.reason for loop in slam.loop_closures())
+    assert errors_m(slam.trajectory().poses, np.concatenate([there, carried])).max() < 0.1
+
+
+def test_noisy_fine_beams_and_a_wrong_odometry_scale_are_corrected_as_in_paper_slam():
+    rng = np.random.default_rng(4)
+    frames = []
+    for frame in make_frames(RING, ring_drive(0.75)):
+        ranges = np.maximum(np.repeat(frame.scan.ranges, 4) + rng.normal(0.0, 0.04, 4 * len(frame.scan.ranges)), 0.05)
+        angles = np.radians(np.arange(0.0, 360.0, 0.25))
+        wheels = replace(frame.odom_from_base, x=0.96 * frame.odom_from_base.x, y=0.96 * frame.odom_from_base.y)
+        frames.append(replace(frame, scan=replace(frame.scan, ranges=ranges, angles=angles), odom_from_base=wheels))
+    expected, estimates = run(paper_slam.make, frames)
+    _, found = run(embedded_slam.make, frames, work=0, **SMALL | {"beams": 1440, "loop_path_m": 15.0})
+    assert expected._scale.scale > 1.01
+    gap = np.abs(se2.between(rows(estimates), rows(found)))
+    assert gap.max() < 1e-9
+
+
+def test_full_memory_ends_the_search_for_loops_and_the_poses_go_on():
+    slam, _ = run(embedded_slam.make, drive(), **SMALL | {"keyframes": 40})
+    assert not any(loop.accepted for loop in slam.loop_closures())
+    assert len(slam.trajectory()) == len(drive())
+    assert errors_m(slam.trajectory().poses, ring_drive(LAPS)).max() < 0.5
+
+
+def test_room_for_one_loop_and_few_records_is_kept_and_said():
+    slam, _ = run(embedded_slam.make, drive(), work=0, **SMALL | {"loops": 1, "records": 4})
+    loops = slam.loop_closures()
+    assert [loop.accepted for loop in loops] == [False, False, True, False]
+    assert loops[3].reason.startswith("no room for more than 1 loops: chi2")
+
+
+def test_memory_is_fixed_and_grows_with_the_square_of_the_loops():
+    def size(**changed):
+        return embedded_slam.make(**SMALL | changed).memory_bytes
+
+    small = size()
+    slam, _ = run(embedded_slam.make, drive()[:50], **SMALL)
+    assert slam.memory_bytes == small
+    # blocks of 3 x 3 numbers of 8 bytes for each pair of loops
+    assert size(loops=1000) - size(loops=500) == pytest.approx(9 * 8 * (1001 * 1002 - 501 * 502) / 2, rel=0.02)
+    assert size(precision="float") < 0.75 * small
+
+
+@pytest.mark.parametrize("wrong", [{"keyframes": 1 << 21}, {"loop_radius_m": 20.0}, {"score_cells": 100}])
+def test_parameters_out_of_range_are_an_error(wrong):
+    with pytest.raises(ValueError, match="range"):
+        embedded_slam.make(**SMALL | wrong)
+
+
+def test_time_that_goes_back_is_an_error_that_names_both_stamps():
+    slam = embedded_slam.make(**SMALL)
+    slam.update(drive()[1])
+    with pytest.raises(ValueError, match=r"stamp 0 ns is not later than the one before, 200000000 ns"):
+        slam.update(drive()[0])
+
+
+def test_scans_without_returns_do_no_harm():
+    frames = list(drive())
+    for index in (0, 10, 11, 12, 40):
+        blind = replace(frames[index].scan, ranges=np.full(len(frames[index].scan.ranges), np.inf))
+        frames[index] = replace(frames[index], scan=blind)
+    expected, _ = run(paper_slam.make, frames[:80])
+    slam, _ = run(embedded_slam.make, frames[:80], work=0, **SMALL | {"loop_path_m": 15.0})
+    np.testing.assert_allclose(slam.trajectory().poses, expected.trajectory().poses, atol=1e-9)

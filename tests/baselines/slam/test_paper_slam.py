@@ -1,0 +1,221 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit.core import se2
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.world import World, closed_outline
+from evalkit_baselines.slam import paper_slam
+from evalkit_baselines.slam.keyframes import DriftModel, Edge, Keyframes
+from evalkit_baselines.slam.loop_closure import Candidate
+from evalkit_baselines.slam.observability import ObservableIcp, measure_openness
+
+pytest.importorskip("evalkit_baselines.embedded._core64")
+
+BEAMS = np.radians(np.arange(0.0, 360.0, 1.0))
+STEP_NS = 200_000_000
+RANGE_M = 8.0
+
+RING = World(
+    np.concatenate(
+        [
+            closed_outline([(0, 0), (9, 0), (9, 7), (0, 7)]),
+            closed_outline([(2, 2), (6.5, 2), (7, 2.8), (7, 5), (2, 5)]),
+            closed_outline([(3.0, 0.0), (3.6, 0.0), (3.6, 0.4), (3.0, 0.4)]),
+            closed_outline([(8.6, 3.0), (9.0, 3.0), (9.0, 3.9), (8.6, 3.9)]),
+            closed_outline([(5.0, 6.6), (5.4, 6.6), (5.4, 7.0), (5.0, 7.0)]),
+            closed_outline([(0.0, 2.6), (0.5, 2.6), (0.5, 3.1), (0.0, 3.1)]),
+        ]
+    )
+)
+"""A ring of corridors 2 m wide, with a box in each."""
+
+
+def ring_drive(laps, step_m=0.2):
+    """Poses (N, 3) along the middle of the ring, turning on the spot in steps of 15 deg."""
+    corners, poses = np.array([(1.0, 1.0), (8.0, 1.0), (8.0, 6.0), (1.0, 6.0)]), []
+    for side in range(int(4 * laps)):
+        begin, end = corners[side % 4], corners[(side + 1) % 4]
+        heading, length = side * np.pi / 2, np.linalg.norm(end - begin)
+        poses += [(*(begin + share * (end - begin)), heading) for share in np.arange(0.0, 1.0, step_m / length)]
+        poses += [(*end, heading + turn) for turn in np.radians(np.arange(0.0, 90.0, 15.0))]
+    return np.array(poses)
+
+
+def make_frames(world, poses, drift=0.0, seed=0):
+    """Frames of noisy scans with odometry whose heading drifts by ``drift`` rad a step."""
+    rng = np.random.default_rng(seed)
+    odom = poses[0]
+    for index, pose in enumerate(poses):
+        if index:
+            odom = se2.compose(odom, se2.compose(se2.between(poses[index - 1], pose), [0.0, 0.0, drift]))
+        distance = world.cast(np.tile(pose[:2], (len(BEAMS), 1)), pose[2] + BEAMS)
+        distance = np.where(distance <= RANGE_M, distance + rng.normal(0.0, 0.01, len(BEAMS)), np.inf)
+        scan = Scan(index * STEP_NS, np.clip(distance, 0.05, np.inf), BEAMS, 0.0, RANGE_M + 1.0)
+        yield Frame(scan, Pose(), Pose.of(odom), Pose())
+
+
+def run(frames, **parameters):
+    slam = paper_slam.make(**parameters)
+    online = np.array([slam.update(frame).pose.row for frame in frames])
+    return slam, online
+
+
+def errors_m(poses, true):
+    return np.linalg.norm(se2.between(se2.between(true[0], true), poses)[:, :2], axis=1)
+
+
+def test_a_drive_around_a_ring_closes_its_loop_and_keeps_the_first_pose():
+    true = ring_drive(1.25)
+    slam, online = run(make_frames(RING, true, drift=2e-4), loop_path_m=10.0)
+    accepted = [loop for loop in slam.loop_closures() if loop.accepted]
+    assert accepted
+    for loop in accepted:
+        first, second = true[loop.other_stamp_ns // STEP_NS], true[loop.stamp_ns // STEP_NS]
+        np.testing.assert_allclose(se2.between(se2.between(first, second), loop.other_from_base.row), 0.0, atol=0.03)
+    final = slam.trajectory()
+    np.testing.assert_array_equal(final.poses[0], 0.0)
+    assert errors_m(final.poses, true).max() < 0.05
+    assert errors_m(online, true).max() < 0.08
+    steps = np.linalg.norm(se2.between(final.poses[:-1], final.poses[1:])[:, :2], axis=1)
+    assert steps.max() < 0.25  # 0.2 m driven: the corrected path does not jump
+
+
+def test_the_compiled_and_the_numpy_matcher_answer_the_same():
+    frames = list(make_frames(RING, ring_drive(0.25)))
+    (_, compiled), (_, numpy) = (run(frames, matcher=name) for name in ("embedded", "paper"))
+    np.testing.assert_allclose(compiled, numpy, atol=1e-9)
+
+
+# --- bad input
+
+
+def test_time_that_goes_back_is_an_error_that_names_both_stamps():
+    first, second = list(make_frames(RING, ring_drive(0.25)))[:2]
+    slam = paper_slam.make()
+    slam.update(second)
+    with pytest.raises(ValueError, match=r"stamp 0 ns is not later than the one before, 200000000 ns"):
+        slam.update(first)
+
+
+def test_scans_without_returns_keep_the_odometry_and_do_no_harm():
+    true = ring_drive(0.75)
+    frames = list(make_frames(RING, true))
+    for index in (0, 10, 11, 12, 40):
+        blind = replace(frames[index].scan, ranges=np.full(len(BEAMS), np.inf))
+        frames[index] = replace(frames[index], scan=blind)
+    slam, _ = run(frames)
+    assert errors_m(slam.trajectory().poses, true).max() < 0.05
+
+
+def test_odometry_that_stands_still_is_overruled_by_the_scans():
+    true = ring_drive(0.5)
+    still = (replace(frame, odom_from_base=Pose()) for frame in make_frames(RING, true))
+    slam, _ = run(still)
+    assert errors_m(slam.trajectory().poses, true).max() < 0.08
+
+
+def test_a_kidnapped_robot_is_reported_and_found_again_by_a_loop_closure():
+    drive = ring_drive(1.0)
+    carried = drive[20:66]  # from the end of the lap to a place driven through before, and on from there
+    true = np.concatenate([drive, carried])
+    slam = paper_slam.make()
+    frames = list(make_frames(RING, drive))
+    estimates = [slam.update(frame) for frame in frames]
+    for frame in make_frames(RING, carried, seed=1):  # the wheels stand still
+        moved = replace(frame, scan=replace(frame.scan, stamp_ns=frame.scan.stamp_ns + len(drive) * STEP_NS))
+        estimates.append(slam.update(replace(moved, odom_from_base=frames[-1].odom_from_base)))
+    assert all(estimate.accepted is not False for estimate in estimates[: len(drive)])
+    assert estimates[len(drive)].accepted is False
+    found = [loop for loop in slam.loop_closures() if loop.accepted and "lost track" in loop.reason]
+    assert found
+    assert errors_m(slam.trajectory().poses, true).max() < 0.1
+
+
+def test_a_gap_of_a_minute_in_which_the_robot_leaves_is_a_lost_track():
+    frames = list(make_frames(RING, ring_drive(1.0)))
+    slam = paper_slam.make()
+    for frame in frames[:15]:
+        slam.update(replace(frame, odom_from_base=None))
+    later = replace(frames[36].scan, stamp_ns=frames[15].scan.stamp_ns + 60_000_000_000)
+    assert slam.update(replace(frames[36], scan=later, odom_from_base=None)).accepted is False
+    steps = np.linalg.norm(np.diff(slam.trajectory().poses[:, :2], axis=0), axis=1)
+    assert steps[:-1].max() < 0.25  # the path before the gap is not torn
+
+
+# --- contradicting loops and large graphs
+
+
+def make_chain(count):
+    """Keyframes without points on a straight line, one metre apart."""
+    keyframes = Keyframes(DriftModel())
+    for row in range(count):
+        keyframes.add(row, np.zeros((0, 2)), Pose(1.0, 0.0, 0.0) if row else Pose())
+    return keyframes
+
+
+def test_of_two_loops_that_contradict_each_other_one_is_withdrawn_and_says_so():
+    slam = paper_slam.make()
+    slam._keyframes = slam._map._keyframes = make_chain(60)
+    slam._odom_from_keyframe = list(slam._keyframes.poses)
+    information = np.diag([4e3, 4e3, 6e4])
+
+    def close(first, second, x):
+        edge = Edge(first, second, Pose(x, 0.0, 0.0), information)
+        return slam._consider(Candidate(edge, True, f"measured {x} m", 1.0, True))
+
+    assert close(0, 40, 40.05)
+    assert close(1, 41, 40.05)
+    assert close(0, 42, 38.0)  # 4 m short of what the other two say
+    first, second, third = slam.loop_closures()
+    assert (first.accepted, second.accepted, third.accepted) == (True, True, False)
+    assert third.reason.startswith("withdrawn, contradicts other loops: measured 38.0 m")
+    assert slam._keyframes.poses[41, 0] == pytest.approx(41.05, abs=0.1)
+
+
+@pytest.mark.parametrize(("measured_m", "corrected"), [(40.0, False), (40.02, True)])
+def test_a_closure_is_a_correction_where_it_moves_an_earlier_pose_by_more_than_a_centimetre(measured_m, corrected):
+    slam = paper_slam.make()
+    slam._keyframes = slam._map._keyframes = make_chain(60)
+    slam._odom_from_keyframe = list(slam._keyframes.poses)
+    edge = Edge(0, 40, Pose(measured_m, 0.0, 0.0), np.diag([4e3, 4e3, 6e4]))
+    assert slam._consider(Candidate(edge, True, "measured", 1.0, True))
+    assert slam._corrected is corrected
+
+
+def test_the_distance_through_the_graph_is_short_across_a_loop_and_infinite_after_a_lost_track():
+    keyframes = make_chain(31)
+    assert keyframes.apart_m[0] == pytest.approx(30.0)
+    keyframes.correct(keyframes.poses.copy(), [Edge(0, 28, Pose(28.0, 0.0, 0.0), np.eye(3))])
+    assert keyframes.apart_m[0] == pytest.approx(2.5)
+    keyframes.add(31, np.zeros((0, 2)), Pose(), known=False)
+    assert np.isinf(keyframes.apart_m[:31]).all()
+
+
+# --- observability
+
+
+def test_a_bare_corridor_leaves_its_direction_open_and_a_corner_none():
+    along = np.column_stack([np.linspace(-6.0, 6.0, 200), np.ones(200)])
+    corridor = np.concatenate([along, along * [1.0, -1.0]])
+    openness = measure_openness(corridor)
+    assert np.abs(openness.direction) == pytest.approx([1.0, 0.0], abs=1e-6)
+    assert openness.ratio < 1e-6
+    corner = np.concatenate([along, along[:, ::-1]])
+    assert measure_openness(corner).ratio > 0.9
+
+
+def test_an_icp_keeps_its_guess_along_a_bare_corridor_and_its_answer_across():
+    from evalkit.core.match import Match
+    from evalkit.core.scan import Cloud
+
+    class Icp:
+        def register(self, target, source, guess):
+            return Match(Pose(0.4, 0.3, 0.0), True, 5, 0.01, 100)
+
+    along = np.column_stack([np.linspace(-6.0, 6.0, 200), np.ones(200)])
+    cloud = Cloud(np.concatenate([along, along * [1.0, -1.0]]))
+    answer = ObservableIcp(Icp()).register(cloud, cloud, Pose(1.0, 0.0, 0.0)).target_from_source
+    assert answer.row == pytest.approx([1.0, 0.3, 0.0])
