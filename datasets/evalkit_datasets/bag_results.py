@@ -20,7 +20,7 @@ from evalkit.io.map_server import MAX_PIXELS, log_odds_of_percent
 from evalkit.io.timestamps import order_stamps
 from evalkit.io.tum import TumFile
 from evalkit.plugins.result_files import ResultReader
-from evalkit_datasets import rosbag_parser
+from evalkit_datasets import rosbag_parser, sweeps
 from evalkit_datasets.transforms import matrix_from_quaternion, planar_pose_from_matrix
 
 POSES = {
@@ -108,7 +108,7 @@ def _read_poses(path: Path, reader: Any, topic: str, kind: str) -> TumFile:
         pose = POSES.get(kind, POSES["geometry_msgs/msg/PoseStamped"])(message)
         position = pose.translation if hasattr(pose, "translation") else pose.position
         rotation = pose.rotation if hasattr(pose, "rotation") else pose.orientation
-        damaged += not samples.append(rosbag_parser.parse_stamp_ns(message.header), position, rotation)
+        damaged += not samples.append(sweeps.parse_stamp_ns(message.header), position, rotation)
     stamps, rows, counts = samples.in_order()
     if not len(stamps):
         raise BadData(str(path), topic, f"{damaged} poses, none valid", "give another topic")
@@ -144,7 +144,7 @@ def _read_chain(path: Path, reader: Any, words: str) -> TumFile:
                 samples[edge] = _Samples()
             elif edge in static:
                 continue
-            stamp = rosbag_parser.parse_stamp_ns(stamped.header)
+            stamp = sweeps.parse_stamp_ns(stamped.header)
             damaged += not samples[edge].append(stamp, stamped.transform.translation, stamped.transform.rotation)
     return _compose_chain(path, words, edges, samples, static, damaged)
 
@@ -268,7 +268,7 @@ def _transforms(reader: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _edge(stamped: Any) -> tuple[str, str]:
-    normalise = rosbag_parser.normalise_frame
+    normalise = sweeps.normalise_frame
     return normalise(stamped.header.frame_id), normalise(stamped.child_frame_id)
 
 

@@ -283,6 +283,6 @@ SPEC = DatasetSpec(
         *reader_common.SELECTION,
     ),
     missing=partial(reader_common.describe_missing_files, "carmen"),
-    choose=reader_common.choose_parameters,
+    choose=partial(reader_common.choose_parameters, "carmen"),
     thinned_by="every",
 )  # fmt: skip

@@ -250,5 +250,5 @@ SPEC = DatasetSpec(
     ),
     missing=partial(reader_common.describe_missing_files, "columns"),
     thinned_by="every",
-    choose=reader_common.choose_parameters,
+    choose=partial(reader_common.choose_parameters, "columns"),
 )

@@ -10,14 +10,13 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import Progress
-from rich.table import Table
 
 from evalkit.core.errors import EvalkitError, UnknownName
 from evalkit.io.toml import load_toml
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.terminal import options, progress
+from evalkit.terminal import options
+from evalkit.terminal.text_list import print_list
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.fetch import fetch, list_downloads, why_offline
 from evalkit_datasets.inspection.findings import format_count
@@ -43,10 +42,9 @@ def list_(as_json: Annotated[bool, typer.Option("--json", help="Print the result
     if as_json:
         sys.stdout.write(json.dumps(rows, indent=1) + "\n")
         return
-    table = Table("name", "content", "licence", "location")
-    for row in rows:
-        table.add_row(*map(escape, row.values()))
-    progress.print_table(out, table)
+    print_list(
+        out, "files", [(row["name"], f"{row['summary']}; licence: {row['licence']}; {row['where']}") for row in rows]
+    )
 
 
 @app.command("fetch")

@@ -31,11 +31,11 @@ SELECTION: tuple[Parameter, ...] = (
 )
 
 
-def choose_parameters(given: Mapping[str, Value]) -> Iterable[Choice]:
-    """Return what an inspection of the recording ``given["path"]`` finds in it and beside it."""
+def choose_parameters(reader: str, given: Mapping[str, Value]) -> Iterable[Choice]:
+    """Return what an inspection of the recording ``given["path"]`` by a reader finds in it and beside it."""
     # by name: a change of the inspection is no change of the reader, on which the identity of a run depends
     inspection = import_module("evalkit_datasets.inspection.suggested_config")
-    found: tuple[Choice, ...] = inspection.choose_parameters(given)
+    found: tuple[Choice, ...] = inspection.choose_parameters(reader, given)
     return found
 
 

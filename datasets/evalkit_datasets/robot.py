@@ -225,7 +225,7 @@ class WheelOdometryModel:
             end = min(begin + _TICKS_AT_ONCE, ticks)
             noise = generator.standard_normal((end - begin, 2)) * [self.velocity_noise_mps, self.gyro_noise]
             rows = slice(*np.searchsorted(wanted, [begin * _TICK_NS, end * _TICK_NS]))
-            times: Stamps = np.union1d(np.arange(begin, end + 1) * _TICK_NS, wanted[rows])
+            times = _merge_sorted(np.arange(begin, end + 1) * _TICK_NS, wanted[rows])
             travelled = self._integrate(drive, times, noise, scale, bias, odom_from_base)
             poses[rows] = travelled[np.searchsorted(times, wanted[rows])]
             odom_from_base = travelled[-1]
@@ -276,3 +276,9 @@ def _twist_from_motion(motions: Floats) -> Floats:
     return np.column_stack(
         [cos * motions[:, 0] + sin * motions[:, 1], -sin * motions[:, 0] + cos * motions[:, 1], motions[:, 2]]
     )
+
+
+def _merge_sorted(one: Stamps, other: Stamps) -> Stamps:
+    """Return the different times of two arrays (N,), (M,), ascending; ``np.union1d`` would load ``numpy.ma``."""
+    every = np.sort(np.concatenate([one, other]))
+    return np.asarray(every[np.concatenate([[True], np.diff(every) > 0])], dtype=np.int64)

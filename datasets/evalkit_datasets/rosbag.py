@@ -24,9 +24,11 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.io.timestamps import order_stamps
 from evalkit.plugins.parameters import Parameter
 from evalkit.plugins.specs import DatasetSpec
-from evalkit_datasets import reader_common, rosbag_parser, truth_files
+from evalkit_datasets import cloud_slice, reader_common, rosbag_parser, truth_files
 from evalkit_datasets.buffers import PoseBuffer, sort_by_rank
-from evalkit_datasets.rosbag_parser import Contents, Scans, Sweep
+from evalkit_datasets.cloud_slice import CloudSlice
+from evalkit_datasets.rosbag_parser import Contents, Scans
+from evalkit_datasets.sweeps import Sweep, SweepOptions, parse_fields
 from evalkit_datasets.transforms import Mounting
 from evalkit_datasets.truth_files import TruthPaths
 
@@ -54,10 +56,15 @@ class RosBag:
         limit: int = 0,
         how: str = "",
         spans: str = "",
+        fields: str = "",
+        height_min_m: float = CloudSlice.height_min_m,
+        height_max_m: float = CloudSlice.height_max_m,
+        beams: int = CloudSlice.beams,
     ) -> None:
         self._path = reader_common.check_exists("rosbag", path)
+        self._options = SweepOptions(CloudSlice(height_min_m, height_max_m, beams), parse_fields(fields))
         which = reader_common.select_scans(start, every, limit)
-        whole, contents = rosbag_parser.read_bag(self._path, topic, which)
+        whole, contents = rosbag_parser.read_bag(self._path, topic, which, self._options)
         self._counts = self._count_defects(whole, contents)
         self._scans = whole.select(which)
         if not len(self._scans):
@@ -89,7 +96,7 @@ class RosBag:
 
     def frames(self) -> Iterator[Frame]:
         """Yield the scans in order of time, read from the file one by one."""
-        sweeps = sort_by_rank(rosbag_parser.iter_sweeps(self._path, self._scans))
+        sweeps = sort_by_rank(rosbag_parser.iter_sweeps(self._path, self._scans, self._options))
         for sweep, pose, motion in zip(sweeps, self._poses, self._motions, strict=True):
             angles = sweep.angles()
             if self._mounting.mirrored:
@@ -124,6 +131,7 @@ class RosBag:
             "scans with a repeated stamp dropped": whole.repeated,
             "scans without a stamp, given the time of recording": contents.unstamped,
             "damaged messages dropped": contents.damaged,
+            "damaged index, records read up to the damage": contents.unindexed,
         }
 
     def _find_odometry(self, contents: Contents, wanted: str, base_frame: str) -> tuple[Trajectory | None, str]:
@@ -244,8 +252,8 @@ def _merge_poses(parts: list[PoseBuffer]) -> Trajectory:
 
 SPEC = DatasetSpec(
     make=RosBag,
-    summary="A ROS 1 or ROS 2 bag with LaserScan or MultiEchoLaserScan messages",
-    sensor="as recorded; of several echoes of a beam the first, which is the nearest",
+    summary="A ROS 1 or ROS 2 bag with LaserScan, MultiEchoLaserScan, PointCloud2 or other range messages",
+    sensor="as recorded; of several echoes the nearest, of a point cloud a slice of heights",
     truth="files given as parameters",
     citation="rosbags (Ternaris); sensor_msgs/LaserScan and REP-117",
     licence="that of the recording",
@@ -259,9 +267,17 @@ SPEC = DatasetSpec(
         Parameter(
             "base_from_sensor", "auto", "", "pose of the lidar on the base: 'auto' (tf) or 'x y theta' in m, m, rad"
         ),
+        Parameter(
+            "fields",
+            "",
+            "",
+            "where a message of another type holds the sweep: 'ranges=NAME angles=NAME "
+            "range_unit=mm angle_unit=deg clockwise', or first=NAME step=NAME for even angles",
+        ),
+        *cloud_slice.PARAMETERS,
         *reader_common.SELECTION,
     ),
     missing=partial(reader_common.describe_missing_files, "rosbag"),
-    choose=reader_common.choose_parameters,
+    choose=partial(reader_common.choose_parameters, "rosbag"),
     thinned_by="every",
 )

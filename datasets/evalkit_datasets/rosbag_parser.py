@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.core.arrays import Bools, Ints
+from evalkit.core.arrays import Ints
 from evalkit.core.errors import BadData, EvalkitError
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.io.timestamps import order_stamps
+from evalkit_datasets import sweeps
 from evalkit_datasets.buffers import PoseBuffer
+from evalkit_datasets.sweeps import Sweep, SweepOptions, normalise_frame, parse_stamp_ns
 from evalkit_datasets.transforms import Transform, TransformTree, matrix_from_quaternion, planar_pose_from_matrix
+from evalkit_datasets.unpacking import UnpackedTooMuch, bounded_unpacking
 
-LASER = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
+LASER = (sweeps.LASER_SCAN, sweeps.ECHOES)
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FETCH_AGAIN = "record or fetch the bag again"
@@ -28,44 +31,23 @@ SUFFIXES = (".bag", ".db3", ".mcap")
 
 ODOMETRY_FRAME = "odom"
 
-MAX_SWEEP_S = 3600.0
-"""A message with a longer sweep is damaged."""
+MAX_LISTED = 40
+"""Topics named in a message."""
+
+NO_LASER = (
+    "give a bag with LaserScan messages or point clouds (PointCloud2), or name topic and fields of other messages: "
+    "--set topic=/scan --set 'fields=ranges=distances angles=angles angle_unit=deg'"
+)
 
 COLUMNS = {"stamps_ns": "q", "durations_ns": "q", "messages": "i", "invalid": "i", "frames": "i"}
 """Values kept of every scan and their array type codes: 28 bytes."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sweep:
-    """One laser message as sent. Of several echoes of a beam the first, which is the nearest, is kept; none is inf."""
-
-    stamp_ns: int
-    frame: str
-    ranges: Floats
-    angle_min: float
-    angle_increment: float
-    range_min_m: float
-    range_max_m: float
-    time_increment_ns: int
-
-    def angles(self) -> Floats:
-        """Return the angles (B,) in firing order (rad)."""
-        return np.asarray(self.angle_min + self.angle_increment * np.arange(len(self.ranges)), dtype=np.float64)
-
-    @property
-    def duration_ns(self) -> int:
-        """Time from the first beam to the last."""
-        return self.time_increment_ns * (len(self.ranges) - 1)
-
-    @property
-    def is_invalid(self) -> Bools:
-        """Mask (B,) of invalid ranges: nan, zero, negative or below the minimum."""
-        return np.asarray(~(self.ranges >= max(self.range_min_m, 1e-9)))
-
-
 @dataclass(eq=False)
 class Contents:
     """Odometry and transforms of a bag. ``odometry``: poses by (topic, parent, child).
+
+    ``unindexed``: 1 if the index of the bag is damaged, and its records were read up to the damage.
 
     ``unstamped``: number of headers without a time. ``damaged``: number of laser messages with implausible geometry and
     of invalid transforms.
@@ -75,6 +57,7 @@ class Contents:
     tree: TransformTree = field(default_factory=TransformTree)
     unstamped: int = 0
     damaged: int = 0
+    unindexed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +99,7 @@ class Scans:
         return self.names[int(self.frames[0])]
 
 
-def read_bag(path: Path, topic: str, which: slice) -> tuple[Scans, Contents]:
+def read_bag(path: Path, topic: str, which: slice, options: SweepOptions) -> tuple[Scans, Contents]:
     """Return all scans of one laser topic ("": the only one), all odometry and the transforms.
 
     Of moving transforms those nearest to the first scan taken (``which``) are kept, and all that may be odometry.
@@ -124,8 +107,8 @@ def read_bag(path: Path, topic: str, which: slice) -> tuple[Scans, Contents]:
     """
     with open_bag(path) as reader:
         topics = {name: (str(about.msgtype), int(about.msgcount)) for name, about in reader.topics.items()}
-        contents = Contents()
-        scans = _read_scans(reader, _select_laser_topic(path, topics, topic), contents)
+        contents = Contents(unindexed=int(is_unindexed(reader)))
+        scans = _read_scans(reader, _select_laser_topic(path, topics, topic, options), contents, options)
         for connection, message, _ in iter_messages(reader, (ODOMETRY,)):
             add_odometry(contents, connection.topic, message)
         taken = scans.stamps_ns[which]
@@ -136,39 +119,40 @@ def read_bag(path: Path, topic: str, which: slice) -> tuple[Scans, Contents]:
     return scans, contents
 
 
-def iter_sweeps(path: Path, scans: Scans) -> Iterator[tuple[int, Sweep]]:
+def iter_sweeps(path: Path, scans: Scans, options: SweepOptions) -> Iterator[tuple[int, Sweep]]:
     """Yield the scans in file order, each with its index in ``scans``; raises BadData if the bag has changed."""
     if not len(scans):
         return
     ranks = np.full(int(scans.messages.max()) + 1, -1, dtype=np.int64)
     ranks[scans.messages] = np.arange(len(scans))
     with open_bag(path) as reader:
-        messages = _iter_laser_messages(reader, scans.topic)
+        messages = _iter_laser_messages(reader, scans.topic, options)
         for rank in ranks.tolist():
             message = next(messages, None)
             if rank >= 0:
-                yield rank, _reread_sweep(reader, message, int(scans.stamps_ns[rank]), path)
+                yield rank, _reread_sweep(reader, message, int(scans.stamps_ns[rank]), path, options)
 
 
-def _reread_sweep(reader: Any, message: tuple[Any, int, bytes] | None, stamp_ns: int, path: Path) -> Sweep:
+def _reread_sweep(
+    reader: Any, message: tuple[Any, int, bytes] | None, stamp_ns: int, path: Path, options: SweepOptions
+) -> Sweep:
     """Return the sweep of a message; raises BadData if it is not a scan with the stamp of the first reading."""
     if message is not None:
         connection, recorded_ns, raw = message
-        sweep = _parse_sweep(
-            reader.deserialize(raw, connection.msgtype), connection.msgtype == LASER[1], int(recorded_ns)
-        )
+        kind = connection.msgtype
+        sweep = sweeps.parse_sweep(reader.deserialize(raw, kind), kind, int(recorded_ns), options)
         if sweep is not None and sweep.stamp_ns == stamp_ns:
             return sweep
     raise BadData(str(path), "", "the bag has changed since it was first read", "do not modify it during a run")
 
 
-def _read_scans(reader: Any, topic: str, contents: Contents) -> Scans:
+def _read_scans(reader: Any, topic: str, contents: Contents, options: SweepOptions) -> Scans:
     """Return the scans of a topic; damaged messages are counted in ``contents``."""
     columns = {name: array(kind) for name, kind in COLUMNS.items()}
     names: dict[str, int] = {}
-    for number, (connection, recorded_ns, raw) in enumerate(_iter_laser_messages(reader, topic)):
+    for number, (connection, recorded_ns, raw) in enumerate(_iter_laser_messages(reader, topic, options)):
         message = reader.deserialize(raw, connection.msgtype)
-        sweep = read_sweep(contents, message, connection.msgtype == LASER[1], int(recorded_ns))
+        sweep = read_sweep(contents, message, connection.msgtype, int(recorded_ns), options)
         if sweep is not None:
             frame = names.setdefault(sweep.frame, len(names))
             row = sweep.stamp_ns, sweep.duration_ns, number, int(sweep.is_invalid.sum()), frame
@@ -181,9 +165,20 @@ def _read_scans(reader: Any, topic: str, contents: Contents) -> Scans:
     return Scans(topic, **kept, names=tuple(names), backwards=order.backwards, repeated=order.repeated)
 
 
-def _iter_laser_messages(reader: Any, topic: str) -> Iterator[tuple[Any, int, bytes]]:
-    wanted = [one for one in reader.connections if one.topic == topic and one.msgtype in LASER]
+def _iter_laser_messages(reader: Any, topic: str, options: SweepOptions) -> Iterator[tuple[Any, int, bytes]]:
+    wanted = [one for one in reader.connections if one.topic == topic and _holds_sweeps(one.msgtype, options)]
     yield from reader.messages(connections=wanted)
+
+
+def is_unindexed(reader: Any) -> bool:
+    """Return whether a reader walks the records because the index is damaged."""
+    from evalkit_datasets import unindexed_bag  # noqa: PLC0415 - loads rosbags
+
+    return unindexed_bag.is_unindexed(reader)
+
+
+def _holds_sweeps(kind: str, options: SweepOptions) -> bool:
+    return kind in (*LASER, sweeps.CLOUD) or options.fields is not None
 
 
 def iter_messages(reader: Any, kinds: tuple[str, ...]) -> Iterator[tuple[Any, Any, int]]:
@@ -203,20 +198,52 @@ def _find_bag(path: Path) -> Path:
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[Any]:
-    """Open a bag for reading; raises BadData for every error of the reader, also inside the ``with`` block."""
-    from rosbags.highlevel import AnyReader  # noqa: PLC0415 - heavy, and used for bags only
-    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    """Open a bag for reading; raises BadData for every error of the reader, also inside the ``with`` block.
 
+    A ROS 1 bag or MCAP file with a damaged index is read by its records, up to the damage.
+    """
     _check_path(path)
+    bag = _find_bag(path)
+    files = [bag] if bag.is_file() else [file for file in bag.iterdir() if file.is_file()]
     try:
-        # bags recorded before Iron contain no type definitions: use those of Humble
-        with AnyReader([_find_bag(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with bounded_unpacking(sum(file.stat().st_size for file in files)), closing(_open_reader(bag)) as reader:
             yield reader
     except EvalkitError:
         raise
+    except UnpackedTooMuch as error:
+        raise BadData(str(path), "", str(error), "write it again without compression if you trust its origin") from None
     except Exception as error:  # a damaged binary file can raise any exception
         cause = " ".join(str(error).split()) or type(error).__name__
         raise BadData(str(path), "", f"not a readable bag ({cause[:160]})", _suggest_repair(path)) from error
+
+
+def _open_reader(bag: Path) -> Any:
+    """Return an open reader of a bag; one that needs no index if the index is damaged."""
+    from rosbags.highlevel import AnyReader  # noqa: PLC0415 - heavy, and used for bags only
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+
+    from evalkit_datasets.unindexed_bag import open_unindexed  # noqa: PLC0415 - as above
+
+    types = get_typestore(Stores.ROS2_HUMBLE)  # bags recorded before Iron contain no type definitions
+    try:
+        reader = AnyReader([bag], default_typestore=types)
+        reader.open()
+        if reader.connections or bag.is_dir():
+            return reader
+        reader.close()  # a ROS 1 bag without any chunk in its index
+    except UnpackedTooMuch:
+        raise
+    except Exception as error:
+        with suppress(Exception):  # the first error says what is wrong
+            if (unindexed := open_unindexed(bag, types)) is not None:
+                return unindexed
+        raise error from None
+    return open_unindexed(bag, types) or _reopen(reader)
+
+
+def _reopen(reader: Any) -> Any:
+    reader.open()
+    return reader
 
 
 def _check_path(path: Path) -> None:
@@ -235,10 +262,14 @@ def _suggest_repair(path: Path) -> str:
     return f"{FETCH_AGAIN}, or try 'rosbag reindex'" if path.suffix == ".bag" else FETCH_AGAIN
 
 
-def _select_laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: str) -> str:
-    lasers = sorted(name for name, (kind, count) in topics.items() if kind in LASER and count)
+def _select_laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: str, options: SweepOptions) -> str:
+    """Return the topic of the sweeps: the wanted one, else the only one of laser scans, else of point clouds."""
+    usable = {name: kind for name, (kind, count) in topics.items() if count and _holds_sweeps(kind, options)}
+    lasers = sorted(name for name, kind in usable.items() if kind in LASER) or sorted(
+        name for name, kind in usable.items() if kind == sweeps.CLOUD
+    )
     if wanted:
-        match = next((name for name in lasers if name.lstrip("/") == wanted.lstrip("/")), None)
+        match = next((name for name in usable if name.lstrip("/") == wanted.lstrip("/")), None)
         if match is not None:
             return match
         problem = f"no laser scans on topic '{wanted}'"
@@ -246,42 +277,20 @@ def _select_laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: 
         return lasers[0]
     else:
         problem = f"{len(lasers)} topics with laser scans"
-    known = ", ".join(f"{name} ({kind.split('/')[-1]}, {count})" for name, (kind, count) in sorted(topics.items()))
-    remedy = f"choose one with topic: {', '.join(lasers)}" if lasers else "give a bag with LaserScan messages"
+    listed = sorted(topics.items())[:MAX_LISTED]
+    known = ", ".join(f"{name} ({kind.split('/')[-1]}, {count})" for name, (kind, count) in listed)
+    known += f" and {len(topics) - MAX_LISTED} more" if len(topics) > MAX_LISTED else ""
+    remedy = f"choose one with topic: {', '.join(lasers[:MAX_LISTED])}" if lasers else NO_LASER
     raise BadData(str(path), "", f"{problem}; topics: {known or 'none'}", remedy)
 
 
-def read_sweep(contents: Contents, message: Any, echoes: bool, recorded_ns: int) -> Sweep | None:
+def read_sweep(contents: Contents, message: Any, kind: str, recorded_ns: int, options: SweepOptions) -> Sweep | None:
     """Return a laser message as a sweep, or None if it is damaged, which is counted in ``contents``."""
-    contents.unstamped += parse_stamp_ns(message.header) == 0
-    sweep = _parse_sweep(message, echoes, recorded_ns)
+    header = getattr(message, "header", None)
+    contents.unstamped += header is None or parse_stamp_ns(header) == 0
+    sweep = sweeps.parse_sweep(message, kind, recorded_ns, options)
     contents.damaged += sweep is None
     return sweep
-
-
-def _parse_sweep(message: Any, echoes: bool, recorded_ns: int) -> Sweep | None:
-    with np.errstate(invalid="ignore"):  # widening some nan patterns raises a warning
-        ranges = _select_first_echoes(message.ranges) if echoes else np.asarray(message.ranges, dtype=np.float64)
-    geometry = [message.angle_min, message.angle_increment, message.range_min, message.range_max]
-    plausible = np.isfinite(geometry).all() and 0.0 <= geometry[2] < geometry[3] and geometry[1] != 0.0
-    increment = float(message.time_increment)
-    increment = increment if np.isfinite(increment) and increment > 0.0 else 0.0
-    if len(ranges) < 2 or not plausible or increment * len(ranges) > MAX_SWEEP_S:
-        return None
-    return Sweep(
-        parse_stamp_ns(message.header) or int(recorded_ns),
-        normalise_frame(message.header.frame_id),
-        ranges,
-        float(geometry[0]),
-        float(geometry[1]),
-        float(geometry[2]),
-        float(geometry[3]),
-        round(increment * 1e9),
-    )
-
-
-def _select_first_echoes(beams: Any) -> Floats:
-    return np.array([beam.echoes[0] if len(beam.echoes) else np.inf for beam in beams], dtype=np.float64)
 
 
 def add_odometry(contents: Contents, topic: str, message: Any) -> None:
@@ -311,13 +320,3 @@ def _parse_matrix(contents: Contents, position: Any, rotation: Any) -> Floats | 
     except ValueError:
         contents.damaged += 1
         return None
-
-
-def parse_stamp_ns(header: Any) -> int:
-    """Return the time of a header in ns."""
-    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
-
-
-def normalise_frame(frame: str) -> str:
-    """Return the name of a frame without the leading slash that ROS 1 may write."""
-    return frame.lstrip("/")

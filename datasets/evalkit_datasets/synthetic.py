@@ -269,3 +269,37 @@ OFFICE = _make_spec(
     "four furnished rooms on a hallway, 35 m through doors, turns up to 69 deg/s at 0.3 m/s; lidar rotated by 90 deg",
     Pose(-0.04, 0.0, float(np.radians(90.0))),
 )
+
+
+DOORS = _make_spec(
+    "doors",
+    "a corridor with equal doors every 3 m, 85 m there and back: many places look the same",
+    _AHEAD,
+    degenerate="between its ends the corridor repeats itself every 3 m",
+    speed_mps=0.8,
+    rate_hz=5.0,
+)
+WINGS = _make_spec(
+    "wings",
+    "two equal furnished wings 34 m apart, 102 m through both: each room of one looks like that of the other",
+    _AHEAD,
+    laps=1.3,
+    speed_mps=0.8,
+    rate_hz=5.0,
+)
+SYMMETRIC_OFFICE = _make_spec(
+    "symmetric-office",
+    "a ring of corridors 47 m around that looks the same after half a turn, driven one and a half times",
+    _AHEAD,
+    laps=1.5,
+    speed_mps=0.8,
+    rate_hz=5.0,
+)
+LONG_LOOP = _make_spec(
+    "long-loop",
+    "a ring of corridors 299 m around, driven until it overlaps by 15 m",
+    _AHEAD,
+    laps=1.05,
+    speed_mps=0.8,
+    rate_hz=5.0,
+)

@@ -5,10 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from evalkit.core.errors import BadData, EvalkitError
+from evalkit.config.localisation import list_map_files, read_localisation
+from evalkit.config.toml_tables import TomlTable
+from evalkit.core.errors import BadData, BadExperiment, EvalkitError
 from evalkit.core.pose import Pose
 from evalkit.external.maps import load_map
 from evalkit.plugins import registry
+from evalkit.plugins.known_map import load_known_map
 from evalkit.plugins.result_files import parse_address, read_trajectory
 from evalkit_datasets.bag_results import read_grid
 from evalkit_datasets.truth_files import TruthPaths, load_truth
@@ -185,6 +188,18 @@ def test_a_map_out_of_a_bag_stands_where_its_rotated_origin_says(tmp_path):
     # the cell (column 0, row 0) has its centre at (0.25, 0.25) of the grid, which is (2 - 0.25, 1 + 0.25) of the map
     walls = placed.centres(placed.occupied())
     np.testing.assert_allclose(sorted(map(tuple, walls)), [(1.25, 2.25), (1.75, 1.25)], atol=1e-9)
+
+
+def test_a_map_in_a_bag_is_a_known_map_with_an_absolute_address(tmp_path, monkeypatch):
+    path = Bag(tmp_path, "mcap").map([100, 0, -1, 50, 0, 100], 3, (2.0, 1.0, math.pi / 2)).write()
+    known = load_known_map({"map": f"{path}?map=/map"}, None)
+    np.testing.assert_allclose(sorted(map(tuple, known.walls)), [(1.25, 2.25), (1.75, 1.25)], atol=1e-9)
+    monkeypatch.chdir(path.parent)
+    read = read_localisation(TomlTable({"map": f"{path.name}?map=/map"}, "x.toml"))
+    assert read == {"map": f"{path}?map=/map"}
+    assert list_map_files(read) == [str(path)]
+    with pytest.raises(BadExperiment, match=r"no map is meant by '.*give a map_server file"):
+        read_localisation(TomlTable({"map": f"{path.name}?topic=/map"}, "x.toml"))
 
 
 def test_a_map_that_does_not_fit_its_size_is_damaged(tmp_path):

@@ -8,11 +8,14 @@ from typer.testing import CliRunner
 from evalkit_datasets import catalog, command
 
 
-def test_list_prints_each_file_on_its_own_line_at_any_width(monkeypatch):
+def test_list_prints_each_file_on_its_own_line_with_its_licence_and_place(monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
     result = CliRunner().invoke(command.app, ["list"])
     assert result.exit_code == 0
-    assert len(catalog.load_catalog()) == sum(line.startswith("│") for line in result.output.splitlines())
+    lines = result.output.splitlines()[1:]
+    for line, card in zip(lines, catalog.load_catalog().values(), strict=True):
+        assert line.split()[0] == card.name
+        assert f"; licence: {card.licence}; " in line
 
 
 def test_list_can_be_printed_as_json():

@@ -11,10 +11,12 @@ import numpy as np
 from evalkit.core.se2 import Stamps
 from evalkit_datasets import rosbag_parser
 from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, RecordingStreams, Topic
-from evalkit_datasets.rosbag_parser import Contents, Sweep
+from evalkit_datasets.rosbag_parser import Contents
+from evalkit_datasets.sweeps import CLOUD, MessageFields, Sweep, SweepOptions, guess_fields
 from evalkit_datasets.transforms import TransformTree, planar_pose_from_matrix
 
-WANTED = {*rosbag_parser.LASER, rosbag_parser.ODOMETRY, *rosbag_parser.TRANSFORMS}
+WANTED = {*rosbag_parser.LASER, CLOUD, rosbag_parser.ODOMETRY, *rosbag_parser.TRANSFORMS}
+MAX_UNUSUAL = 20  # topics with sweeps of unusual types
 MIN_TF_POSES = 2  # transforms needed for odometry from tf
 
 
@@ -23,6 +25,7 @@ class _TopicContent:
     """The messages of one topic with their times of recording, and the twists of odometry."""
 
     kind: str
+    fields: MessageFields | None = None
     contents: Contents = field(default_factory=Contents)
     sweeps: list[Sweep] = field(default_factory=list)
     recorded_ns: list[int] = field(default_factory=list)
@@ -39,13 +42,16 @@ def read_bag_streams(path: Path) -> RecordingStreams:
             Topic(name, str(about.msgtype), int(about.msgcount), _message_rate_hz(int(about.msgcount), seconds))
             for name, about in sorted(reader.topics.items())
         ]
-        wanted = [connection for connection in reader.connections if connection.msgtype in WANTED]
-        for connection, recorded_ns, raw in reader.messages(connections=wanted):
+        unusual, unindexed = _find_unusual_sweeps(reader), rosbag_parser.is_unindexed(reader)
+        has_laser = any(one.msgtype in rosbag_parser.LASER and one.msgcount for one in reader.connections)
+        kinds = WANTED - {CLOUD} if has_laser else WANTED
+        wanted = [one for one in reader.connections if one.msgtype in kinds or one.topic in unusual]
+        for connection, recorded_ns, raw in reader.messages(connections=wanted) if wanted else ():
             message = reader.deserialize(raw, connection.msgtype)
             if connection.msgtype in rosbag_parser.TRANSFORMS:
                 rosbag_parser.add_transforms(tree, message, connection.topic.endswith("tf_static"))
                 continue
-            own = taken.setdefault(connection.topic, _TopicContent(connection.msgtype))
+            own = taken.setdefault(connection.topic, _TopicContent(connection.msgtype, unusual.get(connection.topic)))
             _take_message(own, connection.topic, message, int(recorded_ns))
     wheels = [
         _make_odometry_stream(own)
@@ -55,12 +61,32 @@ def read_bag_streams(path: Path) -> RecordingStreams:
     return RecordingStreams(
         path,
         "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag",
+        "rosbag",
         topics,
         [_make_laser_stream(name, own) for name, own in sorted(taken.items()) if own.sweeps],
         [*wheels, *_find_tf_odometry(tree.tree)],
         tree.tree,
         damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()),
+        unindexed=unindexed,
     )
+
+
+def _find_unusual_sweeps(reader: Any) -> dict[str, MessageFields]:
+    """Return the fields of messages of other types that look like sweeps, by topic, of a bag without usual ones."""
+    if any(one.msgtype in (*rosbag_parser.LASER, CLOUD) and one.msgcount for one in reader.connections):
+        return {}
+    found: dict[str, MessageFields] = {}
+    others: set[str] = set()  # types without a sweep: a bag may have very many topics, but has few types
+    for connection in reader.connections:
+        if connection.msgtype in WANTED | others or not connection.msgcount or len(found) == MAX_UNUSUAL:
+            continue
+        first = next(reader.messages(connections=[connection]), None)
+        fields = None if first is None else guess_fields(reader.deserialize(first[2], connection.msgtype))
+        if fields is None:
+            others.add(connection.msgtype)
+        else:
+            found[connection.topic] = fields
+    return found
 
 
 def _message_rate_hz(count: int, seconds: float) -> float:
@@ -70,7 +96,8 @@ def _message_rate_hz(count: int, seconds: float) -> float:
 def _take_message(own: _TopicContent, topic: str, message: Any, recorded_ns: int) -> None:
     before = sum(map(len, own.contents.odometry.values()))
     if own.kind != rosbag_parser.ODOMETRY:
-        sweep = rosbag_parser.read_sweep(own.contents, message, own.kind == rosbag_parser.LASER[1], recorded_ns)
+        options = SweepOptions(fields=own.fields)
+        sweep = rosbag_parser.read_sweep(own.contents, message, own.kind, recorded_ns, options)
         if sweep is not None:
             own.sweeps.append(sweep)
             own.recorded_ns.append(recorded_ns)
@@ -97,6 +124,7 @@ def _make_laser_stream(topic: str, own: _TopicContent) -> LaserStream:
         first.time_increment_ns,
         own.contents.damaged,
         own.contents.unstamped,
+        str(own.fields or ""),
     )
 
 

@@ -11,31 +11,42 @@ from typing import Annotated, Any
 
 import typer
 
-from evalkit.core.errors import BadData
+from evalkit.core.errors import BadData, EvalkitError
 from evalkit.io.output_files import write_texts
 from evalkit.terminal.options import Json, out, print_json
 from evalkit.terminal.text_list import print_hanging
+from evalkit_datasets import rosbag_parser
+from evalkit_datasets.carmen_parser import is_carmen
 from evalkit_datasets.inspection.findings import Level, format_count
-from evalkit_datasets.inspection.inspector import Inspection, inspect_recording
+from evalkit_datasets.inspection.inspector import CARMEN, Inspection, find_reader_name, inspect_recording
+from evalkit_datasets.inspection.layout_proposal import LayoutProposal, propose_layout
+from evalkit_datasets.inspection.log_streams import COLUMNS_KIND
 from evalkit_datasets.inspection.suggested_config import SuggestedConfig, suggest_config
 
 STYLES: Mapping[Level, str] = {"problem": "red", "warning": "yellow", "note": ""}
 
 
 def inspect(
-    file: Annotated[Path, typer.Argument(help="A bag (ROS 1 or 2) or a CARMEN log.", show_default=False)],
+    file: Annotated[
+        Path, typer.Argument(help="A bag (ROS 1 or 2), a CARMEN log, or a text log in columns.", show_default=False)
+    ],
+    reader: Annotated[str, typer.Option(help="Data set that reads it.", show_default="by its content")] = "",
     folder: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write a page with plots there.", show_default=False)
     ] = None,
+    save: Annotated[bool, typer.Option("--save", help="Save the proposed layout of a text log beside it.")] = False,
     as_json: Json = False,
 ) -> None:
     """Inspect a recording: its contents, its defects, and the command that runs it.
 
-    Exit code 1 if no command can run it.
+    For a text log in columns without a layout, it proposes one. Exit code 1 if no command can run it.
     """
     if not file.exists():
         raise BadData(str(file), "", "no such file or folder", "give the path of a bag or a log")
-    recording = inspect_recording(file)
+    if not reader and (proposal := _propose(file)) is not None:
+        _print_proposal(file, proposal, as_json, save)
+        raise typer.Exit(0 if save else 1)
+    recording = inspect_recording(file, reader)
     advice = suggest_config(recording)
     page = None if folder is None else _write_page(folder, recording, advice)
     if as_json:
@@ -46,6 +57,28 @@ def inspect(
             out.print(str(page.resolve()), highlight=False, markup=False)
     if advice is None or advice.problem:
         raise typer.Exit(1)
+
+
+def _propose(file: Path) -> LayoutProposal | None:
+    """Return a layout for a text log in columns that has none beside it."""
+    if file.is_dir() or file.suffix in rosbag_parser.SUFFIXES or find_reader_name(file) != CARMEN or is_carmen(file):
+        return None
+    try:
+        return propose_layout(file)
+    except EvalkitError:
+        return None  # the inspection says why
+
+
+def _print_proposal(file: Path, proposal: LayoutProposal, as_json: bool, save: bool) -> None:
+    if save:
+        write_texts(file.parent, {f"{file.name}.toml": proposal.toml})
+    if as_json:
+        print_json({"file": str(file), "kind": COLUMNS_KIND, "scans": proposal.scans, "layout": proposal.toml})
+        return
+    print_hanging(out, f"{file.name}: text log in columns; {proposal.scans} scans can be read with this layout", "bold")
+    out.print(f"\n{proposal.toml}", markup=False, highlight=False, soft_wrap=True)
+    done = f"saved as {file}.toml: check it" if save else f"check it, save it as {file}.toml (--save)"
+    print_hanging(out, f"{done}, and inspect the log again: evalkit inspect {file}")
 
 
 def inspection_to_json(recording: Inspection, advice: SuggestedConfig | None) -> dict[str, Any]:

@@ -65,6 +65,13 @@ class LidarStats:
     unstamped: int
 
 
+MAX_MEDIAN_M, MIN_MEDIAN_M = 200.0, 0.02
+"""Median range of a scan beyond which the unit is doubted."""
+
+MIN_RATE_HZ, MAX_RATE_HZ, MIN_RATED = 0.02, 500.0, 10
+"""Scans per second beyond which the unit of time is doubted, of at least so many scans."""
+
+
 def collect_findings(
     streams: RecordingStreams, inside: str, lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats],
     turns: Mapping[str, TurnComparison], tree: FrameTree,
@@ -85,11 +92,7 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
     if not streams.lasers:
         known = ", ".join(f"{topic.name} ({topic.kind})" for topic in streams.topics) or "none"
         yield _problem("file", f"it contains no laser scans, but: {known}", "give a recording with a 2D lidar")
-    if streams.damaged:
-        yield _warning("file", f"{streams.damaged} damaged messages or lines, dropped")
-    for remark in streams.remarks:
-        if "derived" in remark.lower() or "pseudo" in remark.lower():
-            yield _warning("file", f"comment in the file: {remark}")
+    yield from _check_remarks(streams)
     if any(topic.name == "FLASER" for topic in streams.topics) and streams.lasers:
         beams = len(streams.lasers[0].angles)
         what = f"FLASER lines do not contain angles: {beams} beams are assumed to begin at -90 deg"
@@ -106,8 +109,20 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
         yield _note("truth", "no ground truth in it", "give relations or a true trajectory")
 
 
+def _check_remarks(streams: RecordingStreams) -> Iterator[InspectionFinding]:
+    if streams.unindexed:
+        what = "its index is damaged or missing: the records were read up to the damage"
+        yield _warning("file", what, "record it again if the end is needed")
+    if streams.damaged:
+        yield _warning("file", f"{streams.damaged} damaged messages or lines, dropped")
+    for remark in streams.remarks:
+        if "derived" in remark.lower() or "pseudo" in remark.lower():
+            yield _warning("file", f"comment in the file: {remark}")
+
+
 def _check_lidars(lidars: Sequence[LidarStats]) -> Iterator[InspectionFinding]:
     for lidar in lidars:
+        yield from _check_units(lidar)
         yield from _check_times(lidar)
         yield from _check_ranges(lidar)
     if len(lidars) > 1:
@@ -155,6 +170,23 @@ def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[Inspecti
         )
     if abs(found.drift_ppm) > MAX_DRIFT_PPM:
         yield _warning(about, f"its clock drifts from the recorder's by {found.drift_ppm:.0f} ppm")
+
+
+def _check_units(lidar: LidarStats) -> Iterator[InspectionFinding]:
+    """Check whether ranges and times have the order of magnitude of a lidar's."""
+    middle, rate = lidar.returns.median_m, lidar.timing.rate_hz
+    if middle > MAX_MEDIAN_M:
+        what = f"the median range is {middle:.0f} m: millimetres or centimetres taken for metres?"
+        bag = "--set 'fields=ranges=ranges first=angle_min step=angle_increment range_unit=mm'"
+        yield _problem(lidar.topic, what, f'a bag: {bag}; a text log: unit = "mm" in [scan]')
+    elif 0.0 < middle < MIN_MEDIAN_M:
+        what = f"the median range is {1e3 * middle:.1f} mm: metres taken for millimetres?"
+        yield _problem(lidar.topic, what, 'a bag: record metres; a text log: unit = "m" in [scan]')
+    if lidar.timing.usable and lidar.timing.count > MIN_RATED and not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
+        what = f"{rate:.3g} scans per second: stamps in another unit than they are read in?"
+        yield _problem(
+            lidar.topic, what, "a bag: use the time of recording; a text log: unit in [time] (s, ms, us, ns)"
+        )
 
 
 def _check_ranges(lidar: LidarStats) -> Iterator[InspectionFinding]:

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from evalkit.config import adhoc_experiment
+from evalkit.plugins.parameters import Value
 from evalkit_datasets import rosbag_parser
-from evalkit_datasets.carmen_parser import is_carmen
 from evalkit_datasets.columns_layout import is_described
 from evalkit_datasets.inspection import bag_streams, findings, log_streams
 from evalkit_datasets.inspection.findings import InspectionFinding, LidarStats
@@ -17,6 +18,9 @@ from evalkit_datasets.inspection.odometry_stats import OdometryStats, TurnCompar
 from evalkit_datasets.inspection.range_stats import measure_ranges
 from evalkit_datasets.inspection.streams import LaserStream, RecordingStreams, Topic
 from evalkit_datasets.inspection.timing import measure_clock_offset, measure_timing
+
+ROSBAG, CARMEN, COLUMNS = OWN = ("rosbag", "carmen", "columns")
+"""Readers with an inspection of their own: of the file instead of the frames (columns: with a proposal)."""
 
 TRUTH_WORDS = ("ground_truth", "groundtruth", "gt", "mocap", "vicon", "optitrack", "reference")
 
@@ -40,14 +44,13 @@ class Inspection:
     streams: RecordingStreams
 
 
-def inspect_recording(path: Path) -> Inspection:
-    """Return the inspection of a bag (ROS 1 or 2) or a text log; raises BadData or DataMissing as the readers."""
-    if path.is_dir() or path.suffix in rosbag_parser.SUFFIXES:
-        streams = bag_streams.read_bag_streams(path)
-    elif is_described(path) and not is_carmen(path):
-        streams = log_streams.read_column_streams(path)
-    else:
-        streams = log_streams.read_log_streams(path)
+def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] | None = None) -> Inspection:
+    """Return the inspection of a recording; raises BadData or DataMissing as the readers.
+
+    ``reader``: the data set that reads it; found by content and suffix if not given. ``given``: its parameters, which
+    readers without an inspection of their own need.
+    """
+    streams = _read_streams(path, reader or find_reader_name(path), given or {})
     lidars = tuple(_measure_lidar(laser) for laser in streams.lasers)
     odometries = tuple(measure_odometry(wheels) for wheels in streams.wheels)
     best = max(range(len(lidars)), key=lambda at: measured_directions(lidars[at]), default=None)
@@ -64,6 +67,29 @@ def inspect_recording(path: Path) -> Inspection:
         findings.collect_findings(streams, inside, lidars, odometries, turns, tree),
         streams,
     )  # fmt: skip
+
+
+def find_reader_name(path: Path) -> str:
+    """Return the name of the reader of a recording: plug-ins are asked by content first; a CARMEN log is the rest."""
+    if path.is_dir() or path.suffix in rosbag_parser.SUFFIXES:
+        found = adhoc_experiment.find_reader(path)
+        return found[0] if found is not None else ROSBAG
+    found = adhoc_experiment.find_reader(path)
+    own = found is not None and (found[1].recognises is not None or found[0] not in OWN)
+    return found[0] if found is not None and own and not _lacks_layout(path, found[0]) else CARMEN
+
+
+def _lacks_layout(path: Path, reader: str) -> bool:
+    return reader == COLUMNS and not is_described(path)
+
+
+def _read_streams(path: Path, reader: str, given: Mapping[str, Value]) -> RecordingStreams:
+    if reader == ROSBAG:
+        return bag_streams.read_bag_streams(path)
+    if reader == CARMEN:
+        return log_streams.read_log_streams(path)
+    own = {name: value for name, value in given.items() if name not in ("start", "every", "limit")}
+    return log_streams.read_sequence_streams(path, reader, own)
 
 
 def measured_directions(lidar: LidarStats) -> float:

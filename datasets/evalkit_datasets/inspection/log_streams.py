@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -10,21 +12,16 @@ import numpy as np
 from evalkit.core.errors import BadData
 from evalkit.core.se2 import Stamps
 from evalkit.io.timestamps import parse_stamp_ns
+from evalkit.plugins import registry
+from evalkit.plugins.parameters import Value
 from evalkit_datasets import carmen_parser
 from evalkit_datasets.carmen_parser import Log, Reading
-from evalkit_datasets.columns import Columns
+from evalkit_datasets.inspection.other_files import describe_other_file
 from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, RecordingStreams, Topic
 
-OTHER_FILES = {
-    ".tum": "use a trajectory (.tum) with its recording: evalkit compare RECORDING --ground-truth FILE",
-    ".relations": "use relations with their recording: evalkit compare RECORDING --relations FILE",
-    ".toml": "run an experiment with evalkit compare FILE; use measured distances with their recording: --spans FILE",
-    ".yaml": "compare a map as the method file:MAP.yaml",
-    ".pgm": "compare a map as the method file:MAP.yaml",
-}
-"""What to do with files that are not recordings, by suffix."""
-
-COLUMNS_KIND = "log in columns"
+COLUMNS, COLUMNS_KIND = "columns", "log in columns"
+MAX_FRAMES = 100_000
+NOTHING: Mapping[str, Value] = {}
 
 LASER_LINES = (b"FLASER", b"ROBOTLASER1")
 MAX_REMARKS = 5
@@ -35,13 +32,7 @@ def read_log_streams(path: Path) -> RecordingStreams:
     """Return the streams of a log; raises BadData if the file is not a log or is damaged gzip."""
     log, readings = carmen_parser.read_log(path)
     if not (readings or len(log.odometry) or log.damaged):
-        what = "no line begins with FLASER, ROBOTLASER1, LASER_READING or ODOM"
-        remedy = OTHER_FILES.get(
-            path.suffix,
-            "give a bag (.bag, .db3, .mcap, or the folder of one), a CARMEN log, "
-            f"or describe the columns of a text log in {path.name}.toml",
-        )
-        raise BadData(str(path), "", what, remedy)
+        raise BadData(str(path), "", *describe_other_file(path))
     kinds: Counter[str] = Counter()
     remarks: list[str] = []
     tails: list[tuple[bytes, bytes]] = []
@@ -62,28 +53,37 @@ def read_log_streams(path: Path) -> RecordingStreams:
     digits = max((_count_digits(ipc) for ipc, _ in tails), default=0)
     comments = [remark for remark in remarks if " " in remark][:MAX_REMARKS]
     return RecordingStreams(
-        path, "CARMEN log", topics, lasers, _make_odometry_streams(log, readings), poses_from=log.poses_from,
+        path, "CARMEN log", "carmen", topics, lasers, _make_odometry_streams(log, readings), poses_from=log.poses_from,
         digits=digits, damaged=log.damaged, remarks=comments,
     )  # fmt: skip
 
 
-def read_column_streams(path: Path) -> RecordingStreams:
-    """Return the streams of a log in columns with its layout beside it; raises as ``Columns``."""
-    sequence = Columns(str(path))
-    frames = list(sequence.frames())
+def read_sequence_streams(path: Path, reader: str, given: Mapping[str, Value] = NOTHING) -> RecordingStreams:
+    """Return the streams of a recording as a reader of any plug-in yields them; raises as that reader.
+
+    ``given``: parameters of the reader. At most ``MAX_FRAMES`` frames are taken.
+    """
+    spec = registry.dataset(reader)
+    sequence = spec.make(**{**given, "path": str(path)})
+    frames = list(islice(sequence.frames(), MAX_FRAMES))
+    if not frames:
+        raise BadData(str(path), "", f"reader '{reader}' finds no scan in it", "give another file, or --reader NAME")
     first = frames[0].scan
     stamps = np.array([frame.scan.stamp_ns for frame in frames], dtype=np.int64)
     laser = LaserStream(
-        "columns", "columns", "laser", stamps, None, [frame.scan.ranges for frame in frames], first.angles,
+        reader, reader, "laser", stamps, None, [frame.scan.ranges for frame in frames], first.angles,
         first.range_min_m, first.range_max_m, first.time_increment_ns,
     )  # fmt: skip
-    poses = [frame.odom_from_base.row for frame in frames if frame.odom_from_base is not None]
-    wheels = [OdometryStream("columns", "odom", "base", stamps, np.array(poses))] if poses else []
+    known = [frame for frame in frames if frame.odom_from_base is not None]
+    poses = [frame.odom_from_base.row for frame in known if frame.odom_from_base is not None]
+    times = np.array([frame.scan.stamp_ns for frame in known], dtype=np.int64)
+    wheels = [OdometryStream(reader, "odom", "base", times, np.array(poses))] if poses else []
     seconds = float(stamps[-1] - stamps[0]) * 1e-9
-    rate = len(frames) / seconds if seconds > 0.0 else float("nan")
-    topics = [Topic("lines", "a scan each", len(frames), rate)]
+    rate = (len(frames) - 1) / seconds if seconds > 0.0 else float("nan")
+    kind = COLUMNS_KIND if reader == COLUMNS else f"recording read by '{reader}'"
+    damaged = sequence.notes().get("damaged lines dropped", 0)
     return RecordingStreams(
-        path, COLUMNS_KIND, topics, [laser], wheels, damaged=sequence.notes().get("damaged lines dropped", 0)
+        path, kind, reader, [Topic("scans", "a scan each", len(frames), rate)], [laser], wheels, damaged=damaged
     )
 
 

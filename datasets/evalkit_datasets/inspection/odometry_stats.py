@@ -10,7 +10,7 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats, Stamps
-from evalkit_datasets.inspection.streams import LaserStream, OdometryStream
+from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, interpolate_odometry
 from evalkit_datasets.inspection.timing import (
     ClockOffset,
     StreamTiming,
@@ -165,13 +165,9 @@ def compare_turns(wheels: OdometryStream, laser: LaserStream) -> TurnComparison 
     A rotation on the spot shifts a scan along its angles: the shift with the smallest median difference of ranges is
     the rotation, to a fraction of a beam.
     """
-    stamps, first = np.unique(wheels.stamps_ns, return_index=True)
-    times, order = np.unique(laser.stamps_ns, return_index=True)
-    inside = (times >= stamps[0]) & (times <= stamps[-1])
-    times, order = times[inside], order[inside]
-    if len(times) < MIN_PAIRS or len(stamps) < 2:
+    times, order, poses = interpolate_odometry(wheels, laser)
+    if len(times) < MIN_PAIRS:
         return None
-    poses = se2.interpolate(stamps, wheels.poses[first], times)
     middle_m = float(np.median([_median_range(laser.ranges[at]) for at in order]))
     pairs = _select_pairs(times, poses, middle_m)
     step = float(np.median(np.diff(laser.angles)))

@@ -6,6 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
+from evalkit.core import se2
+from evalkit.core.arrays import Ints
 from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets.transforms import TransformTree
 
@@ -26,7 +30,8 @@ class LaserStream:
 
     ``stamps_ns`` (N,): times in the headers; ``recorded_ns`` (N,): times of recording, None if unknown. ``angles``
     (B,): those of the first scan (rad). Range limits are nan if the format does not contain them. ``damaged``: number
-    of messages dropped; ``unstamped``: number of messages without a stamp.
+    of messages dropped; ``unstamped``: number of messages without a stamp. ``fields``: the parameter of the reader for
+    messages of another type, "" for laser scans and point clouds.
     """
 
     topic: str
@@ -41,6 +46,7 @@ class LaserStream:
     time_increment_ns: int = 0
     damaged: int = 0
     unstamped: int = 0
+    fields: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,17 +62,31 @@ class OdometryStream:
     recorded_ns: Stamps | None = None
 
 
+def interpolate_odometry(wheels: OdometryStream, laser: LaserStream) -> tuple[Stamps, Ints, Floats]:
+    """Return stamps (K,) of the scans within the odometry's time, each once; their indices (K,) and the poses (K, 3).
+
+    Poses are ``parent_from_child``; none with fewer than two stamps of the odometry.
+    """
+    stamps, first = np.unique(wheels.stamps_ns, return_index=True)
+    times, order = np.unique(laser.stamps_ns, return_index=True)
+    inside = (times >= stamps[0]) & (times <= stamps[-1]) if len(stamps) > 1 else np.zeros(len(times), np.bool_)
+    times, order = times[inside], order[inside]
+    poses = se2.interpolate(stamps, wheels.poses[first], times) if len(times) else np.zeros((0, 3))
+    return times, order, poses
+
+
 @dataclass(frozen=True, eq=False)
 class RecordingStreams:
-    """All streams of a recording.
+    """All streams of a recording. ``reader``: the name of the data set that reads it.
 
     ``poses_from``: program that computed the poses ("gmapping" or "graph"), "" if they are not corrected ones.
     ``digits``: largest number of significant digits of a scan's stamp, 0 for binary stamps. ``remarks``: comments in
-    the file.
+    the file. ``unindexed``: the index of a bag is damaged, and its records were read up to the damage.
     """
 
     path: Path
     kind: str
+    reader: str
     topics: Sequence[Topic]
     lasers: Sequence[LaserStream]
     wheels: Sequence[OdometryStream]
@@ -75,3 +95,4 @@ class RecordingStreams:
     digits: int = 0
     damaged: int = 0
     remarks: Sequence[str] = ()
+    unindexed: bool = False

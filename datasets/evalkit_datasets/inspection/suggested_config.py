@@ -5,25 +5,27 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from evalkit.core.errors import BadData, DataMissing, EvalkitError
 from evalkit.core.pose import Pose
+from evalkit.core.se2 import wrap
+from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
-from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import Choice
 from evalkit_datasets import catalog, recorded
-from evalkit_datasets.carmen import Carmen
-from evalkit_datasets.columns import Columns
 from evalkit_datasets.inspection.findings import LidarStats, is_default_code
 from evalkit_datasets.inspection.inspector import Inspection, inspect_recording, measured_directions
-from evalkit_datasets.inspection.log_streams import COLUMNS_KIND
-from evalkit_datasets.rosbag import RosBag
+from evalkit_datasets.inspection.mounting_angle import MountingAngle, estimate_mounting_angle
 
 TILT_WORDS = ("vertical",)
 MAPPER = "mapper."
+PROBLEM = "problem"  # the name of a choice that sets nothing
+MIN_MOUNTING_DEG, MAX_SQUARE_DEG = 5.0, 2.0
+"""A smaller heading is not applied; a heading this close to a multiple of 90 deg is taken as that."""
+
 USUAL_CELL_M, LARGE_CELL_M = 0.05, 0.1
 
 
@@ -66,9 +68,9 @@ def suggest_config(recording: Inspection) -> SuggestedConfig | None:
     )  # fmt: skip
 
 
-def choose_parameters(given: Mapping[str, Value]) -> tuple[Choice, ...]:
+def choose_parameters(reader: str, given: Mapping[str, Value]) -> tuple[Choice, ...]:
     """Return what was found in and beside the recording ``given["path"]``, without the parameters that are given."""
-    recording = inspect_recording(Path(str(given["path"])))
+    recording = inspect_recording(Path(str(given["path"])), reader, given)
     return _choose(recording, given)[0] if recording.lidars else ()
 
 
@@ -76,10 +78,13 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     """Return the choices beside the given parameters, and the result of opening the recording with both."""
     lidar = next((one for one in recording.lidars if one.topic == given.get("topic")), best_lidar(recording)[0])
     choose = {"carmen": _choose_for_log, "rosbag": _choose_for_bag}.get(_find_reader(recording), _choose_for_columns)
-    choices = [*choose(recording), *_find_truth_files(recording, given), *_choose_cells(lidar)]
+    choices = [*_repeat_problems(recording), *choose(recording), *_find_truth_files(recording, given)]
+    choices += _choose_cells(lidar)
     choices = [one for one in choices if one.name not in given]
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
     tried = _try_reader(_find_reader(recording), {"path": str(recording.path), **values, **given})
+    if "base_from_sensor" not in given:
+        choices += _choose_mounting(recording, lidar, tried.mounting)
     if tried.mounting != Pose() and "base_from_sensor" not in given:
         x, y, yaw_deg = tried.mounting.x, tried.mounting.y, math.degrees(tried.mounting.theta)
         where = f"the lidar is mounted at x {x:.3f} m, y {y:.3f} m, rotated by {yaw_deg:.1f} deg: as recorded"
@@ -87,11 +92,8 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     return tuple(choices), tried
 
 
-READERS: Mapping[str, Callable[..., Sequence]] = {"carmen": Carmen, "columns": Columns, "rosbag": RosBag}
-
-
 def _find_reader(recording: Inspection) -> str:
-    return {"CARMEN log": "carmen", COLUMNS_KIND: "columns"}.get(recording.kind, "rosbag")
+    return recording.streams.reader
 
 
 def best_lidar(recording: Inspection) -> tuple[LidarStats, str]:
@@ -120,6 +122,8 @@ def _is_tilted_by_name(lidar: LidarStats) -> bool:
 def _choose_for_bag(recording: Inspection) -> Iterator[Choice]:
     lidar, why = best_lidar(recording)
     yield Choice("topic", lidar.topic, f"topic {lidar.topic}: {why}")
+    if fields := _find_fields(recording, lidar.topic):
+        yield Choice("fields", fields, f"fields of {lidar.kind} by their names and values: {fields}; check the units")
     messages = [one for one in recording.odometries if one.topic != "tf"]
     usable = [one for one in messages or recording.odometries if one.like_wheels]
     if not usable:
@@ -133,6 +137,37 @@ def _choose_for_bag(recording: Inspection) -> Iterator[Choice]:
         yield Choice("base_frame", named.child, f"base frame {named.child}: that of this odometry")
 
 
+def _choose_mounting(recording: Inspection, lidar: LidarStats, recorded: Pose) -> Iterator[Choice]:
+    """Choose the heading that straight drives show where nothing states it; say where it contradicts what is stated."""
+    angle = _measure_mounting(recording, lidar)
+    if angle is None:
+        return
+    off_deg = math.degrees(float(wrap(math.radians(angle.heading_deg) - recorded.theta)))
+    if abs(off_deg) < MIN_MOUNTING_DEG:
+        return
+    seen = f"{angle.heading_deg:.0f} deg (standard error {angle.error_deg:.1f} deg) on {angle.pairs} straight drives"
+    stated = recorded != Pose() or any(mounting.sensor == lidar.frame for mounting in recording.frames.mountings)
+    if stated or _find_reader(recording) != "rosbag":
+        what = f"lidar heading {math.degrees(recorded.theta):.0f} deg, as recorded, but the scans show {seen}: check it"
+        yield Choice("base_from_sensor", None, what)
+        return
+    square = 90.0 * round(angle.heading_deg / 90.0)
+    near = abs(angle.heading_deg - square) <= max(3.0 * angle.error_deg, MAX_SQUARE_DEG)
+    heading = math.radians(square if near else angle.heading_deg)
+    why = f"base_from_sensor 0 0 {heading:.4f}: no transform states the mounting; the scans show a heading of {seen}"
+    yield Choice("base_from_sensor", f"0 0 {heading:.4f}", f"{why}{', taken as square' if near else ''}")
+
+
+def _measure_mounting(recording: Inspection, lidar: LidarStats) -> MountingAngle | None:
+    """Return the heading of a lidar by the first odometry that moves like wheels and turns as the scans do."""
+    laser = next((one for one in recording.streams.lasers if one.topic == lidar.topic), None)
+    for wheels, stats in zip(recording.streams.wheels, recording.odometries, strict=True):
+        turn = recording.turns.get(f"{wheels.topic} {wheels.child}")
+        if laser is not None and stats.like_wheels and (turn is None or turn.scale > 0.0):
+            return estimate_mounting_angle(wheels, laser)
+    return None
+
+
 def _choose_for_log(recording: Inspection) -> Iterator[Choice]:
     codes = [code.low_m for code in recording.lidars[0].returns.codes if code.low_m < 50.0]
     unknown = [low for low in codes if not is_default_code(low)]
@@ -141,6 +176,13 @@ def _choose_for_log(recording: Inspection) -> Iterator[Choice]:
         yield Choice("range_max_m", min(unknown), why)
     if not recording.poses_from and recording.odometries and not recording.odometries[0].like_wheels:
         yield Choice("odometry", "none", "odometry none: the motion of its poses is not that of wheels")
+
+
+def _repeat_problems(recording: Inspection) -> Iterator[Choice]:
+    """Say before a comparison what makes its numbers wrong, such as ranges in another unit."""
+    for finding in recording.findings:
+        if finding.level == "problem":
+            yield Choice(PROBLEM, None, f"problem: {finding.about}: {finding.what} {finding.advice}".rstrip())
 
 
 def _choose_for_columns(_recording: Inspection) -> Iterator[Choice]:
@@ -171,10 +213,15 @@ def _find_truth_files(recording: Inspection, given: Mapping[str, Value]) -> Iter
                 break
 
 
+def _find_fields(recording: Inspection, topic: str) -> str:
+    return next((laser.fields for laser in recording.streams.lasers if laser.topic == topic), "")
+
+
 def _minimal_parameters(recording: Inspection) -> dict[str, Value]:
+    topic = recording.lidars[0].topic
     own: dict[str, dict[str, Value]] = {
         "carmen": {"odometry": "none"},
-        "rosbag": {"odometry": "none", "topic": recording.lidars[0].topic},
+        "rosbag": {"odometry": "none", "topic": topic, "fields": _find_fields(recording, topic)},
     }
     return {"path": str(recording.path), **own.get(_find_reader(recording), {})}
 
@@ -192,7 +239,7 @@ class _Trial:
 
 def _try_reader(reader: str, parameters: Mapping[str, Value]) -> _Trial:
     try:
-        sequence = READERS[reader](**parameters)
+        sequence = registry.dataset(reader).make(**parameters)
         first = next(iter(sequence.frames()))
     except EvalkitError as error:
         return _Trial(problem=str(error))

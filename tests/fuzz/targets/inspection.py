@@ -8,6 +8,7 @@ from bounds import check_file_reader
 
 from evalkit_datasets.inspection.command import inspection_to_json
 from evalkit_datasets.inspection.inspector import inspect_recording
+from evalkit_datasets.inspection.layout_proposal import propose_layout
 from evalkit_datasets.inspection.suggested_config import suggest_config
 
 
@@ -36,5 +37,6 @@ def read_input(data: bytes) -> None:
 
 
 def _read(path: Path) -> None:
+    propose_layout(path)
     found = inspect_recording(path)
     inspection_to_json(found, suggest_config(found))

@@ -25,7 +25,7 @@ def _sound() -> dict[str, bytes]:
     steps = np.zeros(2, dtype=STEP)
     steps["stamp_ns"] = [0, 1]
     scores = {"scores": {"ate": {"value": 1.0, "support": 2, "reason": ""}}, "world_from_start": [0, 0, 0],
-              "alignment": "", "lost_at_s": None, "lost_reason": ""}  # fmt: skip
+              "alignment": "", "lost_at_s": None, "lost_reason": "", "recovered_at_s": None}  # fmt: skip
     grid, errors = io.BytesIO(), io.BytesIO()
     cells = np.zeros((3, 2), dtype=np.float32)
     np.savez_compressed(grid, log_odds=cells, observed=cells > 0, frame=[0.05, 0.0, 0.0])

@@ -1,0 +1,83 @@
+"""What a file without scans is, told by its content, and the command that uses it."""
+
+from __future__ import annotations
+
+import shlex
+from itertools import islice
+from pathlib import Path
+
+from evalkit.io.text_lines import iter_lines, iter_plain_blocks
+
+EXPECTED = "a recording"
+LINES, BYTES = 200, 4096
+PNG = b"\x89PNG\r\n\x1a\n"
+MIN_TRAJECTORY_COLUMNS = 4
+READERS = (
+    "give a bag (.bag, .mcap, .db3 or its folder), a CARMEN log, a text log or a folder of .pcd or .ply files; "
+    "--reader NAME decides between readers, and evalkit list datasets names them, those of plug-ins too"
+)
+GRAPH = (b"VERTEX_SE2", b"VERTEX2", b"EDGE_SE2", b"EDGE2", b"VERTEX_SE3:QUAT", b"EDGE_SE3:QUAT")
+
+BY_SUFFIX = {
+    ".tum": ("a trajectory", "use it with its recording: evalkit compare RECORDING --ground-truth {file}"),
+    ".relations": ("relations", "use them with their recording: evalkit compare RECORDING --relations {file}"),
+    ".toml": ("a TOML file", "run an experiment: evalkit compare {file}; use measured distances with their recording: "
+              "evalkit compare RECORDING --spans {file}"),
+    ".yaml": ("a description of a map", "compare a map: evalkit compare RECORDING --backends file:{file}"),
+    ".pgm": ("the image of a map", "compare a map by its .yaml: evalkit compare RECORDING --backends file:MAP.yaml"),
+}  # fmt: skip
+"""What a file is and how it is used, by suffix; ``{file}`` is its path."""
+
+
+def describe_other_file(path: Path) -> tuple[str, str]:
+    """Return what a file without scans is, and what to do with it. Raises BadData for damaged gzip."""
+    file = shlex.quote(str(path))
+    if path.name == "metadata.yaml":
+        return (
+            "it describes a ROS 2 bag",
+            f"give the folder of the bag: evalkit inspect {shlex.quote(str(path.parent))}",
+        )
+    if path.suffix in BY_SUFFIX:
+        kind, remedy = BY_SUFFIX[path.suffix]
+        return f"it is {kind}, no recording", remedy.format(file=file)
+    begin = next(iter(iter_plain_blocks(path, EXPECTED)), b"")[:BYTES]
+    if not begin.strip():
+        return "the file is empty", "record or fetch it again"
+    if b"\0" in begin or sum(byte > 0x7E for byte in begin) > len(begin) // 10:
+        kind, remedy = BY_SUFFIX[".pgm"]
+        image = begin.startswith(PNG)
+        return (f"it is {kind}, no recording", remedy) if image else ("binary data of an unknown format", READERS)
+    if begin.lstrip()[:1] in (b"{", b"["):
+        what = "JSON, for which there is no reader"
+        return (
+            what,
+            "write one line per scan, 'time range1 range2 ...', and propose its layout: evalkit inspect LOG.txt",
+        )
+    return _describe_text(path)
+
+
+def _describe_text(path: Path) -> tuple[str, str]:
+    lines = [line.split() for line in islice(iter_lines(path, EXPECTED), LINES)]
+    if any(words and words[0] in GRAPH for words in lines):
+        what = "a pose graph (g2o) without scans"
+        return what, f'read its poses: python -c "from evalkit.io.g2o import *; print(read_g2o(Path({str(path)!r})))"'
+    rows = [
+        line.translate(bytes.maketrans(b",;\t", b"   ")).split() for line in islice(iter_lines(path, EXPECTED), LINES)
+    ]
+    numeric = [words for words in rows if words and all(map(_is_number, words))]
+    layout = f"describe its columns in {path.name}.toml (tables [time] and [scan], see evalkit list columns)"
+    if len(numeric) > LINES // 4 and min(map(len, numeric)) >= MIN_TRAJECTORY_COLUMNS:
+        what = f"text of {len(numeric[0])} columns of numbers without ranges that were recognised"
+        return (
+            what,
+            f"{layout}; poses alone are a ground truth, as TUM: evalkit compare RECORDING --ground-truth FILE.tum",
+        )
+    return "text in which no line begins with FLASER, ROBOTLASER1, LASER_READING or ODOM", f"{layout}, or {READERS}"
+
+
+def _is_number(word: bytes) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
