@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from evalkit.config.experiment import Experiment, experiment_from_tables
-from evalkit.core.errors import BadData, EvalkitError, NotInstalled
+from evalkit.core.errors import BadData, EvalkitError, NotInstalled, UnknownName
 from evalkit.core.scan import Frame
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.specs import Choice, DatasetSpec
+
+NO_MAP: Mapping[str, Value] = {}
 
 MAPPER = "mapper."
 """Prefix of a choice for the mapper."""
@@ -46,21 +49,29 @@ class Recording:
             return tuple(self.spec.choose(self.given))
 
 
-def open_recording(path: Path, settings: Mapping[str, str]) -> Recording:
+def open_recording(path: Path, settings: Mapping[str, str], reader: str = "") -> Recording:
     """Find the reader of a recording by its content or suffix; ``settings``: parameters of the reader, as text.
 
-    Raises BadData if no reader fits.
+    ``reader``: the name of the data set to read it with instead. Raises BadData if no reader fits, UnknownName.
     """
-    recording, reader, spec = _find_recording(path)
+    if reader:
+        recording, spec = path, _named_reader(path, reader)
+    else:
+        recording, reader, spec = _find_recording(path)
     return Recording(recording, reader, {"path": str(recording), **from_text(reader, spec.parameters, settings)})
 
 
 def experiment_from_recording(
-    recording: Recording, choices: Iterable[Choice], methods: Sequence[str | Mapping[str, object]], source: str
+    recording: Recording,
+    choices: Iterable[Choice],
+    methods: Sequence[str | Mapping[str, object]],
+    source: str,
+    localisation: Mapping[str, Value] = NO_MAP,
 ) -> Experiment:
     """The given methods on one recording, with the choices for reader and mapper that are not given.
 
     ``methods``: names, or tables of an experiment file. ``source``: the command line, for the commands in the report.
+    ``localisation``: the keys of a sequence for a known map.
     """
     chosen = {one.name: one.value for one in choices if one.value is not None}
     reading = {name: value for name, value in chosen.items() if not name.startswith(MAPPER)} | dict(recording.given)
@@ -69,11 +80,13 @@ def experiment_from_recording(
     many = "one method" if len(methods) == 1 else f"{len(methods)} methods"
     content = {
         "title": f"{recording.path.name}: {many} on one recording",
-        "sequence": [{"use": recording.reader, "label": recording.path.name, **reading}],
+        "sequence": [{"use": recording.reader, "label": recording.path.name, **reading, **localisation}],
         "method": [{"use": one} if isinstance(one, str) else dict(one) for one in methods],
         "mapper": {name: value for name, value in mapping.items() if name in known},
     }
-    return experiment_from_tables(content, f"compare {recording.path}", _make_experiment_name(recording), source)
+    return experiment_from_tables(
+        content, f"compare {recording.path}", _make_experiment_name(recording, localisation), source
+    )
 
 
 def read_first_frame(experiment: Experiment) -> Frame:
@@ -99,10 +112,10 @@ def _as_bad_data(name: str) -> Iterator[None]:
         raise BadData(name, "", what, "is the file whole?") from error
 
 
-def _make_experiment_name(recording: Recording) -> str:
+def _make_experiment_name(recording: Recording, localisation: Mapping[str, Value]) -> str:
     """File, topic, and a hash of path and settings, so that every combination has its own results folder."""
     settings = {name: value for name, value in recording.given.items() if name != "path"}
-    identity = json.dumps([str(recording.path.resolve()), settings], sort_keys=True)
+    identity = json.dumps([str(recording.path.resolve()), {**settings, **localisation}], sort_keys=True)
     digest = hashlib.sha256(identity.encode()).hexdigest()[:6]
     words = [recording.path.name, str(settings.get("topic", "")), digest]
     cleaned = ("".join(char if char.isalnum() else "-" for char in word).strip("-") for word in words)
@@ -113,29 +126,44 @@ def _find_recording(path: Path) -> tuple[Path, str, DatasetSpec]:
     """The recording and its reader: the file or folder itself, or the only folder in it with a recording."""
     if not path.exists():
         raise BadData(str(path), "", "no such file or folder", "give the path of a bag or a log")
-    readers = {name: spec for name, spec in _loadable_datasets().items() if spec.suffixes}
-    if (fitting := _find_reader(path, readers)) is not None:
+    if (fitting := find_reader(path)) is not None:
         return path, *fitting
-    below = {
-        folder: reader for folder in _list_folder(path) if folder.is_dir() and (reader := _find_reader(folder, readers))
-    }
+    readers = _find_readers()
+    below = {folder: reader for folder in _list_folder(path) if folder.is_dir() and (reader := find_reader(folder))}
     if len(below) == 1:
         return next((folder, *reader) for folder, reader in below.items())
     if below:
         choice = f"give one of {', '.join(map(str, below))}"
         raise BadData(str(path), "", f"{len(below)} folders with a recording in it", choice)
     known = ", ".join(f"{name} ({' '.join(spec.suffixes)})" for name, spec in readers.items())
-    raise BadData(str(path), "", f"no reader for '{path.suffix or path.name}'", f"known readers: {known}")
+    more = f"evalkit inspect {shlex.quote(str(path))} says more" if path.is_file() else "give a file"
+    raise BadData(str(path), "", f"no reader for '{path.suffix or path.name}'", f"known readers: {known}; {more}")
 
 
-def _find_reader(path: Path, readers: Mapping[str, DatasetSpec]) -> tuple[str, DatasetSpec] | None:
+def _named_reader(path: Path, name: str) -> DatasetSpec:
+    if not path.exists():
+        raise BadData(str(path), "", "no such file or folder", "give the path of a recording")
+    readers = _find_readers()
+    if name not in readers:
+        raise UnknownName("reader", name, readers)
+    return readers[name]
+
+
+def _find_readers() -> dict[str, DatasetSpec]:
+    """The data sets that open a file given by the user."""
+    return {name: spec for name, spec in _loadable_datasets().items() if spec.suffixes or spec.recognises is not None}
+
+
+def find_reader(path: Path) -> tuple[str, DatasetSpec] | None:
     """The reader that recognises the file, else the first with the suffix of the file, or of a file in the folder."""
+    readers = _find_readers()
     if path.is_file():
         for name, spec in readers.items():
             if spec.recognises is not None and spec.recognises(path):
                 return name, spec
     names = [path.name, *(file.name for file in _list_folder(path))]
-    fits = ((name, spec) for name, spec in readers.items() if any(n.lower().endswith(spec.suffixes) for n in names))
+    suffixed = {name: spec for name, spec in readers.items() if spec.suffixes}
+    fits = ((name, spec) for name, spec in suffixed.items() if any(n.lower().endswith(spec.suffixes) for n in names))
     return next(fits, None)
 
 

@@ -9,12 +9,13 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from evalkit.config.toml_tables import TomlTable, flatten
+from evalkit.config.localisation import LOCALISATION_KEYS, list_map_files, read_localisation
+from evalkit.config.toml_tables import TomlTable, all_mistakes, flatten
 from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief
 from evalkit.io.toml import load_toml
 from evalkit.odometry import frontend
@@ -53,7 +54,8 @@ class SequenceSpec:
 
     ``seeds``: one per repetition. A recording has (None,), and the numbers of its perturbations (``plugins.nuisance``)
     if it is ``perturbed``; with ``excerpt_scans`` every perturbation is an excerpt of so many scans, and the whole
-    recording is not run. ``missing``: why the data are not available here, or "".
+    recording is not run. ``missing``: why the data are not available here, or "". ``localisation``: the reserved
+    parameters of a known map in which the methods track the robot (``plugins.parameters``); empty without one.
     """
 
     label: str
@@ -63,14 +65,16 @@ class SequenceSpec:
     missing: str = ""
     perturbed: bool = False
     excerpt_scans: int = 0
+    localisation: Mapping[str, Value] = field(default_factory=dict)
 
     def parameters_with_seed(self, seed: int | None) -> dict[str, Value]:
         """The parameters of one repetition."""
+        parameters = {**self.parameters, **self.localisation}
         if seed is None:
-            return dict(self.parameters)
+            return parameters
         if not self.perturbed:
-            return {**self.parameters, "seed": seed}
-        return {**self.parameters, NUISANCE: seed} | ({EXCERPT: self.excerpt_scans} if self.excerpt_scans else {})
+            return {**parameters, "seed": seed}
+        return {**parameters, NUISANCE: seed} | ({EXCERPT: self.excerpt_scans} if self.excerpt_scans else {})
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,7 @@ class Experiment:
     """Methods, sequences, mapper and limits of a comparison, complete and checked.
 
     ``source``: the command line that runs it, without "evalkit". ``timed``: whether times count; if not, runs may
-    share the machine with other work.
+    share the machine with other work. ``skip_tuned``: a method does not run on data sets that it was tuned on.
     """
 
     name: str
@@ -128,6 +132,7 @@ class Experiment:
     mapper: MapperChoice
     limits: Limits
     timed: bool = True
+    skip_tuned: bool = False
 
     def runs(self) -> Iterator[RunSpec]:
         """Every run, with the methods interleaved in each repetition and every second repetition in reverse: AB BA AB.
@@ -146,6 +151,7 @@ class Experiment:
             RunSpec(_compute_key(method, sequence, seed, code, files), method, sequence, seed)
             for turn, (sequence, seed) in enumerate(repetitions)
             for method in self.methods[:: -1 if turn % 2 else 1]
+            if not (self.skip_tuned and sequence.dataset in method.tuned_on)
         )
 
     def command(self, spec: RunSpec) -> str:
@@ -160,7 +166,10 @@ class Experiment:
         return replace(self, timed=False, source=f"{self.source} --accuracy-only") if self.timed else self
 
     def select(self, sequences: list[str], methods: list[str], seeds: list[int]) -> Experiment:
-        """The part of the experiment with these labels and seeds; an empty list selects all."""
+        """The part of the experiment with these labels and seeds; an empty list selects all.
+
+        Methods that are selected run on every selected sequence, whatever ``skip_tuned`` says.
+        """
         chosen = _select("sequence", sequences, self.sequences, lambda sequence: sequence.label, self.source)
         chosen_methods = _select("method", methods, self.methods, lambda method: method.label, self.source)
         if seeds:
@@ -171,20 +180,23 @@ class Experiment:
                 replace(sequence, seeds=tuple(seed for seed in sequence.seeds if seed is None or seed in seeds))
                 for sequence in chosen
             )
-        return replace(self, sequences=chosen, methods=chosen_methods)
+        return replace(self, sequences=chosen, methods=chosen_methods, skip_tuned=self.skip_tuned and not methods)
 
 
 def load_experiment(path: Path) -> Experiment:
     """Load an experiment file (TOML). Raises BadExperiment with the file, the key and what was found."""
     content = load_toml(path, "an experiment (*.toml)")
-    return experiment_from_tables(content, str(path), path.stem, f"compare {shlex.quote(str(path))}")
+    with all_mistakes(content, "experiment"):
+        return experiment_from_tables(content, str(path), path.stem, f"compare {shlex.quote(str(path))}")
 
 
 def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, source: str) -> Experiment:
     """The experiment that TOML tables describe. ``file``: named in errors; ``source``: used in commands."""
     table = TomlTable(content, file)
-    table.check_keys(("title", "description", "timed", *NUISANCE_KEYS, "mapper", "limits", "method", "sequence"))
-    timed = table.flag("timed", default=True)
+    table.check_keys(
+        ("title", "description", "timed", "skip_tuned", *NUISANCE_KEYS, "mapper", "limits", "method", "sequence")
+    )
+    timed, skip_tuned = table.flag("timed", default=True), table.flag("skip_tuned", default=False)
     with table.errors():
         methods = tuple(_read_method(each) for each in table.tables("method", "an experiment"))
         repeats = _read_nuisance(table, (0, 0))
@@ -202,6 +214,7 @@ def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, sou
         mapper,
         _read_limits(table.table("limits", "")),
         timed,
+        skip_tuned,
     )
 
 
@@ -229,7 +242,7 @@ def _read_nuisance(table: TomlTable, default: tuple[int, int]) -> tuple[int, int
 
 def _read_sequence(table: TomlTable, repeats: tuple[int, int]) -> SequenceSpec:
     use, label = table.text("use"), _read_label(table)
-    own = ("use", "label", "seeds", *NUISANCE_KEYS)
+    own = ("use", "label", "seeds", *NUISANCE_KEYS, *LOCALISATION_KEYS)
     given = flatten({key: value for key, value in table.content.items() if key not in own})
     with table.errors():
         spec = registry.dataset(use)
@@ -251,10 +264,11 @@ def _read_sequence(table: TomlTable, repeats: tuple[int, int]) -> SequenceSpec:
         raise table.error(str(error)) from error
     if missing and spec.suffixes:  # the user names a reader's files: a wrong path is a mistake of the file
         raise table.error(missing)
+    known = read_localisation(table)
     if not count or missing:
-        return SequenceSpec(label, use, parameters, seeds, missing)
-    whole = () if scans else seeds
-    return SequenceSpec(label, use, parameters, (*whole, *range(1, count + 1)), perturbed=True, excerpt_scans=scans)
+        return SequenceSpec(label, use, parameters, seeds, missing, localisation=known)
+    numbers = (*(() if scans else seeds), *range(1, count + 1))
+    return SequenceSpec(label, use, parameters, numbers, perturbed=True, excerpt_scans=scans, localisation=known)
 
 
 def _read_mapper(table: TomlTable) -> MapperChoice:
@@ -312,6 +326,7 @@ def _compute_key(
         "dataset": [sequence.dataset, sequence.parameters_with_seed(seed)],
         "code": "" if method.missing else code(method.backend, sequence.dataset),
         "files": [files(value) for value in sequence.parameters.values() if isinstance(value, str) and value],
+        **({"map": [files(file) for file in list_map_files(sequence.localisation)]} if sequence.localisation else {}),
     }
     digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:10]
     words = [sequence.label, *([] if seed is None else [f"s{seed}"]), method.label]

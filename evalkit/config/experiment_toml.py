@@ -15,6 +15,7 @@ def format_experiment(experiment: Experiment) -> str:
     lines = [
         f"title = {_format_text(experiment.title)}",
         f"description = {_format_text(experiment.description)}",
+        f"skip_tuned = {json.dumps(experiment.skip_tuned)}",
         "",
         "[mapper]",
         f"use = {_format_text(experiment.mapper.name)}",
@@ -26,6 +27,7 @@ def format_experiment(experiment: Experiment) -> str:
     ]
     for method in experiment.methods:
         lines += ["", "[[method]]", f"use = {_format_text(method.backend)}", f"label = {_format_text(method.label)}"]
+        lines += [f"tuned_on = {json.dumps(list(method.tuned_on))}"] if method.tuned_on else []
         lines += _format_settings(method.parameters)
     for sequence in experiment.sequences:
         seeds = [seed for seed in sequence.seeds if seed is not None]

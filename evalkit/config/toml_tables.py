@@ -6,11 +6,22 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
 
 T = TypeVar("T")
+
+
+@contextmanager
+def all_mistakes(content: Mapping[str, Any], kind: Literal["experiment", "study", "tuning"]) -> Iterator[None]:
+    """Add to the first mistake of a file, raised within the block, all others, each with its place."""
+    try:
+        yield
+    except BadExperiment as error:
+        from evalkit.config.models import add_further_mistakes  # noqa: PLC0415 - loads pydantic, for mistakes only
+
+        raise add_further_mistakes(error, content, kind) from error
 
 
 @dataclass(frozen=True)

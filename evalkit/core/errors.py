@@ -115,6 +115,10 @@ class BackendFailed(_RemediedError):
     """An external implementation that failed: ``BackendFailed(name, what, remedy)``."""
 
 
+class NotLocalised(_RemediedError):
+    """A robot whose place in a known map was not found: ``NotLocalised(map, what, remedy)``."""
+
+
 class StoreError(_RemediedError):
     """A results folder that cannot be written or read: ``StoreError(path, what, remedy)``."""
 

@@ -35,9 +35,12 @@ class OdometryEstimate:
     ``pose``: ``start_from_base`` at the scan's first beam. ``stages``: the registrations behind it, in the order in
     which they ran, as far as the odometry reports them. ``accepted``: whether the pose comes from a registration (True)
     or is only the initial guess (False); None: not reported. ``cost``: what only the odometry itself can measure.
+    ``corrected``: of a SLAM, whether this update moved poses of earlier frames by more than 1 cm or 0.5 deg; None: not
+    reported, then the frames of its accepted loop closures count as corrections.
     """
 
     pose: Pose
     stages: Mapping[Stage, StageEstimate] = field(default_factory=dict)
     accepted: bool | None = None
     cost: Cost = NO_COST
+    corrected: bool | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Any
 
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from evalkit.core.arrays import freeze
 from evalkit.core.grid import OccupancyGrid
+from evalkit.core.loop_closure import LoopClosure
+from evalkit.core.map_start import MapStart
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
@@ -95,13 +97,15 @@ STEP = np.dtype(
         ("s2s_error", "f8"), ("s2s_iterations", "i4"), ("s2s_inliers", "i4"),
         ("s2m_error", "f8"), ("s2m_iterations", "i4"), ("s2m_inliers", "i4"),
         ("s2s_accepted", "i1"), ("s2s_converged", "i1"), ("s2m_accepted", "i1"), ("s2m_converged", "i1"),
+        ("corrected", "i1"),
     ]
 )  # fmt: skip
 """One scan of a run: answer ``start_from_base``, cost in ns, residuals in m (nan where a stage does not exist).
 
 ``device_ns``: time reported by the back end itself. A cost of 0 was not measured. ``accepted``: 1 where the answer of
 the stage was accepted, 0 where its initial guess was kept; ``converged``: 1 or 0; both -1 where the stage does not
-exist or does not report it. The reports of an odometry about itself fill the second stage (``s2m``).
+exist or does not report it. The reports of an odometry about itself fill the second stage (``s2m``). ``corrected``: 1
+where a SLAM reports that it moved earlier poses, 0 that it did not, -1 where it does not report it.
 """
 
 
@@ -162,7 +166,10 @@ class RunResult:
     ``warm_up_scans``: scans given to a separate instance of the back end before timing starts. ``notes``: counts
     reported by the reader of the sequence. ``every``: the sequence holds one in ``every`` scans of the sensor.
     ``provenance``: when and on which machine the run was executed, with which versions and limits (JSON values).
-    ``conditions``: what else the machine did meanwhile; None if the run was not executed.
+    ``conditions``: what else the machine did meanwhile; None if the run was not executed. ``final``: the corrected
+    ``start_from_base`` of all answered frames at the end, at the stamps of the steps, of a SLAM whose run is
+    complete; ``loop_closures``: its candidates; ``final_cpu_ns``: CPU time of asking for both after the last scan.
+    ``start``: where the first answer lies in the known map; None without a map.
     """
 
     steps: NDArray[np.void]
@@ -175,11 +182,17 @@ class RunResult:
     every: int = 1
     provenance: Mapping[str, Any] = field(default_factory=dict)
     conditions: RunConditions | None = None
+    final: Trajectory | None = None
+    loop_closures: tuple[LoopClosure, ...] = ()
+    final_cpu_ns: int = 0
+    start: MapStart | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "steps", self.steps, (None,), STEP)
         if self.cause != Cause.COMPLETED and not self.reason:
             raise ValueError(f"reason: a run that is {self.status} needs one")
+        if self.final is not None and not np.array_equal(self.final.stamps_ns, self.steps["stamp_ns"]):
+            raise ValueError(f"final: expected the stamps of {len(self.steps)} steps, got {len(self.final)} others")
 
     @property
     def status(self) -> RunStatus:
@@ -204,6 +217,15 @@ class RunResult:
         poses = np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1)
         return Trajectory(steps["stamp_ns"], poses, "start", "base")
 
+    @property
+    def with_final_answers(self) -> RunResult | None:
+        """This run with the corrected poses in place of the answers; None where there are none."""
+        if self.final is None:
+            return None
+        steps = self.steps.copy()
+        steps["x"], steps["y"], steps["theta"] = self.final.poses.T
+        return replace(self, steps=steps)
+
 
 @dataclass(frozen=True, slots=True)
 class Score:
@@ -222,25 +244,42 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class LostTrack:
-    """A run lost the track ``at_s`` seconds after its first answer, and why in words."""
+    """A run lost the track ``at_s`` seconds after its first answer, and why in words.
+
+    ``recovered_at_s``: from when on it was right again until its end; None if it was not, as far as is known.
+    """
 
     at_s: float
     reason: str
+    recovered_at_s: float | None = None
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.at_s) or not self.reason:
             raise ValueError(f"lost: expected a finite time and a reason, got {self.at_s} and {self.reason!r}")
+        if self.recovered_at_s is not None and not self.at_s < self.recovered_at_s < np.inf:
+            raise ValueError(f"recovered_at_s: expected a time after {self.at_s}, got {self.recovered_at_s}")
+
+
+@dataclass(frozen=True, eq=False)
+class FinalAlignment:
+    """How the corrected poses of a SLAM were aligned to the truth; the fields are as those of ``Scores``."""
+
+    world_from_start: Pose = field(default_factory=Pose)
+    alignment: str = ""
+    errors_m: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """The evaluation of one run.
+    """The evaluation of one run: of its answers, and of a SLAM's corrected poses where it says so.
 
     ``by_metric``: one score per metric. ``world_from_start``: alignment used for errors, maps and drawings.
     ``alignment``: in words, how estimate and ground truth were aligned, or why not; "" without a true trajectory.
-    ``grid``: the map built from the estimated trajectory, None where there is none. ``errors_m`` (N,): distance to
-    the truth at each of the run's steps after alignment, nan where unmatched; None without a true trajectory.
-    ``lost``: when and why the run lost the track; None if it did not, as far as is known.
+    ``grid``: the map built from the estimated trajectory, of a SLAM from the corrected one, None where there is none.
+    ``errors_m`` (N,): distance to the truth at each of the run's steps after alignment, nan where unmatched; None
+    without a true trajectory. ``lost``: when and why the run lost the track; None if it did not, as far as is known.
+    ``final``: the alignment of the corrected poses, None where there are none. ``fit`` (K, 2): of scans in a known
+    map, the position error predicted from their fit and the true one (m; nan where unknown); None without a map.
     """
 
     by_metric: Mapping[str, Score] = field(default_factory=dict)
@@ -249,3 +288,5 @@ class Scores:
     grid: OccupancyGrid | None = None
     errors_m: Floats | None = None
     lost: LostTrack | None = None
+    final: FinalAlignment | None = None
+    fit: Floats | None = None

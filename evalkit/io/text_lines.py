@@ -14,12 +14,16 @@ GZIP_MAGIC = b"\x1f\x8b"
 MAX_LINE_BYTES = 4 * 2**20
 """Limit of one line; a scan of 10,000 beams has 2 % of it."""
 
+FREE_BYTES = 64 * 2**20
+MAX_RATIO = 50
+"""A gzip file may unpack to ``FREE_BYTES`` plus this many times its size; logs of scans unpack to 3 to 10 times."""
+
 
 def iter_lines(path: Path, expected: str) -> Iterator[bytes]:
     """Yield the lines of a file, plain or gzip (detected by content), without their ends and in bounded memory.
 
-    ``expected``: what the file should be, for errors. Raises as ``read_bytes``, and BadData for damaged gzip and for
-    a line longer than ``MAX_LINE_BYTES``.
+    ``expected``: what the file should be, for errors. Raises as ``read_bytes``, and BadData for damaged gzip, for gzip
+    that unpacks to too much, and for a line longer than ``MAX_LINE_BYTES``.
     """
     rest = b""
     number = 1
@@ -74,11 +78,19 @@ def iter_plain_blocks(path: Path, expected: str) -> Iterator[bytes]:
 
 def _decompress(rest: bytes, blocks: Iterator[bytes], path: Path) -> Iterator[bytes]:
     """Yield the content of concatenated gzip members; bytes after them that are not gzip are ignored."""
+    left = FREE_BYTES + MAX_RATIO * path.stat().st_size
     while rest.startswith(GZIP_MAGIC):
         member = zlib.decompressobj(wbits=31)
         try:
             while rest:
-                yield member.decompress(rest, BLOCK_BYTES)  # bounds the output, however much the input expands
+                block = member.decompress(rest, BLOCK_BYTES)  # bounds the output, however much the input expands
+                left -= len(block)
+                if left < 0:
+                    found = (
+                        f"the gzip file unpacks to more than {MAX_RATIO} times its size and {FREE_BYTES // 2**20} MiB"
+                    )
+                    raise BadData(str(path), "", found, "unpack it yourself if you trust its origin")
+                yield block
                 rest = member.unconsumed_tail or (b"" if member.eof else next(blocks, b""))
             yield member.flush()
         except zlib.error as error:

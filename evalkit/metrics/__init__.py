@@ -14,10 +14,13 @@ from evalkit.core.run_result import Score
 from evalkit.metrics import (
     clouds,
     consistency,
+    corrected_poses,
     drift,
     gaussians,
     images,
     landmarks,
+    localisation,
+    loop_closures,
     maps,
     occupancy,
     pairs,
@@ -29,7 +32,7 @@ from evalkit.metrics import (
     surfaces,
     trajectory,
 )
-from evalkit.metrics.table import Evidence, Metric
+from evalkit.metrics.table import MAP_GROUPS, Evidence, Metric
 from evalkit.plugins import registry
 
 METRICS: tuple[Metric, ...] = (
@@ -49,6 +52,9 @@ METRICS: tuple[Metric, ...] = (
     *surfaces.METRICS,
     *registration.METRICS,
     *runtime.METRICS,
+    *localisation.METRICS,
+    *loop_closures.METRICS,
+    *corrected_poses.METRICS,
 )
 
 
@@ -60,13 +66,16 @@ def all_metrics() -> tuple[Metric, ...]:
 def compute_scores(evidence: Evidence, table: Iterable[Metric] = METRICS) -> dict[str, Score]:
     """Return the score of every metric by name, in the order of the table.
 
-    A metric that raises an exception has a score without value and with the exception as its reason.
+    The map of a SLAM is that of its corrected poses. A metric that raises an exception has a score without value and
+    with the exception as its reason.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # a diverged estimate yields a score with a reason
         return {metric.name: _compute_score(metric, evidence) for metric in table}
 
 
 def _compute_score(metric: Metric, evidence: Evidence) -> Score:
+    if evidence.final is not None and metric.group in MAP_GROUPS:
+        evidence = evidence.final
     try:
         return metric.compute(evidence)
     except Exception as error:  # noqa: BLE001 - a plug-in's metric must not prevent the other scores

@@ -10,11 +10,15 @@ import numpy as np
 from evalkit import metrics
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.known_map import KnownMap
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import RunResult, Score, Scores
+from evalkit.core.run_result import FinalAlignment, RunResult, Score, Scores
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.localisation import compute_fit
+from evalkit.metrics.recovery import add_recovery
 from evalkit.metrics.table import NO_POSES, Evidence, MatchedPoses, MissingMap, PlacedScan, PlacedScans, Unmatched
 from evalkit.metrics.track import find_lost_track
 from evalkit.metrics.trajectory import compute_errors_m, match_trajectories
@@ -31,22 +35,35 @@ OF_PROBABILITIES = ("map_entropy", "map_log_loss", "map_ssim")
 
 NO_TRAJECTORY = "no trajectory: the back end is a map made elsewhere"
 NO_PROBABILITIES = "a map file holds occupied, free and unknown cells without probabilities"
+MAP_OF_FINAL = "the map is drawn from the corrected poses"
 MAP_ALIGNMENT = "the frame of the map is that of its file and settings"
 
 
-def evaluate_run(result: RunResult, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int) -> Scores:
+def evaluate_run(
+    result: RunResult,
+    sequence: Sequence,
+    make_mapper: Callable[[], Mapper],
+    scans: int,
+    known_map: KnownMap | None = None,
+    align_truth: bool = False,
+) -> Scores:
     """The scores, the map and the errors of a run; a failed run is evaluated up to its last answer.
 
-    ``scans``: maximum number of scans in the map.
+    Answers and corrected poses of a SLAM are aligned in the same way, each on its own; the lost-track check looks at
+    the answers. ``scans``: maximum number of scans in the map. ``known_map``: in which the run
+    tracked the robot; its frame is that of the ground truth, unless ``align_truth``.
     """
-    evidence = add_map(collect_evidence(result, sequence), sequence, make_mapper, scans)
-    world_from_start = _find_world_from_start(evidence)
-    true = evidence.truth.trajectory
-    errors = None if true is None else compute_errors_m(result.estimate.moved(world_from_start, "world"), true)
+    matched = collect_evidence(result, sequence, known_map, align_truth)
+    evidence = add_map(matched, sequence, make_mapper, scans)
+    own = _align(evidence)
+    final = None if evidence.final is None else _align(evidence.final)
     scores = metrics.compute_scores(evidence, metrics.all_metrics())
-    grid = None if isinstance(evidence.grid, MissingMap) else evidence.grid
-    lost = find_lost_track(evidence, sequence.frames)
-    return Scores(scores, world_from_start, _describe_alignment(evidence), grid, errors, lost)
+    mapped = (evidence.final or evidence).grid
+    grid = None if isinstance(mapped, MissingMap) else mapped
+    lost = add_recovery(evidence, find_lost_track(evidence, sequence.frames))
+    fit = compute_fit(evidence)
+    pairs = None if fit is None else fit[:, :2]
+    return Scores(scores, own.world_from_start, own.alignment, grid, own.errors_m, lost, final, pairs)
 
 
 def evaluate_map(result: RunResult, grid: OccupancyGrid, sequence: Sequence) -> Scores:
@@ -62,46 +79,83 @@ def evaluate_map(result: RunResult, grid: OccupancyGrid, sequence: Sequence) -> 
     return Scores(scores, Pose(), MAP_ALIGNMENT, grid)
 
 
-def collect_evidence(result: RunResult, sequence: Sequence) -> Evidence:
+def collect_evidence(
+    result: RunResult, sequence: Sequence, known_map: KnownMap | None = None, align_truth: bool = False
+) -> Evidence:
     """The evidence of a run without its scans and map: enough for drift and runtime."""
-    truth = sequence.truth()
-    return Evidence(result, truth, match_trajectories(result.estimate, truth.trajectory))
+    return _match(result, sequence.truth(), known_map, align_truth)
+
+
+def _match(result: RunResult, truth: Truth, known_map: KnownMap | None, align_truth: bool) -> Evidence:
+    corrected = result.with_final_answers
+    final = None if corrected is None else _match(replace(corrected, final=None), truth, known_map, align_truth)
+    start = None if result.start is None or align_truth else result.start.map_from_start
+    matched = match_trajectories(result.estimate, truth.trajectory, map_from_start=start)
+    return Evidence(result, truth, matched, known_map=known_map, final=final)
 
 
 def add_map(
     evidence: Evidence, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int, halves: bool = True
 ) -> Evidence:
-    """The evidence with scans and map. ``halves``: also the maps of both halves, for some consistency metrics."""
+    """The evidence with scans and map, of a SLAM with the map of the corrected poses in ``final``.
+
+    ``halves``: also the maps of both halves, for some consistency metrics.
+    """
     world_from_base = evidence.run.estimate.moved(_find_world_from_start(evidence), "world")
     mapped, successive, odometry = _place_scans(sequence, world_from_base, scans)
-    grid = render_map(mapped, make_mapper)
-    with_grid = replace(evidence, grid=grid, mapped=mapped, successive=successive, odometry=odometry)
+    placed = replace(evidence, mapped=mapped, successive=successive, odometry=odometry)
+    if evidence.final is not None:
+        final = add_map(evidence.final, sequence, make_mapper, scans, halves)
+        return replace(placed, grid=MissingMap(MAP_OF_FINAL), final=final)
+    middle = len(mapped) // 2
+    first, grid = _render_maps(mapped, make_mapper, (middle, len(mapped)) if halves else (len(mapped),) * 2)
+    with_grid = replace(placed, grid=grid)
     if not halves:
         return with_grid
-    middle = len(mapped) // 2
-    first, second = render_map(mapped[:middle], make_mapper), render_map(mapped[middle:], make_mapper)
-    return replace(with_grid, first_half=first, second_half=second)
+    return replace(with_grid, first_half=first, second_half=render_map(mapped[middle:], make_mapper))
 
 
 def render_map(mapped: PlacedScans, make_mapper: Callable[[], Mapper]) -> OccupancyGrid | MissingMap:
-    """Return the map of scans with known sensor poses.
+    """Return the map of scans with known sensor poses, or why there is none."""
+    return _render_maps(mapped, make_mapper, (len(mapped),))[0]
+
+
+def _render_maps(
+    mapped: PlacedScans, make_mapper: Callable[[], Mapper], counts: tuple[int, ...]
+) -> tuple[OccupancyGrid | MissingMap, ...]:
+    """Return the maps of the first scans with known sensor poses, by one mapper; ``counts``: numbers of scans, rising.
 
     A map may be impossible, for example because a diverged trajectory exceeds its largest size; the other scores of the
     run are still computed.
     """
     if not mapped:
-        return MissingMap(NO_POSES)
-    mapper = make_mapper()
+        return (MissingMap(NO_POSES),) * len(counts)
+    maps: list[OccupancyGrid | MissingMap] = []
+    mapper, done = make_mapper(), 0
     try:
-        for scan, world_from_sensor in mapped:
-            mapper.update(scan, Pose.of(world_from_sensor))
-        return mapper.grid()
+        for count in counts:
+            for scan, world_from_sensor in mapped[done:count]:
+                mapper.update(scan, Pose.of(world_from_sensor))
+            done = count
+            maps.append(mapper.grid() if count else MissingMap(NO_POSES))
     except Exception as error:  # noqa: BLE001 - a mapper is third-party code
-        return MissingMap(f"the mapper failed ({error})")
+        maps += [MissingMap(f"the mapper failed ({error})")] * (len(counts) - len(maps))
+    return tuple(maps)
+
+
+def _align(evidence: Evidence) -> FinalAlignment:
+    """The alignment to the truth, in words too, and the distance of each pose to the truth."""
+    world_from_start, true = _find_world_from_start(evidence), evidence.truth.trajectory
+    estimate = evidence.run.estimate
+    errors = None if true is None else compute_errors_m(estimate.moved(world_from_start, "world"), true)
+    return FinalAlignment(world_from_start, _describe_alignment(evidence), errors)
 
 
 def _find_world_from_start(evidence: Evidence) -> Pose:
-    return evidence.matched.world_from_start if isinstance(evidence.matched, MatchedPoses) else Pose()
+    """The alignment; without ground truth, the start in the known map."""
+    if isinstance(evidence.matched, MatchedPoses):
+        return evidence.matched.world_from_start
+    return Pose() if evidence.run.start is None else evidence.run.start.map_from_start
 
 
 def _describe_alignment(evidence: Evidence) -> str:

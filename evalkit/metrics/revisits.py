@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import lru_cache
 
 import numpy as np
 
@@ -21,6 +22,8 @@ COVERED_SHARE = 0.25
 EVERY_M = 0.2
 MAX_REVISITS = 2000
 
+NO_REVISIT = "the true path does not revisit a place"
+
 MAX_OFF_M = 0.15
 MAX_OFF_RAD = 0.02
 """An automatic relation with a larger error is an outlier (Cartographer's defaults)."""
@@ -38,9 +41,7 @@ def find_revisits(reference: Trajectory, near_m: float = NEAR_M, covered_m: floa
     path = np.concatenate([[0.0], np.cumsum(steps)])[: len(reference)]
     covered = min(COVERED_M, COVERED_SHARE * reference.path_m) if covered_m is None else covered_m
     places = np.unique(np.searchsorted(path, np.arange(0.0, reference.path_m, EVERY_M)))
-    pairs = [
-        (first, second) for first in places for second in _find_visits(reference.poses, path, first, covered, near_m)
-    ]
+    pairs = list(_find_visits(reference.poses[:, :2], path, places, covered, near_m))
     chosen = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(MAX_REVISITS, len(chosen))).astype(int))]
     first, second = chosen.T
@@ -48,17 +49,29 @@ def find_revisits(reference: Trajectory, near_m: float = NEAR_M, covered_m: floa
     return Relations(reference.stamps_ns[first], reference.stamps_ns[second], motions)
 
 
-def _find_visits(poses: Floats, path: Floats, first: int, covered_m: float, near_m: float) -> list[int]:
-    """Return the nearest pose of each later stretch of path within ``near_m`` of one pose."""
-    begin = int(np.searchsorted(path, path[first] + covered_m))
-    apart = np.linalg.norm(poses[begin:, :2] - poses[first, :2], axis=1)
-    return [begin + run[0] + int(np.argmin(apart[slice(*run)])) for run in _find_runs(apart <= near_m)]
+@lru_cache(maxsize=2)
+def find_all_revisits(reference: Trajectory) -> Relations:
+    """Return ``find_revisits`` of a trajectory with its defaults; the last ones are kept for other metrics."""
+    return find_revisits(reference)
 
 
-def _find_runs(marks: Bools) -> Ints:
-    """Return the first index and the index after the last (K, 2) of each run of marks (N,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], marks, [False]]).astype(np.int8)))
-    return np.asarray(edges.reshape(-1, 2), dtype=np.int64)
+def _find_visits(
+    positions: Floats, path: Floats, places: Ints, covered_m: float, near_m: float
+) -> Iterator[tuple[int, int]]:
+    """Yield each place with the nearest pose of each later stretch of path within ``near_m`` of it."""
+    from scipy.spatial import cKDTree
+
+    begin = np.searchsorted(path, path[places] + covered_m)
+    around = cKDTree(positions).query_ball_point(positions[places], near_m * (1.0 + 1e-9), return_sorted=True)
+    for place, earliest, found in zip(places.tolist(), begin.tolist(), around, strict=True):
+        later = np.asarray(found, dtype=np.int64)
+        later = later[later >= earliest]
+        apart = np.linalg.norm(positions[later] - positions[place], axis=1)
+        later, apart = later[apart <= near_m], apart[apart <= near_m]
+        ends = np.flatnonzero(np.diff(later) > 1) + 1
+        for stretch, distances in zip(np.split(later, ends), np.split(apart, ends), strict=True):
+            if len(stretch):
+                yield place, int(stretch[np.argmin(distances)])
 
 
 def within_limits(errors: Floats, metres: float = MAX_OFF_M, radians: float = MAX_OFF_RAD) -> Bools:
@@ -78,9 +91,9 @@ def _make_score_function(measure: Callable[[Floats], float]) -> Callable[[Eviden
         reference = evidence.truth.trajectory
         if reference is None or len(reference) < 2:
             return Score(None, 0, NO_TRUE_TRAJECTORY)
-        visits = find_revisits(reference)
+        visits = find_all_revisits(reference)
         if len(visits) == 0:
-            return Score(None, 0, _NO_REVISIT)
+            return Score(None, 0, NO_REVISIT)
         motions, covered = compute_estimated_motions(evidence.run.estimate, visits)
         if not covered.any():
             return Score(None, 0, f"the estimate covers none of {len(visits)} revisits")
@@ -88,9 +101,6 @@ def _make_score_function(measure: Callable[[Floats], float]) -> Callable[[Eviden
         return make_score(measure(errors), len(errors))
 
     return compute
-
-
-_NO_REVISIT = "the true path does not revisit a place"
 
 
 METRICS = make_metrics(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -11,7 +12,7 @@ from evalkit.core.arrays import Ints
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import RunResult, Scores
 from evalkit.core.se2 import Floats
-from evalkit.metrics import drift, relations
+from evalkit.metrics import corrected_poses, drift, relations
 from evalkit.metrics.table import Unmatched
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.stats.bootstrap import MIN_VALUES, Series, Statistic
@@ -91,16 +92,46 @@ def _relation_errors(part: relations.Part) -> Callable[[ScoredRun], Series | Non
     return series
 
 
+@dataclass(frozen=True, eq=False)
+class _FinalRun:
+    """A run by its corrected poses."""
+
+    result: RunResult
+    scores: Scores
+    truth: Truth
+
+
+def _of_final(series: Callable[[ScoredRun], Series | None]) -> Callable[[ScoredRun], Series | None]:
+    """Return a function for the corrected poses of a run."""
+
+    def final_series(run: ScoredRun) -> Series | None:
+        corrected, alignment = run.result.with_final_answers, run.scores.final
+        if corrected is None or alignment is None:
+            return None
+        return series(_FinalRun(corrected, Scores(errors_m=alignment.errors_m), run.truth))
+
+    return final_series
+
+
 def _make_time_series(stamps_ns: Ints, values: Floats, statistic: Statistic) -> Series | None:
     if len(stamps_ns) < MIN_VALUES:
         return None
     return Series(stamps_ns, values, statistic, float(np.median(np.diff(stamps_ns))) * 1e-9)
 
 
-SERIES: Mapping[str, Callable[[ScoredRun], Series | None]] = {
+_OF_POSES: Mapping[str, Callable[[ScoredRun], Series | None]] = {
     "ate_rmse_m": _make_error_series,
     "drift_percent": _segment_errors,
     **{f"relations_{part}_mean_m": _relation_errors(part) for part in ("all", "short", "long")},
+}
+
+SERIES: Mapping[str, Callable[[ScoredRun], Series | None]] = {
+    **_OF_POSES,
+    **{
+        metric.name: _of_final(_OF_POSES[metric.counterpart])
+        for metric in corrected_poses.METRICS
+        if metric.counterpart in _OF_POSES
+    },
     "cpu_median_ms": _make_cpu_series("median"),
     "real_time_factor": _make_cpu_series("inverse"),
 }

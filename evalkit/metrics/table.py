@@ -14,13 +14,24 @@ import numpy as np
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
+from evalkit.core.known_map import KnownMap
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 
-Group = Literal["drift", "relations", "residuals", "runtime", "map against truth", "map consistency"]
+Group = Literal[
+    "drift",
+    "relations",
+    "loop closures",
+    "residuals",
+    "runtime",
+    "localisation",
+    "map against truth",
+    "map consistency",
+]
+MAP_GROUPS: tuple[Group, ...] = ("map against truth", "map consistency")
 PlacedScan = tuple[Scan, Floats]
 """A deskewed scan and ``world_from_sensor`` (3,)."""
 
@@ -28,7 +39,9 @@ PlacedScans = tuple[PlacedScan, ...]
 
 NO_POSES = "the run has no poses"
 NO_TRUE_TRAJECTORY = "no ground-truth trajectory"
+NO_FINAL = "the method does not correct earlier poses"
 NO_TRUE_MAP = "no ground-truth map"
+NO_KNOWN_MAP = "no known map"
 DIVERGED = "not finite: the estimate has diverged"
 
 
@@ -37,7 +50,8 @@ class MatchedPoses:
     """Estimate and ground truth at the same times.
 
     ``stamps_ns`` (N,). ``estimate``, ``truth``: ``world_from_base`` (N, 3), the estimate aligned. ``alignment``,
-    ``rule``: the alignment method and the matching rule, in words. ``world_from_start``: the alignment.
+    ``rule``: the alignment method and the matching rule, in words.
+    ``world_from_start``: the alignment. ``is_in_map``: it was not fitted, the world is the known map.
     """
 
     stamps_ns: Stamps
@@ -46,6 +60,7 @@ class MatchedPoses:
     alignment: str
     rule: str
     world_from_start: Pose = field(default_factory=Pose)
+    is_in_map: bool = False
 
 
 @dataclass(frozen=True)
@@ -70,7 +85,9 @@ class Evidence:
     world frame. ``mapped``: the deskewed scans in that map with ``world_from_sensor``, in the order of time.
     ``first_half``, ``second_half``: maps of ``mapped[:n]`` and ``mapped[n:]``, n = len(mapped) // 2, by the same
     mapper. ``successive``: pairs of a scan and the next scan of the sequence, evenly spaced over the sequence.
-    ``odometry``: the wheel odometry of the scans, None if there is none or if it was not read.
+    ``odometry``: the wheel odometry of the scans, None if there is none or if it was not read. ``known_map``:
+    in which the methods tracked the robot. ``final``: of a SLAM,
+    the same for its corrected poses; then only ``final`` has maps, and the map metrics are computed from it.
     """
 
     run: RunResult
@@ -82,6 +99,8 @@ class Evidence:
     second_half: OccupancyGrid | MissingMap = MissingMap(NO_POSES)
     successive: tuple[tuple[PlacedScan, PlacedScan], ...] = ()
     odometry: Trajectory | None = None
+    known_map: KnownMap | None = None
+    final: Evidence | None = None
 
 
 @dataclass(frozen=True)
@@ -92,7 +111,8 @@ class Metric:
     that completes "does not show: ...". ``digits``: decimals in tables. ``headline``: part of the first table of a
     report. ``compute``: returns a Score; without sufficient evidence, a Score without value and with the reason.
     ``support``: what the support of a score counts. ``no_value``: the possible reasons for a missing value; "..."
-    stands for the variable part.
+    stands for the variable part. ``slam_only``: only methods that correct earlier poses have a value. ``counterpart``:
+    of a metric of corrected poses, the name of the same metric of the answers; else "".
     """
 
     name: str
@@ -108,6 +128,8 @@ class Metric:
     headline: bool = False
     support: str = ""
     no_value: tuple[str, ...] = ()
+    slam_only: bool = False
+    counterpart: str = ""
 
 
 def make_metrics(

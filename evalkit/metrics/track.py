@@ -16,7 +16,6 @@ from functools import cached_property
 from itertools import islice
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from evalkit.core import se2
 from evalkit.core.arrays import Bools, Ints
@@ -25,6 +24,7 @@ from evalkit.core.run_result import LostTrack
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.neighbourhoods import build_kd_tree
 from evalkit.metrics.relations import compute_estimated_motions, symmetric_errors
 from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
@@ -66,10 +66,9 @@ def find_lost_track(evidence: Evidence, frames: Callable[[], Iterable[Frame]]) -
         return None
     described: list[LostTrack] = []
     differences: list[_Difference] = []
-    known = 0
-    if truth.trajectory is not None:
-        tracks = _make_tracks(estimate, truth.trajectory)
-        known = len(tracks.stamps_ns)
+    tracks = None if truth.trajectory is None else _make_tracks(estimate, truth.trajectory)
+    known = 0 if tracks is None else len(tracks.stamps_ns)
+    if tracks is not None and known:  # an excerpt may lie between the true poses
         long = islice(_find_long_windows(tracks), 1)
         described += [_describe(estimate, tracks, *window, "the ground truth") for window in long]
         windows = islice(_find_windows(tracks), MAX_JUDGED)
@@ -282,7 +281,7 @@ def _fit(target: Floats, source: Floats, target_from_source: Floats) -> float:
     """The share of the points of the source that lie near a point of the target."""
     if len(target) == 0 or len(source) == 0:
         return 0.0
-    distance, _ = cKDTree(target).query(se2.transform(target_from_source, source), distance_upper_bound=NEAR_M)
+    distance, _ = build_kd_tree(target).query(se2.transform(target_from_source, source), distance_upper_bound=NEAR_M)
     return float(np.mean(distance < np.inf))
 
 

@@ -26,6 +26,8 @@ from evalkit.metrics.table import (
 
 Alignment = Literal["least squares", "first pose", "none"]
 
+IN_MAP = "none: poses in the known map, which is in the frame of the ground truth,"
+
 MAX_GAP_S = 1.0
 """Poses farther apart in time are not interpolated."""
 
@@ -38,8 +40,12 @@ def match_trajectories(
     truth: Trajectory | None,
     alignment: Alignment = "least squares",
     max_gap_s: float = MAX_GAP_S,
+    map_from_start: Pose | None = None,
 ) -> MatchedPoses | Unmatched:
     """Match estimate and ground truth in time and align the estimate to the ground truth.
+
+    ``map_from_start``: where the estimate begins in a known map, whose frame is that of the ground truth; then nothing
+    is fitted, whatever ``alignment`` says.
 
     Of the two trajectories, the one with more poses in the common time span is interpolated at the stamps of the other,
     where its neighbouring poses are at most ``max_gap_s`` apart. Equal stamps need no interpolation.
@@ -59,6 +65,9 @@ def match_trajectories(
     if not np.isin(stamps, denser.stamps_ns).all():
         names = ("estimate", "ground truth") if denser is estimate else ("ground truth", "estimate")
         rule = f"{names[0]} interpolated at {len(stamps)} stamps of the {names[1]}, gaps up to {max_gap_s:g} s"
+    if map_from_start is not None:
+        placed = se2.compose(map_from_start.row, estimate.at(stamps))
+        return MatchedPoses(stamps, placed, truth.at(stamps), IN_MAP, rule, map_from_start, is_in_map=True)
     return _align(stamps, estimate.at(stamps), truth.at(stamps), alignment, rule)
 
 

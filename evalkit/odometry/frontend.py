@@ -46,6 +46,9 @@ class FrontEndSettings:
         choices=("odometry", "constant-velocity", "none"),
     )
     scan_to_scan: bool = parameter(True, "", "register each scan with the one before")
+    scan_to_scan_with_odometry: bool = parameter(
+        True, "", "also where wheel odometry gives the first guess; otherwise it starts the scan-to-map stage itself"
+    )
     scan_to_map: bool = parameter(True, "", "register each scan with the local map, starting from stage one's answer")
     deskew: bool = parameter(True, "", "undo the motion within a scan by the prior's velocity")
     local_radius_m: float = parameter(0.0, "m", "use only points within this distance of the base; 0: all", low=0.0)
@@ -132,10 +135,17 @@ class _StageAnswer(NamedTuple):
 class FrontEnd:
     """The paper's two-stage front end as an Odometry; poses are ``start_from_base`` at the first beam of each scan."""
 
-    def __init__(self, scan_to_scan: Registration, scan_to_map: Registration, settings: FrontEndSettings) -> None:
+    def __init__(
+        self,
+        scan_to_scan: Registration,
+        scan_to_map: Registration,
+        settings: FrontEndSettings,
+        local_map: LocalMap | None = None,
+    ) -> None:
+        """Make the front end; ``local_map`` replaces the one of the settings."""
         self._registrations: dict[Stage, Registration] = {"s2s": scan_to_scan, "s2m": scan_to_map}
         self._settings = settings
-        self._local_map = _make_local_map(settings)
+        self._local_map = _make_local_map(settings) if local_map is None else local_map
         self._motion = Motion(settings.prior)
         self._last: Cloud | None = None
         self._start_from_keyframe = Pose()
@@ -147,7 +157,9 @@ class FrontEnd:
         stages: dict[Stage, _StageAnswer] = {}
         start_from_base = Pose()
         if self._last is not None:
-            if self._settings.scan_to_scan:
+            if self._settings.scan_to_scan and (
+                self._settings.scan_to_scan_with_odometry or not self._motion.is_measured(frame)
+            ):
                 stages["s2s"] = self._register("s2s", self._last, source, last_from_base)
                 last_from_base = stages["s2s"].pose
             start_from_base = start_from_last @ last_from_base
@@ -226,6 +238,10 @@ class Motion:
             return self._start_from_base, step
         elapsed = 0 if self._stamp_ns is None else frame.scan.stamp_ns - self._stamp_ns
         return self._start_from_base, self._constant_velocity(elapsed)
+
+    def is_measured(self, frame: Frame) -> bool:
+        """Return whether wheel odometry measured the motion since the previous scan."""
+        return self._wheel_step(frame) is not None
 
     def within_scan(self, frame: Frame) -> Pose | None:
         """Return ``start_from_end``, the base's motion from this scan's first beam to its last."""

@@ -22,6 +22,9 @@ FEW_RUNS, FEW_CONFIDENCE, PAIRED_CONFIDENCE = 6, 0.99, 0.97
 
 Where labels are exchanged in each run, differences have two modes; few of them often have one sign by chance and hardly
 any spread. These levels keep verdicts on equal methods at 5 % there too, as measured by ``commands.calibration``.
+
+Perturbations of a recording may hardly change a run: fewer than six differences all have one sign in more than 5 % of
+cases. They are compared with ``FEW_CONFIDENCE``, and give no verdict over fewer than ``FEW_RUNS`` pairs.
 """
 
 MAX_RUNS = 200
@@ -34,12 +37,14 @@ class PairedRuns:
 
     From the ratios of the pairs where all values are positive: ``interval`` is then the median of ``other`` times the
     ratio's excess over one. ``error``: standard error, ``mean``: estimate, both on the scale of the t test.
+    ``perturbed``: the runs are perturbations of a recording.
     """
 
     interval: Interval
     mean: float
     error: float
     scale: float
+    perturbed: bool = False
 
     @property
     def detectable(self) -> float:
@@ -54,11 +59,11 @@ class PairedRuns:
             return self.interval.support if self.mean else None
 
         def detects(runs: int) -> bool:
-            return (
-                compute_power(abs(self.mean) / sd * math.sqrt(runs), runs - 1, 1.0 - paired_confidence(runs)) >= power
-            )
+            alpha = 1.0 - paired_confidence(runs, self.perturbed)
+            return compute_power(abs(self.mean) / sd * math.sqrt(runs), runs - 1, alpha) >= power
 
-        found = bisect_left(range(2, MAX_RUNS + 1), True, key=detects) + 2
+        least = FEW_RUNS if self.perturbed else 2
+        found = bisect_left(range(least, MAX_RUNS + 1), True, key=detects) + least
         return found if found <= MAX_RUNS else None
 
     def _in_unit(self, size: float) -> float:
@@ -82,18 +87,21 @@ def runs_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval
     return Interval(middle, min(low, middle), max(high, middle), len(series), confidence)
 
 
-def paired_confidence(runs: int) -> float:
+def paired_confidence(runs: int, perturbed: bool) -> float:
     """Return the confidence at which so many pairs of runs are compared."""
-    return FEW_CONFIDENCE if runs < FEW_RUNS else PAIRED_CONFIDENCE
+    return FEW_CONFIDENCE if perturbed or runs < FEW_RUNS else PAIRED_CONFIDENCE
 
 
-def paired_runs(one: ArrayLike, other: ArrayLike) -> PairedRuns | None:
-    """Compare two methods over the same repetitions (N,) by the paired t test; None for fewer than two."""
+def paired_runs(one: ArrayLike, other: ArrayLike, perturbed: bool = False) -> PairedRuns | None:
+    """Compare two methods over the same repetitions (N,) by the paired t test; None for fewer than two.
+
+    ``perturbed``: the repetitions are perturbations of a recording.
+    """
     first, second = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
     count = len(first)
     if count < 2:
         return None
-    confidence = paired_confidence(count)
+    confidence = paired_confidence(count, perturbed)
     positive = bool((first > 0.0).all() and (second > 0.0).all())
     mean, error = _mean_and_error(np.log(first) - np.log(second) if positive else first - second)
     half = _critical(count - 1, confidence) * error
@@ -101,7 +109,7 @@ def paired_runs(one: ArrayLike, other: ArrayLike) -> PairedRuns | None:
     value, low, high = (
         scale * math.expm1(min(bound, 50.0)) if positive else bound for bound in (mean, mean - half, mean + half)
     )
-    return PairedRuns(Interval(value, low, high, count, confidence), mean, error, scale)
+    return PairedRuns(Interval(value, low, high, count, confidence), mean, error, scale, perturbed)
 
 
 def _mean_and_error(series: Floats) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import pytest
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Relations
+from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Cause, RunResult, Score
 from evalkit.core.scan import Cloud, Frame, Scan
@@ -58,6 +59,8 @@ def occupancy(log_odds, observed, *place):
         (OccupancyGrid, (np.zeros((2, 3)), np.ones((2, 3)), 0.0, 0, 0), "resolution_m: .* got 0.0"),
         (Relations, ([0], [1, 2], np.zeros((1, 3))), r"second_ns: expected shape \(1,\)"),
         (Pose, (0.0, math.inf, 0.0), "pose: not finite"),
+        (LoopClosure, (5, 5, Pose(), True, "close"), "other_stamp_ns: expected a time before 5, got 5"),
+        (LoopClosure, (5, 4, Pose(), True, ""), "reason: expected 1 to 200 characters, got 0"),
         (RunResult, (NOTHING, 3, Cause.TIME_LIMIT, ""), "reason: a run that is timeout needs one"),
         (Score, (None,), "reason: a score without a value needs one"),
         (Score, (math.nan, 3), "value: not finite: nan; use None with a reason"),

@@ -9,6 +9,7 @@ from itertools import pairwise
 import pytest
 
 from evalkit.core.errors import BadData
+from evalkit.io import text_lines
 from evalkit.io.input_files import BLOCK_BYTES
 from evalkit.io.text_lines import MAX_LINE_BYTES, iter_lines
 
@@ -66,6 +67,14 @@ def test_an_endless_compressed_line_is_rejected_before_it_fills_the_memory(tmp_p
         list(iter_lines(path, "text"))
     assert tracemalloc.get_traced_memory()[1] < 4 * MAX_LINE_BYTES
     tracemalloc.stop()
+
+
+def test_a_gzip_file_that_unpacks_to_a_thousand_times_its_size_is_rejected(tmp_path, monkeypatch):
+    path = write_text(tmp_path, gzip.compress(b"0\n" * 2**20))  # 2 MiB in 2 kB
+    assert sum(1 for _ in iter_lines(path, "text")) == 2**20 + 1
+    monkeypatch.setattr(text_lines, "FREE_BYTES", 2**20)
+    with pytest.raises(BadData, match="unpacks to more than 50 times its size and 1 MiB"):
+        list(iter_lines(path, "text"))
 
 
 def test_a_long_compressed_text_is_read_in_bounded_memory(tmp_path):

@@ -1,14 +1,19 @@
 """Scoring of a run: alignment, map and scores, also for an estimate that diverged."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from evalkit import metrics
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Cause, RunResult
 from evalkit.core.scan import Scan
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import evaluate
+from evalkit.metrics.table import MAP_GROUPS
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
 
@@ -16,16 +21,17 @@ SCANS = 12
 
 
 class RecordingMapper:
-    """Mapper that records the scans it receives."""
+    """Mapper that records the scans it receives, and after how many of them a map was asked for."""
 
     def __init__(self, made):
-        self.scans = []
+        self.scans, self.maps = [], []
         made.append(self)
 
     def update(self, scan, world_from_sensor):
         self.scans.append((scan, world_from_sensor))
 
     def grid(self):
+        self.maps.append(len(self.scans))
         return OccupancyGrid(np.zeros((1, 1)), np.zeros((1, 1)), 0.05, 0.0, 0.0)
 
 
@@ -99,11 +105,34 @@ def test_a_mapper_that_raises_loses_only_the_map(straight_run):
     assert scored.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
+def test_the_map_of_a_slam_is_drawn_from_its_corrected_poses_and_its_track_is_that_of_its_answers(straight_run):
+    lost = np.where(np.arange(SCANS) < 6, 0.1 * np.arange(SCANS), 30.0 + 0.1 * np.arange(SCANS))
+    found = perfect().estimate
+    run = replace(run_of(lost), final=Trajectory(found.stamps_ns, found.poses, "start", "base"))
+    scored = evaluate.evaluate_run(run, straight_run, log_odds, 400)
+    alone = evaluate.evaluate_run(run_of(lost), straight_run, log_odds, 400)
+    corrected = evaluate.evaluate_run(perfect(), straight_run, log_odds, 400)
+    assert scored.grid.log_odds.tobytes() == corrected.grid.log_odds.tobytes()
+    assert (scored.lost, scored.alignment) == (alone.lost, alone.alignment)
+    assert alone.lost is not None
+    assert scored.world_from_start == alone.world_from_start
+    assert scored.errors_m.tobytes() == alone.errors_m.tobytes()
+    assert np.allclose(scored.final.world_from_start.row, [1.0, 0.0, 0.0], atol=1e-9)
+    assert np.allclose(scored.final.errors_m, 0.0, atol=1e-9)
+    groups = {metric.name: metric.group for metric in metrics.METRICS if not metric.slam_only}
+    of_map = {name for name, group in groups.items() if group in MAP_GROUPS}
+    assert {name: scored.by_metric[name] for name in groups} == {
+        name: (corrected if name in of_map else alone).by_metric[name] for name in groups
+    }
+    assert scored.by_metric["final_pair_error"] == corrected.by_metric["pair_error"]
+
+
 def test_the_mapper_gets_the_given_number_of_evenly_spaced_scans_and_each_half_again(straight_run, mapper_factory):
     evaluate.evaluate_run(perfect(), straight_run, mapper_factory, 5)
-    whole, first, second = ([pose.x for _, pose in mapper.scans] for mapper in mapper_factory)
+    whole, second = ([pose.x for _, pose in mapper.scans] for mapper in mapper_factory)
     assert whole == pytest.approx([1.0, 1.2, 1.5, 1.8, 2.1])  # scans 0, 2, 5, 8, 11 of 12
-    assert (first, second) == (whole[:2], whole[2:])
+    assert second == whole[2:]
+    assert [mapper.maps for mapper in mapper_factory] == [[2, 5], [3]]  # first half and whole, second half
 
 
 def test_free_space_violations_are_rare_with_true_poses_and_common_with_wheel_odometry():
@@ -134,7 +163,7 @@ def test_every_method_is_mapped_with_the_same_scans(straight_run, mapper_factory
     for missing in ((), (2, 3), (0,), range(6, SCANS)):
         steps = np.delete(whole.steps, missing)
         evaluate.evaluate_run(RunResult(steps, SCANS), straight_run, mapper_factory, 5)
-        drawn = [scan.stamp_ns // 100_000_000 for scan, _ in mapper_factory[-3].scans]
+        drawn = [scan.stamp_ns // 100_000_000 for scan, _ in mapper_factory[-2].scans]
         assert drawn == [scan for scan in (0, 2, 5, 8, 11) if scan not in missing]
 
 

@@ -84,3 +84,26 @@ def test_revisits_beyond_either_limit_are_outliers() -> None:
         drawn[400:] += off
         found = scores(Trajectory(truth.stamps_ns, drawn), truth)["revisit_within_percent"]
         assert found.value == pytest.approx(share, abs=6.0)  # the first lap ends where the second begins
+
+
+def test_visits_are_those_that_brute_force_finds() -> None:
+    rng = np.random.default_rng(4)
+    heading = np.cumsum(rng.normal(0.0, 0.2, 600))
+    path = trajectory(*np.round(np.cumsum([np.cos(heading), np.sin(heading)], axis=1) * 0.15, 1), heading)
+    positions = path.poses[:, :2]
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    expected = []
+    for place in np.unique(np.searchsorted(along, np.arange(0.0, along[-1], revisits.EVERY_M))).tolist():
+        stretch = []
+        for other in range(len(path) + 1):
+            near = other < len(path) and along[other] >= along[place] + 8.0
+            near = near and np.linalg.norm(positions[other] - positions[place]) <= 1.0
+            if near:
+                stretch.append(other)
+            elif stretch:
+                best = min(stretch, key=lambda one: np.linalg.norm(positions[one] - positions[place]))
+                expected.append((path.stamps_ns[place], path.stamps_ns[best]))
+                stretch = []
+    found = revisits.find_revisits(path, covered_m=8.0)
+    assert len(expected) > 50
+    assert list(zip(found.first_ns, found.second_ns, strict=True)) == expected

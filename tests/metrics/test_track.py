@@ -170,3 +170,11 @@ def test_a_run_of_one_scan_is_not_lost_and_a_loss_has_a_reason():
     assert judge("truth", np.zeros((1, 3)), np.zeros((1, 3))) is None
     with pytest.raises(ValueError, match="expected a finite time and a reason"):
         LostTrack(1.0, "")
+
+
+def test_a_run_between_the_true_poses_has_no_known_loss():
+    stamps = np.arange(20) * 100_000_000
+    steps = np.zeros(len(stamps), dtype=STEP)
+    steps["stamp_ns"] = stamps
+    far = Trajectory(np.array([-(10**12), 10**12]), np.zeros((2, 3)))
+    assert find_lost_track(Evidence(RunResult(steps, len(steps)), Truth("sparse", far)), lambda: ()) is None

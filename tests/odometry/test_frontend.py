@@ -126,6 +126,15 @@ def test_an_estimate_reports_which_stages_were_accepted(inliers, accepted):
     assert estimate.accepted is accepted
 
 
+@pytest.mark.parametrize(("odometry", "stages"), [(True, {"s2m"}), (False, {"s2s", "s2m"})])
+def test_scans_are_matched_with_each_other_where_no_odometry_gives_the_guess(odometry, stages):
+    method = build_odometry(RegistrationByIndex(), scan_to_scan_with_odometry=False)
+    frames = [frame(pose, i, odom=pose if odometry else None) for i, pose in enumerate(PATH)]
+    estimates = [method.update(each) for each in frames]
+    assert all(set(estimate.stages) == stages for estimate in estimates[1:])
+    np.testing.assert_allclose([estimate.pose.row for estimate in estimates], rows(PATH), atol=1e-9)
+
+
 def test_an_estimate_sums_the_cost_of_both_stages():
     class CostlyRegistration(RegistrationByIndex):
         def register(self, target, source, guess):

@@ -94,10 +94,23 @@ def test_the_number_of_runs_that_settles_is_the_first_with_the_power():
     needed = found.runs_needed()
     effect = np.mean([0.0, 0.3, 0.5]) / np.std([0.0, 0.3, 0.5], ddof=1)
     power = [
-        compute_power(effect * math.sqrt(runs), runs - 1, 1.0 - paired_confidence(runs))
+        compute_power(effect * math.sqrt(runs), runs - 1, 1.0 - paired_confidence(runs, perturbed=False))
         for runs in (needed - 1, needed)
     ]
     assert power[0] < 0.8 <= power[1]
     assert paired_runs([1.0, 1.0], [1.0, 1.0]).runs_needed() is None
     assert paired_runs([1.0, 1.02, 0.97], [1.0, 1.0, 1.0]).runs_needed() is None  # more than MAX_RUNS
     assert MAX_RUNS == 200
+
+
+@pytest.mark.parametrize("runs", [6, 7, 8])
+def test_perturbed_runs_that_hardly_change_get_no_verdict_from_their_signs_in_more_than_five_percent(runs):
+    """Differences of two values with a random sign: only equal signs are clear, 2 in 2^runs cases."""
+    shown = 0
+    for pattern in range(2**runs):
+        signs = np.array([1.0 if pattern >> bit & 1 else -1.0 for bit in range(runs)])
+        found = paired_runs(np.exp(signs * np.linspace(1.0, 1.001, runs)), np.ones(runs), perturbed=True)
+        shown += found.interval.excludes(0.0)
+    assert shown == 2
+    assert shown / 2**runs <= 0.05
+    assert found.runs_needed() >= 6

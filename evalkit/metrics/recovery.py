@@ -1,0 +1,68 @@
+"""Whether a run that lost the track found it again, and whether it was in the wrong place of a known map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from evalkit.core import se2
+from evalkit.core.run_result import LostTrack
+from evalkit.core.se2 import Floats
+from evalkit.metrics.table import Evidence, MatchedPoses
+from evalkit.metrics.track import MAX_M, WINDOW_S
+from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
+
+RIGHT_M, RIGHT_RAD, RIGHT_SHARE = 0.5, np.radians(10.0), 0.05
+"""A pose is right again within these, or this share of the true path since the track was right."""
+
+
+def add_recovery(evidence: Evidence, lost: LostTrack | None) -> LostTrack | None:
+    """Return the loss with the time from which on the poses were right again until the end of the run.
+
+    In a known map a pose is right near the truth, and a run is lost where it is farther than ``MAX_M`` from it.
+    Elsewhere the motion since ``WINDOW_S`` before the loss must agree with the true one. The last ``WINDOW_S`` at least
+    must be right. Without a true trajectory nothing is known.
+    """
+    in_map = isinstance(evidence.matched, MatchedPoses) and evidence.matched.is_in_map
+    if evidence.truth.trajectory is None or (lost is None and not in_map):
+        return lost
+    estimate = evidence.run.estimate
+    stamps = estimate.stamps_ns[can_interpolate(evidence.truth.trajectory.stamps_ns, estimate.stamps_ns, MAX_GAP_S)]
+    if not len(stamps):
+        return lost
+    seconds = (stamps - estimate.stamps_ns[0]) * 1e-9
+    true, own = evidence.truth.trajectory.at(stamps), estimate.at(stamps)
+    if in_map:
+        own = se2.compose(evidence.matched.world_from_start.row, own)  # type: ignore[union-attr]  # matched: in_map
+        metres = np.hypot(*(own - true)[:, :2].T)
+        lost = _find_earlier(lost, metres, seconds)
+        if lost is None:
+            return None
+        right = metres <= RIGHT_M
+    else:
+        assert lost is not None
+        right = _is_motion_right(own, true, seconds, lost)
+    wrong = np.flatnonzero(np.logical_not(right) & (seconds >= lost.at_s))
+    after = int(wrong[-1]) + 1 if len(wrong) else int(np.searchsorted(seconds, lost.at_s)) + 1
+    if after >= len(seconds) or seconds[-1] - seconds[after] < WINDOW_S or seconds[after] <= lost.at_s:
+        return lost
+    return replace(lost, recovered_at_s=float(seconds[after]))
+
+
+def _find_earlier(lost: LostTrack | None, metres: Floats, seconds: Floats) -> LostTrack | None:
+    """Return the first scan that is in the wrong place of the map, or what was found, whichever is earlier."""
+    far = np.flatnonzero(metres > MAX_M)
+    if not len(far) or (lost is not None and lost.at_s <= seconds[far[0]]):
+        return lost
+    return LostTrack(float(seconds[far[0]]), f"{metres[far[0]]:.2f} m away from the ground truth in the known map")
+
+
+def _is_motion_right(own: Floats, true: Floats, seconds: Floats, lost: LostTrack) -> Floats:
+    """Return for each pose whether the motion to it from a pose before the loss is the true one."""
+    anchor = int(np.searchsorted(seconds, max(lost.at_s - WINDOW_S, 0.0)))
+    steps = np.hypot(*np.diff(true[:, :2], axis=0).T)
+    path = np.abs(np.concatenate([[0.0], np.cumsum(steps)]) - steps[:anchor].sum())
+    wrong = se2.between(se2.between(true[anchor], true), se2.between(own[anchor], own))
+    near = np.hypot(wrong[:, 0], wrong[:, 1]) <= np.maximum(RIGHT_M, RIGHT_SHARE * path)
+    return np.asarray(near & (np.abs(wrong[:, 2]) <= RIGHT_RAD))

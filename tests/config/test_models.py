@@ -1,0 +1,107 @@
+"""All mistakes of a file at once, and its JSON Schema."""
+
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from evalkit.cli import app
+from evalkit.commands.study.config import load_study
+from evalkit.commands.tune.config import load_tuning
+from evalkit.config.experiment import load_experiment
+from evalkit.config.models import find_mistakes, make_schema
+from evalkit.core.errors import BadExperiment
+
+REPORTS = Path(__file__).parents[2] / "reports"
+KINDS = {"study": "study", "tune": "tuning", "paper": ""}
+"""Kind of a shipped file by the first word of its name; reproductions have a reader of their own."""
+
+WRONG = """
+tittle = "no"
+[[method]]
+use = "wheel-odometry"
+[[method]]
+use = "embeded"
+[[method]]
+use = "embedded"
+epsilom = 1e-5
+max_iterations = 0
+[[sequence]]
+use = "lab"
+laps = "many"
+[limits]
+run_s = -1
+"""
+
+
+def shipped():
+    kinds = [(path, KINDS.get(path.stem.split("-")[0], "experiment")) for path in sorted(REPORTS.glob("*.toml"))]
+    return [(path, kind) for path, kind in kinds if kind]
+
+
+def test_every_mistake_of_an_experiment_is_told_with_its_place_and_the_likely_name(tmp_path):
+    path = tmp_path / "wrong.toml"
+    path.write_text(WRONG)
+    with pytest.raises(BadExperiment) as raised:
+        load_experiment(path)
+    text = str(raised.value)
+    for part in (
+        "did you mean 'title'", "method 2: ", "did you mean 'embedded'", "method 3: ", "did you mean 'epsilon'",
+        "'max_iterations'", "sequence 1: ", "'laps'", "limits: 'run_s': found -1",
+    ):  # fmt: skip
+        assert text.count(part) == 1, part
+
+
+def test_a_single_mistake_keeps_its_wording(tmp_path):
+    path = tmp_path / "wrong.toml"
+    path.write_text('[[method]]\nuse = "wheel-odometry"\n[[sequence]]\nuse = "labb"\nlaps = 0.1\n')
+    with pytest.raises(BadExperiment) as raised:
+        load_experiment(path)
+    assert "also" not in str(raised.value)
+    assert str(raised.value).count("did you mean 'lab'") == 1
+
+
+@pytest.mark.parametrize(("load", "kind"), [(load_study, "study"), (lambda p, c: load_tuning(p, "x", c), "tuning")])
+def test_studies_and_tunings_tell_all_mistakes_too(tmp_path, load, kind):
+    path = tmp_path / "wrong.toml"
+    path.write_text('titel = "x"\n[limits]\nrun = 3\n')
+    with pytest.raises(BadExperiment) as raised:
+        load(path, "x")
+    assert "did you mean 'title'" in str(raised.value)
+    assert "also limits: no key named 'run'" in str(raised.value)
+    assert "also missing key 'method'" in str(raised.value)
+
+
+@pytest.mark.parametrize(("path", "kind"), shipped(), ids=lambda value: getattr(value, "name", ""))
+def test_shipped_files_fit_model_and_schema(path, kind):
+    jsonschema = pytest.importorskip("jsonschema")
+    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert list(find_mistakes(content, kind)) == []
+    jsonschema.Draft202012Validator(make_schema(kind)).validate(content)
+
+
+def test_the_schema_knows_installed_names_and_the_parameters_of_each(tmp_path):
+    jsonschema = pytest.importorskip("jsonschema")
+    file = tmp_path / "experiment.schema.json"
+    assert CliRunner().invoke(app, ["schema", "experiment", "--out", str(file)]).exit_code == 0
+    schema = json.loads(file.read_text())
+    checker = jsonschema.Draft202012Validator(schema)
+    good = {"method": [{"use": "embedded", "max_iterations": 5}, {"use": "lib:./x.so"}], "sequence": [{"use": "lab"}]}
+    checker.validate(good)
+    for method in ({"use": "embeded"}, {"use": "embedded", "max_iterations": 0}, {"use": "embedded", "epsilon": "x"}):
+        assert not checker.is_valid({**good, "method": [method]})
+    assert not checker.is_valid({**good, "tittle": "x"})
+    assert not checker.is_valid({"method": good["method"]})
+    with pytest.raises(Exception, match="did you mean 'study'"):
+        raise CliRunner().invoke(app, ["schema", "studdy"]).exception
+
+
+def test_reading_a_correct_file_does_not_load_pydantic():
+    code = ("import sys; from pathlib import Path; from evalkit.config.experiment import load_experiment;"
+            f"load_experiment(Path({str(REPORTS / 'quick.toml')!r})); print('pydantic' in sys.modules)")  # fmt: skip
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout.strip() == "False"

@@ -1,0 +1,47 @@
+"""The fit of a scan to a known map: the predicted error is the planted one, a bare corridor fixes nothing along it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from evalkit.core import se2
+from evalkit.metrics.localisation import OPEN_M, measure_fit
+from evalkit.metrics.neighbourhoods import build_kd_tree
+
+CELL_M = 0.05
+SIDE = np.arange(-3.0, 3.0 + 1e-9, CELL_M)
+ENDS = np.linspace(-2.0, 2.0, 81)
+ROOM = np.concatenate(
+    [
+        *(np.column_stack([SIDE, np.full_like(SIDE, y)]) for y in (-2.0, 2.0)),
+        *(np.column_stack([np.full_like(ENDS, x), ENDS]) for x in (-3.0, 3.0)),
+    ]
+)
+
+
+@pytest.mark.parametrize("moved_m", [0.02, 0.05, 0.1, 0.15])
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_the_predicted_error_is_how_far_the_scan_was_moved(moved_m, heading):
+    scan = se2.transform([moved_m * math.cos(heading), moved_m * math.sin(heading), 0.0], ROOM)
+    predicted, share = measure_fit(scan, build_kd_tree(ROOM), CELL_M)
+    assert predicted == pytest.approx(moved_m, abs=0.006)
+    assert share == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_turned_scan_about_its_middle_is_not_displaced():
+    predicted, _ = measure_fit(se2.transform([0.0, 0.0, 0.02], ROOM), build_kd_tree(ROOM), CELL_M)
+    assert predicted < 0.015
+
+
+def test_a_scan_of_another_place_has_no_prediction():
+    predicted, share = measure_fit(se2.transform([0.8, 0.9, 0.0], ROOM), build_kd_tree(ROOM), CELL_M)
+    assert math.isnan(predicted)
+    assert share < 0.5
+    assert math.isnan(measure_fit(np.zeros((0, 2)), build_kd_tree(ROOM), CELL_M)[0])
+
+
+def test_between_two_bare_walls_the_position_along_them_is_unknown():
+    walls = ROOM[np.abs(ROOM[:, 1]) > 1.99]
+    predicted, _ = measure_fit(walls[np.abs(walls[:, 0]) < 2.0], build_kd_tree(walls), CELL_M)
+    assert predicted == pytest.approx(OPEN_M, rel=0.05)

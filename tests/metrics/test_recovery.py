@@ -1,0 +1,67 @@
+"""A lost run is found again where its poses are right to the end; in a known map a wrong place is a loss."""
+
+import numpy as np
+import pytest
+
+from evalkit.core import se2
+from evalkit.core.ground_truth import Truth
+from evalkit.core.map_start import MapStart
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, LostTrack, RunResult
+from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.recovery import add_recovery
+from evalkit.metrics.table import Evidence
+from evalkit.metrics.trajectory import match_trajectories
+
+STAMPS = np.arange(600) * 100_000_000  # a minute
+TRUE = np.column_stack([0.2 * np.arange(600) * 0.1, np.zeros(600), np.zeros(600)])
+LOST = LostTrack(20.0, "planted")
+
+
+def judge(poses, lost=LOST, start=None, truth=True):
+    steps = np.zeros(len(STAMPS), dtype=STEP)
+    steps["stamp_ns"], (steps["x"], steps["y"], steps["theta"]) = STAMPS, poses.T
+    run = RunResult(steps, len(steps), start=start)
+    known = Trajectory(STAMPS, TRUE) if truth else None
+    given = None if start is None else start.map_from_start
+    matched = match_trajectories(run.estimate, known, map_from_start=given)
+    return add_recovery(Evidence(run, Truth("exact", known), matched), lost)
+
+
+def shifted(first, last, metres=3.0):
+    poses = TRUE.copy()
+    poses[first:last, 1] += metres
+    return poses
+
+
+def test_a_run_that_comes_back_is_found_at_its_first_right_pose():
+    found = judge(shifted(195, 320))
+    assert found == LostTrack(20.0, "planted", 32.0)
+
+
+def test_a_run_that_stays_away_or_comes_back_too_late_is_not_found():
+    assert judge(shifted(195, 600)) == LOST
+    assert judge(shifted(195, 520)) == LOST  # 8 s before the end: less than a window
+    assert judge(shifted(195, 320), truth=False) == LOST
+    twice = shifted(195, 320)
+    twice[400:450, 1] += 3.0
+    assert judge(twice) == LostTrack(20.0, "planted", 45.0)
+
+
+def test_a_wrong_place_of_the_map_is_a_loss_though_every_motion_is_right():
+    wrong = MapStart(Pose(0.0, 4.0, 0.0), 1, 0.0, True, 0.9)
+    found = judge(TRUE, None, wrong)
+    assert found is not None
+    assert (found.at_s, found.recovered_at_s) == (0.0, None)
+    assert "4.00 m away from the ground truth in the known map" in found.reason
+    right = MapStart(Pose(0.3, 0.0, 0.0), 1, 0.0, True, 0.9)
+    assert judge(TRUE, None, right) is None
+    again = judge(shifted(200, 300), None, right)
+    assert again is not None
+    assert (again.at_s, again.recovered_at_s) == (20.0, pytest.approx(30.0))
+
+
+def test_a_map_of_another_place_does_not_move_a_frame():
+    moved = MapStart(Pose(5.0, -2.0, 0.7), 1, 0.0, True, 0.9)
+    poses = se2.compose(moved.map_from_start.inverse().row, TRUE)
+    assert judge(poses, None, moved) is None

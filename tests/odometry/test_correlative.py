@@ -1,0 +1,131 @@
+"""Correlative matching: the search equals an exhaustive one, and finds a known motion anywhere in the map."""
+
+import math
+
+import numpy as np
+import pytest
+
+from evalkit.core.pose import Pose
+from evalkit.odometry.correlative import ScoreGrid, Window, branch_and_bound
+
+WALLS = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 2.0], [4.0, 2.0], [4.0, 4.5], [0.0, 4.5]])
+
+
+def room(spacing_m=0.05):
+    """Return points on the walls of an L-shaped room, which looks different at every pose."""
+    sides = np.roll(WALLS, -1, axis=0) - WALLS
+    along = [np.arange(0.0, np.hypot(*side), spacing_m)[:, None] / np.hypot(*side) for side in sides]
+    return np.concatenate([corner + share * side for corner, side, share in zip(WALLS, sides, along, strict=True)])
+
+
+def score_of(points, target, motion, cell_m, sigma_m):
+    """Return the score by its definition: a Gaussian of the distance from a point's cell to the nearest mean."""
+    keys, members = np.unique(np.floor(target / cell_m), axis=0, return_inverse=True)
+    means = np.array([target[members.ravel() == key].mean(axis=0) for key in range(len(keys))])
+    centres = (np.floor(motion.transform(points) / cell_m) + 0.5) * cell_m
+    distance = np.linalg.norm(centres[:, None] - means, axis=-1).min(axis=1)
+    values = np.round(255 * np.exp(-0.5 * (distance / sigma_m) ** 2))
+    return np.where(distance <= 3 * sigma_m, values, 0).mean() / 255
+
+
+def exhaustive(points, target, window, angles, cell_m, sigma_m, prior=None):
+    """Return the best score of all motions of the lattice."""
+    steps = [np.arange(-int(half / cell_m + 1e-9), int(half / cell_m + 1e-9) + 1) for half in (window.x_m, window.y_m)]
+    best = 0.0
+    for angle in angles:
+        for x in steps[0] * cell_m:
+            for y in steps[1] * cell_m:
+                motion = Pose(window.centre.x + x, window.centre.y + y, window.centre.theta + angle)
+                score = score_of(points, target, motion, cell_m, sigma_m)
+                best = max(best, score * (1.0 if prior is None else float(prior(abs(x), abs(y), angle))))
+    return best
+
+
+def gentle_prior(x, y, theta):
+    return np.exp(-2.0 * np.hypot(x, y) - 0.5 * np.abs(theta))
+
+
+@pytest.mark.parametrize("prior", [None, gentle_prior])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_search_returns_the_score_of_an_exhaustive_search(seed, prior):
+    rng = np.random.default_rng(seed)
+    target, source = rng.uniform(-1.0, 1.0, (30, 2)), rng.uniform(-1.2, 1.2, (15, 2))
+    cell_m, sigma_m = 0.0837, 0.12  # no point lies on the border of a cell
+    centre = Pose(0.013, 0.019, math.pi if seed % 2 else 0.3)
+    window = Window(centre, 0.5, 0.3, math.pi if seed == 3 else 0.4, step_rad=0.7 if seed == 3 else 0.21)
+    angles = window.angles(cell_m, 1.0)
+    grid = ScoreGrid.from_points(target, cell_m, sigma_m, depth=seed)
+    found = branch_and_bound(grid, source, window, prior=prior)
+    assert found is not None
+    expected = exhaustive(source, target, window, angles, cell_m, sigma_m, prior)
+    assert found.score == pytest.approx(expected, abs=1e-12)
+    moved = found.target_from_source
+    weight = 1.0 if prior is None else prior(moved.x - centre.x, moved.y - centre.y, (centre.inverse() @ moved).theta)
+    assert score_of(source, target, moved, cell_m, sigma_m) * weight == pytest.approx(found.score, abs=1e-12)
+
+
+@pytest.mark.parametrize("theta", [0.0, 1.3, math.pi, -2.0])
+def test_a_scan_is_found_in_the_whole_map_at_any_angle(theta):
+    truth = Pose(2.5, 1.5, theta)
+    seen = room()[:150]
+    grid = ScoreGrid.from_points(room(), cell_m=0.05, sigma_m=0.1, depth=6)
+    found = branch_and_bound(grid, truth.inverse().transform(seen), Window.whole(grid), min_score=0.8)
+    assert found is not None
+    left = truth.inverse() @ found.target_from_source
+    assert math.hypot(left.x, left.y) < 0.08  # a cell and a half
+    assert abs(left.theta) < 0.02
+
+
+def test_no_motion_is_returned_where_none_reaches_the_minimum_score():
+    grid = ScoreGrid.from_points(room(), cell_m=0.05, sigma_m=0.05, depth=6)
+    circle = np.stack([1.5 * np.cos(np.arange(100)), 1.5 * np.sin(np.arange(100))], axis=1)
+    window = Window(Pose(*grid.centre), 2.0, 2.0, 0.3)
+    best = branch_and_bound(grid, circle, window)
+    assert best is not None
+    assert branch_and_bound(grid, circle, window, min_score=best.score) is None
+    again = branch_and_bound(grid, circle, window, min_score=best.score - 1e-6)
+    assert again is not None
+    assert again.score == best.score
+
+
+def test_far_fewer_motions_are_evaluated_than_exist():
+    grid = ScoreGrid.from_points(room(), cell_m=0.05, sigma_m=0.05, depth=6)
+    window = Window.whole(grid)
+    source = Pose(2.5, 1.5, 0.4).inverse().transform(room())
+    motions = grid.levels[0].size * len(window.angles(0.05, 5.0))
+    found = branch_and_bound(grid, source, window)
+    assert found is not None
+    assert found.evaluated < 0.01 * motions
+
+
+def test_outside_the_grid_the_score_is_zero():
+    grid = ScoreGrid.from_points(room(), cell_m=0.05, sigma_m=0.05, depth=3)
+    for far in (Pose(50.0, 0.0), Pose(-50.0, -50.0), Pose(0.0, 1e12)):
+        assert branch_and_bound(grid, room(), Window(far, 1.0, 1.0, 0.1)) is None
+    assert branch_and_bound(grid, np.empty((0, 2)), Window(Pose(), 1.0, 1.0, 0.1)) is None
+
+
+def test_a_full_circle_has_each_angle_once_and_the_centre_among_them():
+    for step in (0.5, 0.1, math.pi / 3):
+        angles = Window(Pose(), 0.0, 0.0, math.pi, step).angles(0.05, 10.0)
+        turns = np.sort(np.mod(angles, 2 * math.pi))
+        gaps = np.diff(np.append(turns, turns[0] + 2 * math.pi))
+        assert gaps == pytest.approx(np.full(len(angles), 2 * math.pi / len(angles)))
+        assert gaps.max() <= step + 1e-12
+        assert 0.0 in angles
+
+
+def test_the_default_step_moves_the_farthest_point_by_one_cell():
+    angles = Window(Pose(), 0.0, 0.0, 0.5).angles(0.05, 10.0)
+    chord = 2 * 10.0 * math.sin((angles[1] - angles[0]) / 2)
+    assert chord == pytest.approx(0.05)
+    assert (angles[0], angles[-1]) == pytest.approx((-0.5, 0.5), abs=0.005)
+
+
+def test_a_map_that_would_need_too_much_memory_is_refused_with_a_reason():
+    with pytest.raises(ValueError, match=r"spread over 1000\d+ m by \d+ m, more than .* cells of 0.05 m"):
+        ScoreGrid.from_points(np.array([[0.0, 0.0], [1e6, 1e6]]), 0.05, 0.1, 3)
+    with pytest.raises(ValueError, match="at least one target point"):
+        ScoreGrid.from_points(np.empty((0, 2)), 0.05, 0.1, 3)
+    with pytest.raises(ValueError, match="not negative"):
+        Window(Pose(), -1.0, 0.0, 0.1)

@@ -1,0 +1,201 @@
+"""Tracking in a known map: poses in the map are those of the simulation, a place that repeats is refused."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evalkit.core.errors import BadData, BadParameter, NotLocalised
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.known_map import KnownMap
+from evalkit.core.map_start import MapStart
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
+from evalkit.io.map_server import read_rotated_map, write_map
+from evalkit.odometry import map_localisation
+from evalkit.odometry.frontend import complete_parameters
+from evalkit.odometry.map_localisation import find_start, localise
+from evalkit.odometry.run_odometry import estimate_poses
+from evalkit.plugins import registry
+from evalkit.plugins.known_map import load_known_map, parse_start
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import OdometrySpec
+
+CELL_M = 0.05
+WALLS = [(-4.0, -3.0, 4.0, -3.0), (4.0, -3.0, 4.0, 1.0), (4.0, 1.0, 0.0, 1.0), (0.0, 1.0, 0.0, 4.0),
+         (0.0, 4.0, -4.0, 4.0), (-4.0, 4.0, -4.0, -3.0)]  # fmt: skip
+BOX = [(-3.0, -2.0, 3.0, -2.0), (3.0, -2.0, 3.0, 2.0), (3.0, 2.0, -3.0, 2.0), (-3.0, 2.0, -3.0, -2.0)]
+PATH = [Pose(-2.0 + 0.1 * k, -1.0 + 0.05 * k, 0.3 + 0.04 * k) for k in range(12)]
+
+
+class Drive:
+    """A sequence of given frames."""
+
+    def __init__(self, frames, grid=None):
+        self._frames, self._grid = frames, grid
+
+    def __len__(self):
+        return len(self._frames)
+
+    def frames(self):
+        return iter(self._frames)
+
+    def truth(self):
+        return Truth("exact", grid=self._grid)
+
+    def notes(self):
+        return {}
+
+
+def draw_map(folder: Path, walls) -> Path:
+    """Write a map whose cells with walls through their middle are occupied, all others free."""
+    log_odds = np.full((180, 200), -3.5, dtype=np.float32)
+    for x0, y0, x1, y1 in walls:
+        along = np.linspace(0.0, 1.0, 1000)[:, None]
+        cells = np.floor((np.array([x0, y0]) + along * np.array([x1 - x0, y1 - y0]) + [5.025, 4.025]) / CELL_M).astype(
+            int
+        )
+        log_odds[cells[:, 1], cells[:, 0]] = 3.5
+    write_map(folder / "floor", OccupancyGrid(log_odds, np.ones(log_odds.shape, dtype=bool), CELL_M, -5.025, -4.025))
+    return folder / "floor.yaml"
+
+
+@pytest.fixture
+def floor(tmp_path) -> Path:
+    """The map of an L-shaped room."""
+    return draw_map(tmp_path, WALLS)
+
+
+def read_walls(path) -> KnownMap:
+    known = load_known_map({"map": str(path)}, Drive([]))
+    assert known is not None
+    return known
+
+
+def measure(pose, index, walls=WALLS, odometry=True):
+    """Return the frame of a scan from a pose: a beam a degree, each to the nearest wall."""
+    angles = np.radians(np.arange(360.0))
+    ranges = np.full(360, np.inf)
+    x, y = np.cos(angles + pose.theta), np.sin(angles + pose.theta)
+    for x0, y0, x1, y1 in walls:
+        dx, dy, px, py = x1 - x0, y1 - y0, x0 - pose.x, y0 - pose.y
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along, share = (px * dy - py * dx) / (x * dy - y * dx), (px * y - py * x) / (x * dy - y * dx)
+        ranges = np.where((along > 0.0) & (share >= 0.0) & (share <= 1.0), np.minimum(ranges, along), ranges)
+    odom = Pose(7.0, 3.0, -1.0) @ pose if odometry else None
+    return Frame(Scan(index * 100_000_000, ranges, angles, 0.05, 20.0), odom_from_base=odom)
+
+
+def distance(one: Pose, other: Pose) -> float:
+    """Return the distance of two poses in m, a radian as a metre."""
+    return math.hypot(one.x - other.x, one.y - other.y) + abs((one.inverse() @ other).theta)
+
+
+def track(floor, frames, name="distance-field", **reserved):
+    """Return the localised run and the poses (N, 3) in the map, of a registration with its defaults."""
+    spec = registry.backend(name)
+    found = localise(
+        spec, complete_parameters(name, spec, {}), {"map": str(floor), **reserved}, Drive(frames), floor.parent
+    )
+    assert found is not None
+    answers = estimate_poses(found.make(), found.sequence.frames())
+    return found, [found.start.map_from_start @ Pose.of(row) for row in answers]
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_the_start_is_found_in_the_whole_map_and_every_pose_is_the_true_one(floor, odometry):
+    found, poses = track(floor, [measure(pose, k, odometry=odometry) for k, pose in enumerate(PATH)])
+    assert (found.start.scans, found.start.after_s, found.start.searched) == (1, 0.0, True)
+    assert max(distance(a, b) for a, b in zip(poses, PATH, strict=True)) < 0.03  # half a cell of the map
+
+
+def test_a_given_start_is_corrected_by_the_first_scan(floor):
+    start = PATH[0] @ Pose(0.1, -0.05, 0.03)
+    text = f"{start.x},{start.y},{math.degrees(start.theta)}"
+    found, _ = track(floor, [measure(PATH[0], 0)], map_start=text)
+    assert not found.start.searched
+    assert distance(found.start.map_from_start, PATH[0]) < 0.03
+
+
+def test_scans_of_another_place_are_left_out_until_one_fits(floor):
+    circle = [(math.cos(a), math.sin(a), math.cos(a + 0.2), math.sin(a + 0.2)) for a in np.arange(0.0, 6.3, 0.2)]
+    strange = [measure(Pose(), k, circle, odometry=False) for k in range(5)]
+    later = [measure(pose, 20 + k, odometry=False) for k, pose in enumerate(PATH)]
+    found, poses = track(floor, strange + later)
+    assert (found.start.scans, found.start.after_s) == (6, 2.0)
+    assert distance(poses[0], PATH[0]) < 0.03
+
+
+def test_a_place_that_looks_the_same_from_two_sides_is_ambiguous(tmp_path):
+    known = read_walls(draw_map(tmp_path, BOX))
+    frames = [measure(Pose(-1.0 + 0.3 * k, 0.5, 0.2), k, BOX) for k in range(6)]
+    with pytest.raises(NotLocalised, match="ambiguous, two places fit alike"):
+        find_start(known, frames)
+    start = find_start(known, frames, given=Pose(-1.1, 0.4, 0.15))
+    assert distance(start.map_from_start, Pose(-1.0, 0.5, 0.2)) < 0.03
+
+
+def test_no_place_and_a_wrong_given_start_are_errors(floor):
+    known = read_walls(floor)
+    small = [tuple(0.3 * value for value in wall) for wall in WALLS]
+    with pytest.raises(NotLocalised, match="no place in the map fits"):
+        find_start(known, [measure(Pose(), 0, small)])
+    with pytest.raises(NotLocalised, match="does not fit the map at the given start"):
+        find_start(known, [measure(PATH[0], 0)], given=Pose(20.0, 20.0, 0.0))
+
+
+def test_a_kidnapped_robot_is_found_again(floor, monkeypatch):
+    monkeypatch.setattr(map_localisation, "LOST_SCANS", 3)
+    away = [Pose(2.5 - 0.3 * k, -2.0 + 0.02 * k, 2.8) for k in range(8)]
+    kept = Pose(7.0, 3.0, -1.0) @ PATH[-1]
+    scans = [measure(pose, 12 + k).scan for k, pose in enumerate(away)]
+    carried = [
+        Frame(scan, odom_from_base=kept @ away[0].inverse() @ pose) for scan, pose in zip(scans, away, strict=True)
+    ]
+    _, poses = track(floor, [measure(pose, k) for k, pose in enumerate(PATH)] + carried)
+    assert distance(poses[12], away[0]) > 1.0  # the wheels did not turn
+    assert distance(poses[-1], away[-1]) < 0.05
+
+
+def test_a_back_end_that_reads_the_map_is_given_it_with_the_start(floor):
+    names = {"map": "", "start_x_m": 0.0, "start_y_m": 0.0, "start_deg": 0.0, "beams": 60}
+    spec = OdometrySpec(
+        dict, "returns its parameters", "", "", parameters=tuple(Parameter(*each, "", "") for each in names.items())
+    )
+    frames = [measure(PATH[0], 0)]
+    found = localise(spec, names, {"map": str(floor)}, Drive(frames), floor.parent)
+    assert found is not None
+    given: object = found.make()
+    assert isinstance(given, dict)
+    assert (given["map"], given["beams"]) == (str(floor), 60)
+    assert distance(Pose(given["start_x_m"], given["start_y_m"], math.radians(given["start_deg"])), PATH[0]) < 0.03
+    grid, _ = read_rotated_map(floor)
+    of_truth = localise(spec, names, {"map": "truth"}, Drive(frames, grid), floor.parent)
+    assert of_truth is not None
+    made: object = of_truth.make()
+    assert isinstance(made, dict)
+    written, _ = read_rotated_map(Path(made["map"]))
+    np.testing.assert_array_equal(written.occupied(), grid.occupied())
+
+
+def test_maps_and_starts_that_cannot_be_used_are_errors(tmp_path):
+    free = np.full((4, 4), -3.5, dtype=np.float32)
+    write_map(tmp_path / "free", OccupancyGrid(free, np.ones((4, 4), dtype=bool), CELL_M, 0.0, 0.0))
+    with pytest.raises(BadData, match="no occupied cell"):
+        read_walls(tmp_path / "free.yaml")
+    with pytest.raises(BadData, match="no true map"):
+        load_known_map({"map": "truth"}, Drive([]))
+    for text in ("1,2", "a,b,c", "1,2,nan"):
+        with pytest.raises(BadParameter, match="map_start"):
+            parse_start(text)
+    assert parse_start("1,-2,90") == Pose(1.0, -2.0, math.pi / 2)
+
+
+def test_a_start_survives_json_and_refuses_what_is_no_start():
+    start = MapStart(Pose(1.0, 2.0, 0.5), 3, 0.2, True, 0.8)
+    assert MapStart.of(start.as_dict()) == start
+    for wrong in ({"scans": 0}, {"after_s": -1.0}, {"score": 1.5}, {"scans": 1.5}, {"searched": 1}):
+        with pytest.raises(ValueError, match="expected"):
+            MapStart.of(start.as_dict() | wrong)
