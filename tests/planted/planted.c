@@ -18,6 +18,7 @@
 #endif
 
 #include "evalkit_backend.h"
+#include "parameters.h"
 
 #ifndef FAULT
 #define FAULT 0
@@ -79,14 +80,7 @@ int32_t evalkit_abi(void) { return EVALKIT_ABI; }
 int32_t evalkit_kind(void) { return EVALKIT_REGISTRATION; }
 const char *evalkit_summary(void) { return "point-to-point ICP with a planted fault"; }
 
-const char *evalkit_parameters(void)
-{
-    return "epsilon 1e-4 m stop when the error changes by less\n"
-           "max_iterations 40 - largest number of iterations\n"
-           "one_to_one true - of several sources with one target keep the closest\n"
-           "max_correspondence_m 0.3 m largest distance of a pair, 0 for no limit\n"
-           "min_pairs 3 - fewest pairs\n";
-}
+const char *evalkit_parameters(void) { return PARAMETERS; }
 
 void *evalkit_create(const char *const *names, const char *const *values, size_t count)
 {

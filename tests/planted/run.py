@@ -1,28 +1,53 @@
-"""Validate a library with each planted fault, and print what was found and how it was named: ``make planted``."""
+"""Validate a library with each planted fault, and print what was found and how it was named: ``make planted``.
+
+Results are kept in a file with a row for each build; an interrupted run continues there while the code is the same.
+"""
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
 import os
 import re
 import shutil
+import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
-from examination import build, examine
-from faults import BUILDS, FAULTS, Fault
+from examination import COMPILERS, CROSS, EMULATOR, FOLDER, LINKED, build, examine
+from faults import BUILDS, FAULT_BUILDS, LIBRARIES, Fault
+
+ROOT = FOLDER.parent.parent
+CODE = (ROOT / "evalkit" / "commands" / "validate", ROOT / "evalkit" / "external", FOLDER)
+
+
+@dataclass(frozen=True)
+class Build:
+    """A source to compile with one fault: 0 and an empty name for the correct one."""
+
+    source: str
+    fault: Fault
+    compiler: str
+    options: str
+
+    @property
+    def label(self) -> str:
+        """Of its row in the table."""
+        return f"{self.fault.number} {self.fault.what}" if self.fault.number else f"{self.compiler} {self.options}"
 
 
 @dataclass(frozen=True)
 class Finding:
     """What was found about a build: the texts of all failed checks, the first ones first."""
 
+    source: str
     label: str
     name: str
     texts: tuple[str, ...]
@@ -34,55 +59,143 @@ class Finding:
         return bool(self.texts)
 
     @property
+    def first(self) -> tuple[str, ...]:
+        """The broken rules, and the first difference: what a report says first."""
+        rules = tuple(text for text in self.texts if text.startswith("rule "))
+        return rules + tuple(text for text in self.texts if text not in rules)[:1]
+
+    @property
     def named(self) -> bool:
-        """Whether the first rules, or the first difference, bear the expected name."""
-        rules = [text for text in self.texts if text.startswith("rule ")]
-        first = [text for text in self.texts if not text.startswith("rule ")][:1]
-        return any(re.search(self.name, text) for text in rules + first)
+        """Whether the first texts bear the expected name."""
+        return bool(self.name) and any(re.search(self.name, text) for text in self.first)
+
+    @property
+    def verdict(self) -> str:
+        """In one word or two."""
+        if not self.name:
+            return "FALSE ALARM" if self.found else "right"
+        return "named" if self.named else "found" if self.found else "MISSED"
 
 
-def run(faults: Iterable[Fault], builds: Iterable[tuple[str, str]], seed: int, jobs: int) -> Iterator[Finding]:
-    """The findings about all faults and all correct builds, as they are ready."""
+def planned(sources: Sequence[str], numbers: Sequence[int], fault_options: str = "") -> Iterator[Build]:
+    """All builds of the sources: the correct ones first, with every compiler that is here; or those of some faults.
+
+    ``fault_options``: of the builds with a fault, "" for those of the source.
+    """
+    for source in sources:
+        compilers = [one for one in COMPILERS[Path(source).suffix] if _is_possible(one, source)]
+        for compiler in compilers if not numbers else ():
+            correct = BUILDS[Path(source).suffix]
+            some = correct if compiler == compilers[0] else correct[::3]
+            yield from (Build(source, Fault(0, "", ""), compiler, one) for one in some)
+        for fault in LIBRARIES[source]:
+            if compilers and (not numbers or fault.number in numbers):
+                options = fault_options or FAULT_BUILDS.get(source, BUILDS[Path(source).suffix][1])
+                yield Build(source, fault, compilers[0], options)
+
+
+def _is_possible(compiler: str, source: str) -> bool:
+    """Whether a compiler is here; one for another processor needs its emulator, and a registration."""
+    runs = not compiler.startswith(CROSS) or (source not in LINKED and shutil.which(EMULATOR) is not None)
+    return runs and shutil.which(compiler) is not None
+
+
+def run(builds: Sequence[Build], seed: int, jobs: int) -> Iterator[Finding]:
+    """The findings about all builds, as they are ready."""
     with tempfile.TemporaryDirectory(prefix="evalkit-planted-") as root, ThreadPoolExecutor(jobs) as pool:
 
-        def find(label: str, name: str, number: int, options: str, compiler: str) -> Finding:
+        def find(one: Build) -> Finding:
             started = time.monotonic()
-            texts = tuple(examine(build(number, Path(root), options, compiler), seed))
-            return Finding(label, name, texts, time.monotonic() - started)
+            backend = build(one.fault.number, Path(root), one.options, one.compiler, one.source)
+            texts = tuple(examine(backend, seed))
+            return Finding(one.source, one.label, one.fault.name, texts, time.monotonic() - started)
 
-        waiting = [pool.submit(find, f"{compiler} {options}", "", 0, options, compiler) for compiler, options in builds]
-        waiting += [pool.submit(find, f"{one.number} {one.what}", one.name, one.number, "-O1", "cc") for one in faults]
-        for each in waiting:
+        for each in as_completed([pool.submit(find, one) for one in builds]):
             yield each.result()
+
+
+def code_hash() -> str:
+    """Of the rules, the comparison and the planted sources: results of other code are not continued."""
+    files = sorted(file for folder in CODE for file in folder.rglob("*.*") if file.suffix != ".pyc" and file.is_file())
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+
+
+def read_findings(file: Path, code: str) -> tuple[int | None, list[Finding]]:
+    """The seed and the findings of an earlier run of the same code, or none."""
+    lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    if not lines or (head := json.loads(lines[0])).get("code") != code:
+        return None, []
+    rows = [json.loads(line) for line in lines[1:]]
+    return head["seed"], [Finding(**{**row, "texts": tuple(row["texts"])}) for row in rows]
+
+
+def as_markdown(findings: Sequence[Finding]) -> Iterator[str]:
+    """The table of a documentation page: every fault of every source with what was found, and how long it took."""
+    for source in dict.fromkeys(one.source for one in findings):
+        yield f"\n## {source}\n\n| Build | Verdict | First text | Time |\n|---|---|---|---|"
+        for one in sorted((one for one in findings if one.source == source), key=_order):
+            text = re.sub(r"[|`<>]", " ", (one.first or ("nothing",))[-1 if not one.named else _naming(one)])[:150]
+            yield f"| {one.label} | {one.verdict} | {text} | {one.seconds:.0f} s |"
+
+
+def _naming(one: Finding) -> int:
+    return next(number for number, text in enumerate(one.first) if re.search(one.name, text))
+
+
+def _order(one: Finding) -> tuple[int, str]:
+    number = one.label.partition(" ")[0]
+    return (int(number) if number.isdigit() else 0, one.label)
+
+
+def summaries(findings: Sequence[Finding]) -> Iterator[str]:
+    """One line for each source: found, named, false alarms, time."""
+    for source in dict.fromkeys(one.source for one in findings):
+        own = [one for one in findings if one.source == source]
+        faults, correct = [one for one in own if one.name], [one for one in own if not one.name]
+        yield (
+            f"{source}: {sum(one.found for one in faults)} of {len(faults)} faults found, "
+            f"{sum(one.named for one in faults)} named rightly; {sum(one.found for one in correct)} false alarms in "
+            f"{len(correct)} builds; median {statistics.median(one.seconds for one in own):.0f} s"
+        )
 
 
 def main() -> int:
     """Print the table; returns 1 if a fault was not found, or a correct build failed."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=int(time.time()) % 100_000)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1))
+    parser.add_argument("--source", nargs="*", default=list(LIBRARIES), choices=list(LIBRARIES))
     parser.add_argument(
-        "--only", type=int, nargs="*", help="numbers of faults; without any, all and the correct builds"
+        "--only", type=int, nargs="*", default=[], help="numbers of faults (default: all, and correct builds)"
     )
+    parser.add_argument("--options", default="", help="of the compiler for builds with a fault, such as '-O2 -DSINGLE'")
+    parser.add_argument("--out", type=Path, default=ROOT / "reports" / "build" / "planted.jsonl")
+    parser.add_argument("--markdown", action="store_true", help="print the kept results as a table, and run nothing")
     given = parser.parse_args()
     os.nice(5)
-    chosen = [one for one in FAULTS if not given.only or one.number in given.only]
-    compilers = [one for one in ("cc", "clang") if shutil.which(one)]
-    builds = [] if given.only else [(compiler, options) for compiler in compilers for options in BUILDS]
-    print(f"planted faults, --seed {given.seed}")
-    findings = []
-    for one in run(chosen, builds, given.seed, given.jobs):
+    code = code_hash()
+    kept_seed, findings = read_findings(given.out, code)
+    seed = next((one for one in (given.seed, kept_seed) if one is not None), int(time.time()) % 100_000)
+    if seed != kept_seed:
+        findings = []
+    if given.markdown:
+        print("\n".join(as_markdown(findings)))
+        return 0
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    if not findings:
+        given.out.write_text(json.dumps({"code": code, "seed": seed}) + "\n", encoding="utf-8")
+    done = {(one.source, one.label) for one in findings}
+    builds = [one for one in planned(given.source, given.only, given.options) if (one.source, one.label) not in done]
+    print(f"planted faults, --seed {seed}: {len(done)} kept in {given.out}, {len(builds)} to do", flush=True)
+    for one in run(builds, seed, given.jobs):
         findings.append(one)
-        verdict = "right" if not one.name and not one.found else "FALSE ALARM" if not one.name else (
-            "named" if one.named else "found" if one.found else "MISSED")  # fmt: skip
-        print(f"{verdict:11} {one.seconds:5.1f} s  {one.label}: {'; '.join(one.texts)[:230] or 'nothing'}", flush=True)
-    faults, correct = [one for one in findings if one.name], [one for one in findings if not one.name]
-    found, named = sum(one.found for one in faults), sum(one.named for one in faults)
-    alarms = sum(one.found for one in correct)
-    print(
-        f"{found} of {len(faults)} faults found, {named} named rightly; {alarms} false alarms in {len(correct)} builds"
-    )
-    return 1 if found < len(faults) or alarms else 0
+        with given.out.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(asdict(one)) + "\n")
+        print(
+            f"{one.verdict:11} {one.seconds:5.1f} s  {one.label}: {'; '.join(one.texts)[:230] or 'nothing'}", flush=True
+        )
+    print("\n".join(summaries(findings)))
+    return 1 if any(one.verdict in ("MISSED", "FALSE ALARM") for one in findings) else 0
 
 
 if __name__ == "__main__":

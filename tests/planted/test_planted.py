@@ -6,9 +6,14 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from evalkit.commands.validate.rules import runner
+from evalkit.core.errors import BackendFailed
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.plugins import registry
 
 sys.path.append(str(Path(__file__).parent))
 examination = importlib.import_module("examination")
@@ -18,7 +23,7 @@ NAMES = {one.number: one.name for one in faults.FAULTS}
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler 'cc' here")
 
 
-@pytest.mark.parametrize("number", [0, 38, 53, 65])
+@pytest.mark.parametrize("number", [0, 38, 53, pytest.param(65, marks=pytest.mark.thorough)])
 def test_a_planted_difference_is_the_first_one_named_and_the_correct_library_has_none(number, tmp_path):
     texts = examination.compare(examination.build(number, tmp_path), seed=number + 1)["texts"]
     if number == 0:
@@ -55,8 +60,37 @@ def test_a_library_that_reports_its_pairs_is_compared_by_them(number, level, tmp
         assert "does not take the nearest neighbour" in found["first"]["what"]
 
 
-def test_every_fault_has_a_number_of_its_own_and_a_variant_in_the_source():
-    source = examination.SOURCE.read_text(encoding="utf-8")
-    numbers = [one.number for one in faults.FAULTS]
-    assert len(set(numbers)) == len(numbers) >= 60
-    assert {number for number in numbers if f"F({number})" not in source} == set()
+@pytest.mark.parametrize(
+    ("number", "said"), [(513, "wrote beyond its answer"), (524, "wrote to the guess, which is read-only")]
+)
+def test_a_library_that_writes_where_it_may_not_is_refused(number, said, tmp_path):
+    spec = registry.backend(examination.build(number, tmp_path, "-O1", "cc", "single.c"))
+    cloud = Cloud(np.random.default_rng(0).uniform(-3.0, 3.0, (20, 2)))
+    with pytest.raises(BackendFailed, match=said):
+        spec.make(**{one.name: one.default for one in spec.parameters}).register(cloud, cloud, Pose(0.0, 0.0, 2.0))
+
+
+@pytest.mark.parametrize("source", sorted(faults.LIBRARIES))
+def test_every_fault_has_a_number_of_its_own_and_a_variant_in_the_source(source):
+    text = (examination.FOLDER / source).read_text(encoding="utf-8")
+    numbers = [one.number for one in faults.LIBRARIES[source]]
+    assert len(set(numbers)) == len(numbers) >= 10
+    found = {int(number) for number in re.findall(r"""(?:F|fault!?)\("?([0-9]+)"?\)""", text)} - {0}
+    assert found == set(numbers)
+
+
+@pytest.mark.parametrize(
+    ("source", "compiler", "options"), [("second.cpp", "c++", "-O1"), ("program.rs", "rustc", "-O")]
+)
+@pytest.mark.parametrize("correct", [True, False])
+def test_a_second_and_a_third_implementation_equal_the_reference_and_a_fault_of_each_is_named(
+    source, compiler, options, correct, tmp_path
+):
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no compiler {compiler!r} here")
+    number, name = {"second.cpp": (215, "16 bits behind the point"), "program.rs": (301, "6 decimals")}[source]
+    backend = examination.build(0 if correct else number, tmp_path, options, compiler, source)
+    a, b = ({"name": one, "given": {}} for one in ("paper", backend))
+    found = examination.question_probes.compare_questions(a, b, 3, ["exact"], True)["exact"]
+    assert (found["beyond_rounding"] == 0) is correct
+    assert correct or name in found["families"]["scales"]["first"]["what"]

@@ -126,7 +126,7 @@ class AcceptanceReport:
         """One sentence (or two): the claim holds, or where it first fails."""
         if self.passed:
             passed = [level for level in self.levels if level.outcome(self.claim) == "passed"]
-            levels = ", ".join(level.name for level in passed)
+            levels = ", ".join(level.name for level in passed) + self._waived
             if not self.reference:
                 return f"{self.subject} passes every level that was run ({levels})"
             if self.claim == "equal":
@@ -141,6 +141,11 @@ class AcceptanceReport:
         if failed[0][1].deciding != "always" or refuting is None:
             return first
         return f"{first}. It {self._failure(*refuting)}"
+
+    @property
+    def _waived(self) -> str:
+        names = (one.name for level in self.levels for one in level.checks if one.outcome == "waived")
+        return f"; waived: {text}" if (text := ", ".join(dict.fromkeys(names))) else ""
 
     def _open_verdict(self) -> str:
         for level in self.levels:

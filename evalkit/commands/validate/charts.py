@@ -10,7 +10,8 @@ import numpy as np
 from evalkit.commands.validate.acceptance import AcceptanceLevel
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.equivalence.map_cells import GridPair
-from evalkit.commands.validate.level_answers import answer_errors, format_stage
+from evalkit.commands.validate.known_motion import answer_errors
+from evalkit.commands.validate.level_answers import format_stage
 from evalkit.commands.validate.level_costs import milliseconds
 from evalkit.commands.validate.level_runs import CELL_MARGIN, path_distances
 from evalkit.core import se2

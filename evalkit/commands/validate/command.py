@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import secrets
 import shlex
 import shutil
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
-from rich.table import Table
-from rich.text import Text
 
 from evalkit.config.experiment import RESULTS
 from evalkit.core.errors import BadParameter, NotInstalled
@@ -26,7 +22,7 @@ from evalkit.plugins import defaults, registry
 from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.specs import DatasetSpec
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Jobs, Json, err, out
+from evalkit.terminal.options import Jobs, Json, err
 
 if TYPE_CHECKING:
     from evalkit.commands.validate.acceptance import AcceptanceReport, Claim
@@ -34,9 +30,6 @@ if TYPE_CHECKING:
     from evalkit.commands.validate.run import ProgressDisplay
     from evalkit.config.experiment import Experiment
     from evalkit.execution.executors import Progress
-
-MAX_LINES = 4
-"""Checks of a level in the printed summary of a report with several levels; the page shows all."""
 
 SEED_FILE = "seed.txt"
 """In the results folder: the seed of its drawn questions."""
@@ -90,7 +83,8 @@ def validate(
     ] = None,
     claim: Annotated[str, typer.Option(help="equal: the answers of the reference; as-good: no worse.")] = "equal",
     margin: Annotated[
-        str, typer.Option(help="auto, exact (1e-9), float32 (computed) or METRES[,RADIANS[,LOG_ODDS]].")
+        str,
+        typer.Option(help="auto, exact (1e-9), float32 (computed), or metres, radians, log-odds: 0.01,0.002,0.1."),
     ] = "auto",
     share: Annotated[
         float, typer.Option(min=0.01, max=1.0, help="as-good: the tolerated share of the noise level.")
@@ -136,7 +130,7 @@ def validate(
     ] = 2,
     repetitions: Annotated[int, typer.Option(min=2, help="Runs of each.", rich_help_panel=DETERMINISM)] = 2,
     folder: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="evalkit-results/validate-NAME")
+        Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="./evalkit-results")
     ] = None,
     jobs: Jobs = None,
     as_json: Json = False,
@@ -147,7 +141,7 @@ def validate(
     does not hold. A data set has rules alone, a mapper lockstep alone. --only determinism takes any number of back
     ends, none for every installed one.
     """
-    from evalkit.commands.validate import plan, run  # noqa: PLC0415 - imports scipy.stats
+    from evalkit.commands.validate import plan, printing, run  # noqa: PLC0415 - imports scipy.stats and matplotlib
 
     _add_module_path(*(backends or []), reference, *(peer or []))
     group = "rules" if rule else _parse_only(only)
@@ -168,22 +162,38 @@ def validate(
     if fresh:
         for part in ("tasks", "runs"):  # only what this command writes: the folder may contain other files
             shutil.rmtree(out_folder / part, ignore_errors=True)
-    workers = jobs or environment.physical_cores()
     display = run.ProgressDisplay(lambda total, count: progress.show_tasks(err, total, count), _show_runs)
-    subject = _subject(name) if name else "back end"
-    if subject == "data set":
-        _refuse_only(group, ("", "rules"), name, subject)
-        report = run.report_dataset(name, request.given, frames)
-    elif subject == "mapper":
-        _refuse_only(group, ("", "lockstep"), name, subject)
-        report = run.report_mapper(request, out_folder, workers, display)
-    elif group == "rules":
+    execution = _Execution(out_folder, jobs or environment.physical_cores(), display)
+    if group == "rules" and _subject(name) == "back end":
         report = run.report_rules(name, request.given, tuple(rule or ()), limit, request.seed, excepted)
-    elif group == "determinism":
+    elif group == "determinism" and (not name or _subject(name) == "back end"):
         report = run.report_determinism(names, request.given, request.on, threads, repetitions, _announce)
     else:
-        report = _compare(request, out_folder, workers, display)
-    _finish(report, out_folder, as_json, junit)
+        report = _report(request, execution, frames)
+    printing.finish(report, out_folder, as_json, junit)
+
+
+@dataclass(frozen=True)
+class _Execution:
+    """Results folder, number of workers, progress display."""
+
+    folder: Path
+    workers: int
+    display: ProgressDisplay
+
+
+def _report(request: ValidationRequest, execution: _Execution, frames: int) -> AcceptanceReport:
+    """The report of a data set, a mapper, or the levels of a back end that need a reference."""
+    from evalkit.commands.validate import run  # noqa: PLC0415 - as above
+
+    name, group, subject = request.backend, request.only, _subject(request.backend)
+    if subject == "data set":
+        _refuse_only(group, ("", "rules"), name, subject)
+        return run.report_dataset(name, request.given, frames)
+    if subject == "mapper":
+        _refuse_only(group, ("", "lockstep"), name, subject)
+        return run.report_mapper(request, execution.folder, execution.workers, execution.display)
+    return _compare(request, execution.folder, execution.workers, execution.display)
 
 
 def _compare(request: ValidationRequest, folder: Path, workers: int, display: ProgressDisplay) -> AcceptanceReport:
@@ -194,49 +204,6 @@ def _compare(request: ValidationRequest, folder: Path, workers: int, display: Pr
     for name, why in planned.unavailable.items():
         err.print(f"not available here: {name}: {why}", markup=False, highlight=False)
     return run.ValidationRun(planned, folder, workers, display).report()
-
-
-def _finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | None) -> None:
-    """Writes the page and the JSON file, prints the report, and exits with code 1 if the claim does not hold."""
-    from evalkit.commands.validate import page  # noqa: PLC0415 - imports matplotlib
-    from evalkit.commands.validate.acceptance import as_junit  # noqa: PLC0415 - as above
-    from evalkit.io.output_files import write_texts  # noqa: PLC0415 - as above
-
-    content = report.as_json()
-    command = "evalkit " + shlex.join(sys.argv[1:])
-    write_texts(
-        folder,
-        {"acceptance.json": json.dumps(content, indent=1) + "\n", "index.html": page.render_page(report, command)},
-    )
-    if junit is not None:
-        write_texts(junit.parent, {junit.name: as_junit(report)})
-    if as_json:
-        options.print_json(content)
-    else:
-        progress.print_table(out, _table(report))
-        out.print(report.verdict, markup=False, emoji=False, highlight=False)
-        if (seed := report.settings.get("seed")) is not None:
-            out.print(f"{report.asked} checks, questions drawn with --seed {seed}", markup=False, highlight=False)
-        out.print(str((folder / "index.html").resolve()), markup=False, highlight=False)
-    if not report.passed:
-        raise typer.Exit(1)
-
-
-def _table(report: AcceptanceReport) -> Table:
-    """One row per level; of a single level, one row per check."""
-    if len(report.levels) == 1:
-        table = Table("check", "outcome", "observed", expand=out.is_terminal)
-        for check in report.levels[0].checks:
-            name = f"{check.name}, {check.on}" if check.on else check.name
-            table.add_row(Text(name), check.outcome, Text(check.observed))  # third-party text is no markup
-        return table
-    table = Table("level", "outcome", "observed", expand=out.is_terminal)
-    for level in report.levels:
-        checks = level.decisive_checks(report.claim)
-        lines = [f"{one.on + ': ' if one.on else ''}{one.name}: {one.observed}" for one in checks[:MAX_LINES]]
-        lines += [f"... and {len(checks) - MAX_LINES} more"] if len(checks) > MAX_LINES else []
-        table.add_row(f"{level.number} {level.name}", level.outcome(report.claim), Text("\n".join(lines)))
-    return table
 
 
 @contextmanager

@@ -74,13 +74,19 @@ def measure_determinism(
 
 def compare_runs(backend: str, runs: Mapping[int, list[RunResult]]) -> Determinism:
     """The comparison of complete runs by number of threads."""
-    digests = {number: tuple(hash_answers(run) for run in repeated) for number, repeated in runs.items()}
+    digests = {number: tuple(_hash_run(run) for run in repeated) for number, repeated in runs.items()}
     verdict: Repeatability = "bit-equal"
     if len({one for own in digests.values() for one in own}) > 1:
         verdict = "thread-dependent"
     if any(len(set(own)) > 1 for own in digests.values()):
         verdict = "not deterministic"
     return Determinism(backend, verdict, *_largest_distance([run for own in runs.values() for run in own]), digests)
+
+
+def _hash_run(run: RunResult) -> str:
+    """The digest of the answers and of the corrected poses of a SLAM."""
+    corrected = run.with_final_answers
+    return hash_answers(run) + (hash_answers(corrected) if corrected else "")
 
 
 def _largest_distance(runs: list[RunResult]) -> tuple[float | None, int]:

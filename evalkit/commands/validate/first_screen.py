@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from evalkit.commands.validate.acceptance import AcceptanceReport
 from evalkit.commands.validate.charts import map_figures
-from evalkit.commands.validate.level_answers import noise_level
+from evalkit.commands.validate.known_motion import noise_level
 from evalkit.report.html.blocks import Figure
 from evalkit.report.html.svg import element, join
 

@@ -5,19 +5,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from evalkit.commands.validate.acceptance import AcceptanceLevel, Check, Outcome
-from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING
+from evalkit.commands.validate.comparison_terms import ComparisonTerms, Results, is_equal
 from evalkit.commands.validate.equivalence.lockstep import DISTURBED
-from evalkit.commands.validate.equivalence.margins import EquivalenceInterval, interval
+from evalkit.commands.validate.known_motion import known_motion_checks, peer_check
 from evalkit.commands.validate.rules.rule import RuleResult
-from evalkit.core import se2
-from evalkit.core.arrays import Bools
-from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import ENDED
 from evalkit.execution.task import Result
 
@@ -25,66 +20,6 @@ UNNAMED = ("different steps from", "different poses", "not both report their", "
 """Phrases of a first difference whose cause is not known from the answers alone."""
 
 STAGES = {"s2s": "scan to scan", "s2m": "scan to map"}
-
-Results = Mapping[str, Result]
-"""Results by place: "room, seed 0"."""
-
-
-@dataclass(frozen=True)
-class ComparisonTerms:
-    """The labels of the validated back end and its reference, the margin, and the peers.
-
-    ``noise_share``: the share of the noise level by which an answer may be worse and still count as good. ``waivers``:
-    reasons by the name of a check that is excepted.
-    """
-
-    backend: str
-    reference: str
-    margin: str
-    noise_share: float
-    peers: tuple[str, ...] = ()
-    waivers: Mapping[str, str] = field(default_factory=dict)
-
-
-def choose_margin(results: Results, margins: Sequence[str]) -> str:
-    """The first margin under which all results are equal.
-
-    Single precision is chosen only if every result shows its rounding and the back end repeats all its answers to the
-    bit: a difference in some results, or one that comes and goes, is no rounding. If there is no such margin: the last
-    one if every difference is due to rounding, else the first.
-    """
-    completed = [result for result in results.values() if ENDED not in result]
-    if not completed or any(result.get("unrepeated") for result in completed):
-        return margins[0]
-    for margin in margins:
-        contradicted = margin != margins[0] and any(is_equal(result[margins[0]], margins[0]) for result in completed)
-        if not contradicted and all(is_equal(result[margin], margin) for result in completed):
-            return margin
-    if any(is_equal(result[margins[0]], margins[0]) for result in completed):
-        return margins[0]
-    kinds = [result[margins[0]]["first"]["kind"] for result in completed if result[margins[0]]["first"]]
-    return margins[-1] if kinds and all(kind in ROUNDING for kind in kinds) else margins[0]
-
-
-def is_equal(comparison: Mapping[str, Any], margin: str) -> bool:
-    """Whether a comparison shows no difference.
-
-    Under the float32 margin, every answer beyond the margin must have diverged by rounding: at a tie that single
-    precision breaks differently. The mean of such answers is not compared; level 3 measures what they lead to.
-    """
-    if margin != FLOAT32 or comparison["level"] == "trajectories":
-        return bool(comparison["equivalent"])
-    return not comparison["beyond_rounding"] and not comparison["unanswered"]
-
-
-def format_margin(results: Results, margin: str) -> str:
-    """The margin in words, at the largest value over all results."""
-    completed = [result for result in results.values() if ENDED not in result and "families" not in result[margin]]
-    if not completed:
-        return "within no margin: no question was answered"
-    largest = max((result[margin]["margin"] for result in completed), key=lambda one: float(one["metres"]))
-    size = f"{largest['metres']:.2g} m and {largest['radians']:.2g} rad"
-    return f"within the single-precision rounding margin ({size})" if margin == FLOAT32 else f"within {size}"
 
 
 def rules_level(
@@ -125,16 +60,16 @@ def registrations_level(
     results: Results, peers: Mapping[str, Results], terms: ComparisonTerms, drawn: Results | None = None
 ) -> AcceptanceLevel:
     """Level 1; ``peers``: the answers of other methods by name; ``drawn``: the comparison of drawn questions."""
-    checks = [_equality(place, result, terms, "pair") for place, result in results.items()]
+    checks = _repetition_checks({**results, **(drawn or {})})  # a state explains every other difference
+    checks += [_equality(place, result, terms, "pair") for place, result in results.items()]
     for place, result in (drawn or {}).items():
         checks += _drawn_checks(place, result, terms)
     checks = _name_by_questions(checks, drawn or {}, terms)
     checks += _field_checks({**results, **(drawn or {})}, terms)
-    checks += _repetition_checks({**results, **(drawn or {})})
     completed = {place: result for place, result in results.items() if ENDED not in result}
     if completed:
-        checks += _known_motion(completed, terms)
-        checks += [_distance_to_peer(name, completed, answers, terms) for name, answers in peers.items()]
+        checks += known_motion_checks(completed, terms)
+        checks += [peer_check(name, completed, answers, terms) for name, answers in peers.items()]
     standalone = all(result["alone"] for result in completed.values())
     question = (
         f"Does one registration give the answer of {terms.reference}, and does it find a known motion?"
@@ -238,15 +173,18 @@ def _name_by_questions(checks: list[Check], drawn: Results, terms: ComparisonTer
     With well separated points every neighbour search and every outlier rule give the same pairs.
     """
     families = [one[terms.margin]["families"] for one in drawn.values() if ENDED not in one]
-    if not families or "clear" not in families[0]:
+    if not families:
         return checks
     where = next(one[terms.margin]["where"] for one in drawn.values() if ENDED not in one)
+    if "clear" not in families[0]:  # odometries
+        return [replace(one, observed=f"{one.observed}; {where}") if where and one.outcome == "failed"
+                and where not in one.observed and one.deciding == "equal" else one for one in checks]  # fmt: skip
     clear, limits = families[0]["clear"], families[0].get("limits", {"wrong": 0})
 
     def cause(text: str) -> str:
         if where:
             return f"answers differ {where}"
-        if clear["wrong"] and " pairs against " in clear["first"]["what"]:
+        if clear["wrong"] and clear["first"]["quantity"] == "pairs":
             return "the neighbours differ: even well separated points do not all get a partner"
         if clear["wrong"]:
             return "the step differs: with well separated points the pairs are the same, and the answers are not"
@@ -296,109 +234,3 @@ def _repetition_checks(results: Results) -> list[Check]:
         return []
     observed = f"asked again at the end, answers differ: {wrong}" if wrong else "all answers came again to the bit"
     return [Check("repeats its answers", "", "failed" if wrong else "passed", "always", observed)]
-
-
-def _known_motion(results: Results, terms: ComparisonTerms) -> list[Check]:
-    """Whether the back end finds known motions as well as the reference does."""
-    known = {place: result for place, result in results.items() if np.isfinite(result["truth"]).any()}
-    if not known:
-        return []
-    own, others = (answer_errors(known, side) for side in ("b", "a"))
-    margins = noise_level(known, terms.noise_share)
-    on = ", ".join(dict.fromkeys(place.partition(",")[0] for place in known))
-    checks = []
-    for column, unit, quantity in ((0, "m", "position"), (1, "rad", "heading")):
-        answered = np.isfinite(own[:, column]) & np.isfinite(others[:, column])
-        gap = _interval(quantity, unit, (own - others)[answered, column], margins[column])
-        observed = (
-            f"mean error {np.nanmean(own[:, column]):.3g} {unit}, {terms.reference} "
-            f"{np.nanmean(others[:, column]):.3g} {unit}; difference {_format_interval(gap)}"
-        )
-        outcome, hint = judge_gap(gap.mean, gap.low, gap.high, gap.margin, gap.n)
-        if not answered.all():
-            outcome, hint = "failed", f"{int((~answered).sum())} pairs have no answer"
-        name = f"finds a known motion as well as {terms.reference}: {quantity}"
-        margin = _format_noise(gap, terms.noise_share)
-        checks.append(Check(name, on, outcome, "as-good", observed, margin, hint))
-    return checks
-
-
-def _distance_to_peer(name: str, results: Results, answers: Results, terms: ComparisonTerms) -> Check:
-    """The distance of the answers to those of another method."""
-    label = f"compared with {name}"
-    shared = {place: result for place, result in results.items() if ENDED not in answers.get(place, {ENDED: ""})}
-    if not shared:
-        why = "; ".join(dict.fromkeys(str(result[ENDED]) for result in answers.values()))
-        return Check(label, "", "not applicable", "never", f"{name} did not finish: {why}")
-    apart = np.concatenate([se2.between(answers[place]["rows"], result["b"]) for place, result in shared.items()])
-    near = np.concatenate([near_guesses(result) for result in shared.values()])
-    rows = apart[near & np.isfinite(apart).all(axis=1)]
-    if not len(rows):
-        return Check(label, "", "not applicable", "never", "no pair was answered by both")
-    margins = noise_level(shared, terms.noise_share)
-    distance = np.hypot(rows[:, 0], rows[:, 1])
-    tests = [_interval(axis, unit, rows[:, column], margins[column // 2])
-             for column, (axis, unit) in enumerate((("x", "m"), ("y", "m"), ("theta", "rad")))]  # fmt: skip
-    unbiased = all(one.inside for one in tests)
-    observed = (
-        f"answers lie {np.median(distance):.2g} m apart (median; 95 % within {np.quantile(distance, 0.95):.2g} m), "
-        f"{'without a bias' if unbiased else 'with a bias beyond the margin, or too few pairs to exclude one'}"
-    )
-    x, y, theta = (_format_interval(one) for one in tests)
-    on = ", ".join(dict.fromkeys(place.partition(",")[0] for place in shared))
-    return Check(
-        label, f"{on}, near guesses", "informative", "never", observed, _format_noise(tests[0], terms.noise_share),
-        f"means over {len(rows)} pairs: x {x}, y {y}, theta {theta}",
-    )  # fmt: skip
-
-
-def judge_gap(value: float, low: float, high: float, margin: float, count: int) -> tuple[Outcome, str]:
-    """Whether a loss is shown to be below a margin, or above it, and else what would show it.
-
-    ``low``, ``high``: the 90 % interval of the loss over ``count`` values; it shrinks with the root of their number.
-    """
-    if high < margin:
-        return "passed", ""
-    if low > margin:
-        return "failed", "its loss is shown to exceed the margin"
-    if value >= margin or not math.isfinite(high):
-        return "not shown", "more data would show which: the loss is near the margin, or the values are too few"
-    wanted = count * ((high - value) / (margin - value)) ** 2
-    return (
-        "not shown",
-        f"about {math.ceil(wanted):,} values instead of {count:,} would show it: more --seeds, longer --on",
-    )
-
-
-def near_guesses(result: Result) -> Bools:
-    """Which questions (N,) started from a guess near the answer, not from a disturbed one."""
-    return np.array([not stage.endswith(DISTURBED) for stage in result["stage"]], dtype=np.bool_)
-
-
-def answer_errors(results: Results, side: str) -> Floats:
-    """Errors (N, 2) of all answers to known motions: metres and radians, nan if there is no answer or no truth."""
-    apart = np.concatenate([se2.between(result["truth"], result[side]) for result in results.values()])
-    return np.stack([np.hypot(apart[:, 0], apart[:, 1]), np.abs(apart[:, 2])], axis=1)
-
-
-def noise_level(results: Results, share: float) -> tuple[float, float]:
-    """A share of the uncertainty of an answer due to the sensor's noise alone: metres, radians.
-
-    N points with mean distance e to their partners determine a position to about e / sqrt(N), and a heading to that
-    divided by their root mean square radius.
-    """
-    metres = np.concatenate([result["residual_m"] / np.sqrt(result["points"]) for result in results.values()])
-    radii = np.concatenate([result["radius_m"] for result in results.values()])
-    return share * float(np.median(metres)), share * float(np.median(metres / radii))
-
-
-def _interval(quantity: str, unit: str, values: Floats, margin: float) -> EquivalenceInterval:
-    return interval(quantity, unit, values, np.arange(1, len(values) + 1), margin)
-
-
-def _format_interval(one: EquivalenceInterval) -> str:
-    return f"{one.mean:.2g} {one.unit} (90 % [{one.low:.2g}, {one.high:.2g}])"
-
-
-def _format_noise(one: EquivalenceInterval, share: float) -> str:
-    return f"{one.margin:.2g} {one.unit}: {share:g} of the noise level, mean residual / sqrt(points)"

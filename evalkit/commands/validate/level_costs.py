@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from evalkit.commands.validate.acceptance import AcceptanceLevel, Check, Outcome
-from evalkit.commands.validate.level_answers import ComparisonTerms
+from evalkit.commands.validate.comparison_terms import ComparisonTerms
 from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import ENDED
 from evalkit.execution.task import Result

@@ -10,9 +10,11 @@ import numpy as np
 from scipy import stats
 
 from evalkit.commands.validate.acceptance import AcceptanceLevel, Check
+from evalkit.commands.validate.comparison_terms import ComparisonTerms
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.equivalence.map_cells import GridPair
-from evalkit.commands.validate.level_answers import ComparisonTerms, judge_gap, mapper_check, unfinished_check, waive
+from evalkit.commands.validate.known_motion import judge_gap
+from evalkit.commands.validate.level_answers import mapper_check, unfinished_check, waive
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import ENDED

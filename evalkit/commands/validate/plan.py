@@ -152,7 +152,7 @@ class ValidationPlan:
             "rules", probes.rules, name=self.backend, given=given, limit_s=30.0, seed=self.request.seed,
             digest=spec.digest,
         )  # fmt: skip
-        return task.depending_on(*self._modules(self.backend))
+        return replace(task.depending_on(*self._modules(self.backend)), own_process=True)
 
     def pair_tasks(self) -> Iterator[AnyTask]:
         """The tasks of level 1."""

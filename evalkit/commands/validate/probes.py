@@ -11,8 +11,8 @@ import numpy as np
 from evalkit.commands.validate import scan_pairs
 from evalkit.commands.validate.equivalence import comparison, lockstep
 from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING, MarginChoice
-from evalkit.commands.validate.equivalence.divergence import first_divergence
-from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend
+from evalkit.commands.validate.equivalence.divergence import first_divergence, wrong_fields
+from evalkit.commands.validate.equivalence.lockstep import DISTURBED, AnswerPair, ComparedBackend
 from evalkit.commands.validate.equivalence.margins import (
     FLOAT32_ROUNDOFF,
     TIE_ROUNDINGS,
@@ -20,6 +20,7 @@ from evalkit.commands.validate.equivalence.margins import (
     difference,
     radius_m,
 )
+from evalkit.commands.validate.equivalence.rounding import is_decided_by_rounding
 from evalkit.commands.validate.rules import runner
 from evalkit.commands.validate.rules.state_rules import match_bits
 from evalkit.commands.validate.scan_pairs import ScanPair, TwoScans
@@ -44,6 +45,9 @@ Data = Mapping[str, Any]
 EXACT = "exact"
 START = Pose(0.0213, 0.0117, 0.3)
 """A start off every cell corner: from a corner, beams at 45 degrees pass corners, where rounding alone decides."""
+
+CERTAIN = 3
+"""Poses that differ by more than rounding, after which this is no question of rounding."""
 
 NO_POSE = (np.nan, np.nan, np.nan)
 
@@ -71,7 +75,7 @@ def compare_pairs(a: Plugin, b: Plugin, on: Data, count: int, exact: bool, margi
     residuals = [scan_pairs.residual_m(one.question, answer) for one, answer in zip(answered, answers, strict=True)]
     return {
         **_describe_questions(pairs),
-        **_compare(sides, on["label"], answered, margins),
+        **_compare(sides, on["label"], answered, margins, lambda _: first if alone else None),
         "alone": alone,
         "unrepeated": unrepeated,
         "a": _rows(answers),
@@ -117,7 +121,9 @@ def compare_scans(a: Plugin, b: Plugin, on: Data, scans: int, margins: list[str]
         for pair in lockstep.answer_pairs(*sides, sequence, scans, disturbed):
             note_place(f"{on['label']}, scan {pair.question.scan}")
             answered.append(pair)
-        return {**_compare(sides, on["label"], answered, margins), **_answer_differences(answered)}
+        stages = sides[0].registrations()
+        compared = _compare(sides, on["label"], answered, margins, lambda stage: stages[stage.removesuffix(DISTURBED)])
+        return {**compared, **_answer_differences(answered)}
     poses = []
     for pose in lockstep.pose_pairs(*sides, sequence, scans):
         note_place(f"{on['label']}, scan {pose.scan}")
@@ -225,15 +231,48 @@ def _describe_questions(pairs: list[ScanPair]) -> dict[str, Any]:
 
 
 def _compare(
-    sides: tuple[ComparedBackend, ComparedBackend], label: str, answered: list[AnswerPair], margins: list[str]
+    sides: tuple[ComparedBackend, ComparedBackend],
+    label: str,
+    answered: list[AnswerPair],
+    margins: list[str],
+    reference_of: Callable[[str], Registration | None],
 ) -> dict[str, Any]:
-    """The comparison under every margin; ``beyond_rounding``: answers beyond it for another reason than rounding."""
+    """The comparison under every margin; ``beyond_rounding``: answers beyond it for another reason than rounding.
+
+    ``reference_of``: the reference of a stage, which is asked again with perturbed points where an answer differs under
+    the float32 margin: what rounding decides is no difference.
+    """
     results = {}
     for name in margins:
-        result = comparison.compare_answers(sides, label, answered, parse_margin(name))
-        beyond = sum(_beyond_rounding(one, result.margin) for one in answered)
-        results[name] = result.as_json() | {"beyond_rounding": beyond}
+        choice = parse_margin(name)
+        result = comparison.compare_answers(sides, label, answered, choice)
+        beyond = [one for one in answered if _beyond_rounding(one, result.margin)]
+        fields = result.fields
+        if choice == FLOAT32 and (beyond or fields):
+            undecided = _undecided(answered, beyond, result.margin, reference_of)
+            beyond = [one for one in beyond if id(one) not in undecided]
+            decided = [(one, result.margin) for one in answered if id(one) not in undecided]
+            fields = comparison.count_fields(decided, choice)
+        results[name] = result.as_json() | {"beyond_rounding": len(beyond), "fields": dict(fields)}
     return results
+
+
+def _undecided(
+    answered: list[AnswerPair], beyond: list[AnswerPair], margin: Margin,
+    reference_of: Callable[[str], Registration | None],
+) -> set[int]:  # fmt: skip
+    """The ids of answers that rounding decides; after ``CERTAIN`` poses that it does not, no further one is tried."""
+    found: set[int] = set()
+    certain = 0
+    for one in answered:
+        reference = reference_of(one.question.stage)
+        if reference is None or one.b is None or not (one in beyond or wrong_fields(one.a, one.b, margin)):
+            continue
+        if is_decided_by_rounding(reference, one.question, one.a, margin):
+            found.add(id(one))
+        elif one in beyond and (certain := certain + 1) == CERTAIN:
+            break
+    return found
 
 
 def _beyond_rounding(answered: AnswerPair, margin: Margin) -> bool:

@@ -10,24 +10,18 @@ from typing import Any, Literal
 
 import numpy as np
 
+from evalkit.commands.validate.drive_probes import compare_drives
 from evalkit.commands.validate.equivalence import lockstep
 from evalkit.commands.validate.equivalence.agreement import as_plain
 from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING, MarginChoice, count_fields
 from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence, wrong_fields
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, Question
-from evalkit.commands.validate.equivalence.margins import (
-    FLOAT32_ROUNDOFF,
-    TIE_ROUNDINGS,
-    Margin,
-    Scale,
-    float32_margin,
-    float64_margin,
-)
+from evalkit.commands.validate.equivalence.margins import Margin, Scale, float32_margin, float64_margin
 from evalkit.commands.validate.equivalence.questions import MAX_FLOAT32_REACH_M, DrawnQuestion, draw_questions
+from evalkit.commands.validate.equivalence.rounding import is_decided_by_rounding
 from evalkit.commands.validate.probes import Plugin, load_backend, parse_margin
 from evalkit.commands.validate.rules.state_rules import match_bits
 from evalkit.core.match import Match
-from evalkit.core.scan import Cloud
 from evalkit.execution.sandbox import note_place
 from evalkit.execution.task import Result
 from evalkit.plugins.protocols import Registration
@@ -35,9 +29,6 @@ from evalkit.plugins.specs import RegistrationSpec
 
 TIE_M = 1e-5
 """How far (m, rad) the answers to the two sides of a tie may be from the answer to the tie itself."""
-
-COPIES = 16
-"""Copies of a question, perturbed by rounding, that show whether single precision decides its answer."""
 
 Effect = Literal["none", "some", "not asked"]
 """The effect of a changed parameter on an answer, where it has one on the reference."""
@@ -56,30 +47,19 @@ class Asked:
     repeats: bool
     reference: Registration
 
-    def is_sensitive(self, margin: Margin) -> bool:
-        """Whether rounding to single precision can flip a pair or a stop: it does so in the reference's own answer."""
-        question, right, rng = self.drawn.question, self.answers.a, np.random.default_rng(0)
-        reach = TIE_ROUNDINGS * FLOAT32_ROUNDOFF * Scale.of(question.target, question.source, question.guess).reach_m
-        for _ in range(COPIES):
-            target, source = (Cloud(one.points + rng.uniform(-reach, reach, one.points.shape))
-                              for one in (question.target, question.source))  # fmt: skip
-            match = self.reference.register(target, source, question.guess)
-            counts = (match.inliers, match.iterations, match.converged)
-            if counts != (right.inliers, right.iterations, right.converged) or not margin.holds(
-                match.target_from_source, right.target_from_source
-            ):
-                return True
-        return False
+    def is_decided_by_rounding(self, margin: Margin) -> bool:
+        """Whether no implementation in single precision can be asked for this answer."""
+        return is_decided_by_rounding(self.reference, self.drawn.question, self.answers.a, margin)
 
 
 def compare_questions(a: Plugin, b: Plugin, seed: int, margins: list[str], quick: bool) -> Result:
     """The comparison of the answers to all drawn questions under every margin, by family.
 
-    Back ends that are no registrations are not asked: ``families`` is empty.
+    Back ends that are no registrations are asked drawn drives.
     """
     sides = load_backend(a), load_backend(b)
     if not all(isinstance(side.spec, RegistrationSpec) for side in sides):
-        return {name: _summary([], parse_margin(name)) for name in margins} | {"seed": seed, "unrepeated": 0}
+        return compare_drives(sides, seed, {name: parse_margin(name) for name in margins})
     asked = _ask_all(sides, list(draw_questions(seed, *sides, quick)))
     unrepeated = sum(not one.repeats for one in asked)
     return {name: _summary(asked, parse_margin(name)) for name in margins} | {"seed": seed, "unrepeated": unrepeated}
@@ -135,8 +115,9 @@ def _effect(made: Any, one: DrawnQuestion, answers: AnswerPair) -> Effect:
     if len(one.changes) != 1 or answers.b is None or math.isnan(answers.b.error):
         return "not asked"
     question = one.question
-    base_a, base_b = (made(side, ()).register(question.target, question.source, question.guess) for side in (0, 1))
-    if match_bits(base_a) == match_bits(answers.a):
+    base_a = made(0, ()).register(question.target, question.source, question.guess)
+    base_b = lockstep.answer(made(1, ()), question, base_a).b
+    if base_b is None or match_bits(base_a) == match_bits(answers.a):
         return "not asked"
     return "none" if match_bits(base_b) == match_bits(answers.b) else "some"
 
@@ -154,6 +135,13 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
     families: dict[str, dict[str, Any]] = {}
     verdicts: list[tuple[Asked, bool]] = []
     widest, beyond, unanswered, first = Margin(1e-300, 1e-300), 0, 0, None
+    plausible = margin == FLOAT32
+
+    @cache
+    def is_undecided(one: Asked, known: Margin) -> bool:
+        """Whether rounding decides the answer; asked for as long as rounding explains the answers to clear points."""
+        return plausible and one.is_decided_by_rounding(known)
+
     for family in dict.fromkeys(one.drawn.family for one in asked):
         members = [(one, known) for one in asked
                    if one.drawn.family == family and (known := _margin_of(one.drawn.question, margin))]  # fmt: skip
@@ -161,12 +149,15 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
         effects = {one.effect for one, _ in members}
         ignored = family.removeprefix("parameter ") if "none" in effects and "some" not in effects else ""
         for one, known in members:
-            if divergence := _judge(one, known, margin, ignored, explain=not wrong):
+            explain = not wrong and (plausible or margin != FLOAT32)
+            divergence = _judge(one, known, margin, ignored, explain)
+            if divergence and not is_undecided(one, known):
                 wrong.append((one, divergence))
-            verdicts.append((one, divergence is not None))
+            verdicts.append((one, bool(wrong) and wrong[-1][0] is one))
+        plausible = plausible and not (family == "clear" and wrong)
         plain = [
             (one, known) for one, known in members
-            if not one.others and (margin != FLOAT32 or not _is_decided_by_rounding(one, known))
+            if not one.others and not (plausible and _has_wrong_field(one, known) and is_undecided(one, known))
         ]  # fmt: skip
         fields = count_fields([(one.answers, known) for one, known in plain], margin)
         examples = {
@@ -227,14 +218,13 @@ def _describe_where(verdicts: list[tuple[Asked, bool]]) -> str:
     return ""
 
 
-def _is_decided_by_rounding(one: Asked, margin: Margin) -> bool:
-    """Whether a field differs under the float32 margin, and differs in copies perturbed by rounding as well."""
+def _has_wrong_field(one: Asked, margin: Margin) -> bool:
     b = one.answers.b
-    return b is not None and bool(wrong_fields(one.answers.a, b, margin)) and one.is_sensitive(margin)
+    return b is not None and bool(wrong_fields(one.answers.a, b, margin))
 
 
 def _judge(one: Asked, margin: Margin, choice: MarginChoice, ignored: str, explain: bool) -> Divergence | None:
-    """Why the second answer differs; None if it does not, or only by rounding under the float32 margin.
+    """Why the second answer differs; None if it does not, or is only rounded under the float32 margin.
 
     ``ignored``: the parameter of the family that has no effect, or "".
     """
@@ -245,7 +235,7 @@ def _judge(one: Asked, margin: Margin, choice: MarginChoice, ignored: str, expla
         if any(known.holds(a.target_from_source, answers.b.target_from_source) for a, known in accepted):
             return None
     divergence = first_divergence(answers, margin, explain)
-    if divergence is None or (choice == FLOAT32 and (divergence.kind in ROUNDING or one.is_sensitive(margin))):
+    if divergence is None or (choice == FLOAT32 and divergence.kind in ROUNDING):
         return None
     if ignored and one.drawn.family.startswith("parameter "):
         what = f"parameter {ignored} has no effect"

@@ -12,9 +12,9 @@ from typing import Any
 
 from evalkit.commands.validate import level_answers, level_costs, level_runs, probes
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check
+from evalkit.commands.validate.comparison_terms import ComparisonTerms, Results, choose_margin, format_margin
 from evalkit.commands.validate.determinism import measure_determinism
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
-from evalkit.commands.validate.level_answers import ComparisonTerms, Results
 from evalkit.commands.validate.plan import (
     AUTO,
     ValidationPlan,
@@ -81,9 +81,9 @@ class ValidationRun:
     def _comparison_report(self, results: Results) -> AcceptanceReport:
         """The report of level 1 or level 2 alone."""
         compared = _comparisons(results)
-        margin = level_answers.choose_margin(compared, self.plan.request.margins)
+        margin = choose_margin(compared, self.plan.request.margins)
         levels = self._comparison_levels(results, self._terms(margin))
-        return self._report(margin, level_answers.format_margin(compared, margin), levels)
+        return self._report(margin, format_margin(compared, margin), levels)
 
     def _comparison_levels(self, results: Results, terms: ComparisonTerms) -> tuple[AcceptanceLevel, ...]:
         pairs, scans = _of_kind("pairs", results), _of_kind("scans", results)
@@ -98,7 +98,7 @@ class ValidationRun:
         results = self._compute([*plan.pair_tasks(), *plan.lockstep_tasks(), *plan.mapper_tasks()])
         records = self._run_experiment()
         compared = _comparisons(results)
-        margin = level_answers.choose_margin(compared, plan.request.margins)
+        margin = choose_margin(compared, plan.request.margins)
         perturbed = self._compute(plan.perturbation_tasks()) if margin == FLOAT32 else {}
         times = self._compute(plan.timing_tasks(), workers=1)  # alone: nothing else may run beside a measurement
         terms = self._terms(margin)
@@ -117,7 +117,7 @@ class ValidationRun:
                 terms, compiled_files(plan.backend),
             ),
         )  # fmt: skip
-        return self._report(margin, level_answers.format_margin(compared, margin), levels)
+        return self._report(margin, format_margin(compared, margin), levels)
 
     def _compute(self, tasks: Any, workers: int | None = None) -> dict[str, Result]:
         every: list[AnyTask] = list(tasks)

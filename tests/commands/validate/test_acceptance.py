@@ -10,7 +10,9 @@ import pytest
 import evalkit.commands.validate as package
 from evalkit.commands.validate import plan
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check, Claim, as_junit
-from evalkit.commands.validate.level_answers import choose_margin, judge_gap, rules_level, waive
+from evalkit.commands.validate.comparison_terms import choose_margin
+from evalkit.commands.validate.known_motion import judge_gap
+from evalkit.commands.validate.level_answers import rules_level, waive
 from evalkit.commands.validate.rules.rule import RuleResult
 
 SCHEMA = json.loads((Path(package.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
@@ -134,6 +136,26 @@ def test_single_precision_is_chosen_only_where_every_result_shows_it_and_all_ans
     assert choose_margin({"pairs": result(False, True), "scans": result(True, True)}, both) == "exact"
     assert choose_margin({"pairs": result(False, True, unrepeated=1), "scans": result(False, True)}, both) == "exact"
     assert choose_margin({"pairs": result(True, True), "scans": result(True, True)}, both) == "exact"
+
+
+def test_a_library_in_single_precision_with_a_fault_is_shown_by_what_exceeds_its_rounding():
+    def questions(clear):
+        wrong = {"equivalent": False, "level": "answers", "beyond_rounding": 3, "unanswered": 0,
+                 "first": {"kind": "neighbours"}}  # fmt: skip
+        families = {"clear": {"first": clear and {"kind": clear}}, "edges": {"first": {"kind": "neighbours"}}}
+        return {"questions": {"exact": wrong | {"families": families}, "float32": wrong}}
+
+    both = ["exact", "float32"]
+    assert choose_margin(questions("precision"), both) == "float32"  # even well separated points show rounding
+    assert choose_margin(questions("step"), both) == "exact"
+    assert choose_margin(questions(None), both) == "exact"
+
+
+def test_the_verdict_names_what_is_waived_beside_equivalent():
+    waived = replace(SAME, name="field inliers", outcome="waived")
+    found = report(KEPT, level(1, "registrations", SAME, waived)).verdict
+    assert found.endswith("is equivalent to paper within 1e-09 m at every level that was run (rules, registrations; "
+                          "waived: field inliers)")  # fmt: skip
 
 
 def test_the_junit_file_has_a_case_for_each_check_and_a_failure_for_each_that_refutes():

@@ -11,8 +11,8 @@ import pytest
 
 from evalkit.cli import app
 from evalkit.commands.validate import level_answers, plan, probes, run
+from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
-from evalkit.commands.validate.level_answers import ComparisonTerms
 from evalkit.commands.validate.probes import EXACT
 from evalkit.core.errors import BadExperiment, BadParameter, NotInstalled, UnknownName
 from evalkit.execution import sandbox
@@ -69,7 +69,7 @@ def registrations(backend, reference="paper", given=None):
     """Run AcceptanceLevel 1 over a few pairs, in this process."""
     a, b = ({"name": name, "given": given or {}} for name in (reference, backend))
     found = {"room, seed 0": probes.compare_pairs(a, b, ROOM, 6, True, MARGINS)}
-    margin = level_answers.choose_margin(found, MARGINS)
+    margin = choose_margin(found, MARGINS)
     return level_answers.registrations_level(found, {}, ComparisonTerms(backend, reference, margin, 0.5)), margin
 
 
@@ -109,7 +109,7 @@ def test_single_precision_does_not_excuse_a_fault(misfits):
 
 
 @pytest.mark.slow
-def test_the_report_of_the_compiled_core_is_complete(tmp_path, monkeypatch, capsys):
+def test_the_report_of_the_compiled_core_is_complete(tmp_path, monkeypatch, capsys, scoring_in_threads):
     monkeypatch.setattr(plan, "QUICK", TINY)
     words = ["validate", present("embedded"), "--quick", "--on", "room laps=0.04", "--peer", "paper", "--json"]
     with pytest.raises(SystemExit) as end:
@@ -146,8 +146,8 @@ def test_a_library_equals_itself_as_its_reference(example_library):
     assert (level.outcome("equal"), margin) == ("passed", EXACT)
 
 
-@pytest.mark.slow
-def test_a_library_is_validated_at_every_level(example_library, tmp_path):
+@pytest.mark.thorough
+def test_a_library_is_validated_at_every_level(example_library, tmp_path, scoring_in_threads):
     found = report(make_plan(example_library, claim="as-good"), tmp_path)
     assert [level.outcome("equal") for level in found.levels[:3]] == ["passed", "failed", "failed"]
     assert all(check.outcome == "passed" for check in found.levels[3].checks if check.name == "completes its runs")
@@ -158,7 +158,7 @@ def test_a_crash_is_a_failed_check(misfits):
     a, b = ({"name": name, "given": {}} for name in ("paper", "injected_faults:CRASHES_ON_SCANS"))
     given = {"a": a, "b": b, "on": ROOM, "count": 3, "exact": True, "margins": MARGINS}
     found = {"room, seed 0": sandbox.run(probes.compare_pairs, given, 60.0, 2000)}
-    names = ComparisonTerms("mine", "paper", level_answers.choose_margin(found, MARGINS), 0.5)
+    names = ComparisonTerms("mine", "paper", choose_margin(found, MARGINS), 0.5)
     (check,) = level_answers.registrations_level(found, {}, names).failed("as-good")
     assert "SIGSEGV; it was in: room, seed 0, pair 1 (pair)" in check.observed
 

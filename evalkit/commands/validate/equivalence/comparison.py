@@ -26,6 +26,7 @@ from evalkit.commands.validate.equivalence.margins import (
     pose_intervals,
 )
 from evalkit.core.errors import BadData, DataMissing, NotInstalled
+from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.odometry import frontend
 from evalkit.plugins import defaults, registry
@@ -185,6 +186,7 @@ def count_fields(answered: Iterable[tuple[AnswerPair, Margin]], margin: MarginCh
     and in more than two.
     """
     known = [(one.a, one.b, limits) for one, limits in answered if one.b is not None]
+    capped = any(_is_capped(a, b, limits) for a, b, limits in known)
     traced = any(b.history for _, b, _ in known)
     errors = any(not math.isnan(b.error) for _, b, _ in known)
     counts = Counter(
@@ -192,7 +194,13 @@ def count_fields(answered: Iterable[tuple[AnswerPair, Margin]], margin: MarginCh
         if (traced or not name.startswith("trace")) and (errors or name != "error")
     )  # fmt: skip
     least = max(0.1 * len(known), 2.0) if margin == FLOAT32 else 0.0
-    return {name: count for name, count in counts.items() if count > least}
+    return {name: count for name, count in counts.items() if count > least or (capped and name == "iterations")}
+
+
+def _is_capped(a: Match, b: Match, limits: Margin) -> bool:
+    """Whether the second side ends many iterations before the first one, at the same pose: more than rounding does."""
+    same = limits.holds(a.target_from_source, b.target_from_source)
+    return same and not a.converged and a.iterations - b.iterations > max(10, a.iterations // 2)
 
 
 def _is_strayed(answered: AnswerPair, divergence: Divergence, margin: Margin) -> bool:

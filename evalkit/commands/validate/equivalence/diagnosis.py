@@ -14,8 +14,8 @@ from evalkit.core.se2 import Floats
 
 DivergenceKind = Literal[
     "nearest-neighbour tie", "precision", "stop rule", "iteration cap", "outlier rule", "neighbours", "stale pairs",
-    "step", "start", "cost", "field", "parameter", "units", "sign", "different", "traversal", "endpoint rule", "clamp",
-    "counting rule", "increment",
+    "step", "rounding", "start", "cost", "field", "parameter", "units", "sign", "different", "traversal",
+    "endpoint rule", "clamp", "counting rule", "increment",
 ]  # fmt: skip
 
 EXPLAINED = 0.01
@@ -55,6 +55,8 @@ def mistakes_in_answer(answer: Floats, guess: Floats) -> list[Mistake]:
         *_signs("the answer", answer),
         Mistake("different", "the answer is the inverse: source_from_target", se2.inverse(answer)),
         Mistake("different", "the answer has x and y exchanged", swapped),
+        *_orders("the answer", answer),
+        *_folds("the answer", answer),
         Mistake("different", "the answer leaves out the guess", se2.compose(answer, se2.inverse(guess))),
         Mistake("different", "the answer is relative to the guess", se2.compose(se2.inverse(guess), answer)),
         Mistake("different", "the guess is returned as the answer", guess),
@@ -68,6 +70,9 @@ def mistakes_in_start(guess: Floats) -> list[Mistake]:
         *_signs("the guess", guess),
         Mistake("different", "the guess is inverted: source_from_target", se2.inverse(guess)),
         Mistake("different", "the guess is not used", np.zeros(3)),
+        Mistake("different", "the heading of the guess is not used", np.array([*guess[:2], 0.0])),
+        *_orders("the guess", guess),
+        *_folds("the guess", guess),
     ]
 
 
@@ -142,6 +147,24 @@ def _signs(what: str, row: Floats) -> list[Mistake]:
         Mistake("sign", f"{what}'s y has the wrong sign", np.array([x, -y, theta])),
         Mistake("sign", f"{what}'s translation has the wrong sign", np.array([-x, -y, theta])),
     ]
+
+
+def _orders(what: str, row: Floats) -> list[Mistake]:
+    x, y, theta = row
+    return [
+        Mistake("different", f"{what}'s numbers are in the order theta, x, y", np.array([theta, x, y])),
+        Mistake("different", f"{what}'s numbers are in the order y, theta, x", np.array([y, theta, x])),
+    ]
+
+
+def _folds(what: str, row: Floats) -> list[Mistake]:
+    x, y, theta = row
+    folds = (
+        ("within a quarter turn, as by asin", math.asin(math.sin(theta))),
+        ("positive, as by acos", abs(theta)),
+        ("half a turn off, as by atan of a quotient", float(se2.wrap(theta + math.pi))),
+    )
+    return [Mistake("different", f"{what}'s heading is {how}", np.array([x, y, folded])) for how, folded in folds]
 
 
 def _about(centre: Floats, moved_centre: Floats, theta: float) -> Floats:

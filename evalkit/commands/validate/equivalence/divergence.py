@@ -20,6 +20,7 @@ from evalkit.commands.validate.equivalence.diagnosis import (
 from evalkit.commands.validate.equivalence.hypotheses import ObservedStep
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale, float32_margin
+from evalkit.commands.validate.equivalence.other_points import written_decimals
 from evalkit.core.arrays import Ints
 from evalkit.core.match import Iteration, Match
 from evalkit.core.pose import Pose
@@ -71,7 +72,7 @@ def wrong_fields(a: Match, b: Match, margin: Margin) -> list[str]:
     if not margin.holds(a.target_from_source, b.target_from_source):
         return ["pose"]
     wrong = [name for name in ("converged", "iterations", "inliers") if getattr(a, name) != getattr(b, name)]
-    if not math.isnan(a.error) and not abs(a.error - b.error) <= margin.metres:
+    if math.isnan(a.error) != math.isnan(b.error) or abs(a.error - b.error) > margin.metres:
         wrong.append("error")
     if b.history or a.history:
         if len(a.history) != len(b.history):
@@ -159,6 +160,8 @@ class _AnswerComparison:
         right, other = a.target_from_source, b.target_from_source
         if self._margin.holds(right, other):
             return None
+        if written := self._written(right, other):
+            return self._divergence(number, "pose", "rounding", written)
         if self._rounding.holds(right, other):
             return self._divergence(number, "pose", "precision", f"within rounding to float32 ({self._growth(number)})")
         answers = mistakes_in_answer(right.row, self._question.guess.row)
@@ -170,7 +173,7 @@ class _AnswerComparison:
     def _compare_costs(self, number: int, before: Pose, a: Iteration, b: Iteration) -> Divergence | None:
         if _close(a.error, b.error, self._margin.metres):
             return None
-        values = f"{a.error:.6g} m against {b.error:.6g} m for the same pairs and the same step"
+        values = f"an error of {a.error:.6g} m against {b.error:.6g} m for the same pairs and the same step"
         cost_a, cost_b = self._name_cost(before, a, a.error), self._name_cost(before, a, b.error)
         if cost_a and cost_b and cost_a != cost_b:
             return self._divergence(number, "cost", "cost", f"A reports {cost_a}, B {cost_b} ({values})")
@@ -212,6 +215,8 @@ class _AnswerComparison:
 
     def _unexplained_answer(self) -> Divergence:
         a, b = self._a, self._b
+        if written := self._written(a.target_from_source, b.target_from_source):
+            return self._divergence(None, "answer", "rounding", written)
         if self._rounding.holds(a.target_from_source, b.target_from_source):
             return self._divergence(None, "answer", "precision", f"within rounding to float32 ({self._gap()})")
         if a.inliers != b.inliers:
@@ -237,6 +242,13 @@ class _AnswerComparison:
             history[-1].pairs if history else None, self._lever_m,
         )  # fmt: skip
         return observed.explain()
+
+    def _written(self, right: Pose, other: Pose) -> str:
+        """That a pose was written with few decimals, in words; "" if it was not."""
+        decimals = written_decimals(other.row)
+        if decimals is None or other == self._question.guess or written_decimals(right.row) == decimals:
+            return ""
+        return f"the numbers of the pose are written with {decimals} decimals: rounded"
 
     def _least_squares_side(self, before: Pose, a: Iteration, b: Iteration) -> str:
         if a.pairs is None or not len(a.pairs):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -24,11 +24,15 @@ from evalkit.commands.validate.equivalence.diagnosis import (
     mistakes_in_step,
     motion_distance_m,
 )
+from evalkit.commands.validate.equivalence.other_points import mistaken_points
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.se2 import Floats
 
 MIN_PAIRS = 2
+
+LIMIT_SHARES = (0.5, 0.05, 0.95)
+"""Where the largest distance of a pair, which is not known, is assumed between two distances that enclose it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +55,7 @@ class ObservedStep:
     first: Ints | None
     previous: Ints | None
     lever_m: float
+    limit_share: float = 0.5
 
     def explain(self) -> Mistake | None:
         """The mistake that gives the observed pose; None if no hypothesis does."""
@@ -63,15 +68,32 @@ class ObservedStep:
     def _simple(self) -> Iterator[Mistake]:
         moved = se2.transform(self.before, self.source)
         yield from mistakes_in_step(self.before, moved[self.pairs[:, 0]], self.target[self.pairs[:, 1]], moved)
-        for kind, what, pairs in self._other_pairs(moved):
+        for kind, what, target, other in mistaken_points(self.before, self.target, self.source):
+            pairs = self._filtered(*_nearest(other, target))
             if len(pairs) >= MIN_PAIRS:
-                yield Mistake(kind, what, self._after(self.before, pairs))
+                step = best_step(other[pairs[:, 0]], target[pairs[:, 1]])
+                yield Mistake(kind, what, se2.compose(step, self.before))
+        for share in LIMIT_SHARES:
+            for kind, what, pairs in replace(self, limit_share=share)._other_pairs(moved):
+                if len(pairs) >= MIN_PAIRS:
+                    yield Mistake(kind, what, self._after(self.before, pairs))
+        yield from self._exchanged()
         if self.previous is None:
             for mistake in mistakes_in_start(self.guess):
-                there = se2.transform(mistake.row, self.source)
-                pairs = self._filtered(*_nearest(there, self.target))
-                if len(pairs) >= MIN_PAIRS:
-                    yield Mistake("start", f"another start: {mistake.what}", self._after(mistake.row, pairs))
+                found = _nearest(se2.transform(mistake.row, self.source), self.target)
+                for pairs in (self._filtered(*found), self._counted(*found)):
+                    if len(pairs) >= MIN_PAIRS:
+                        yield Mistake("start", f"another start: {mistake.what}", self._after(mistake.row, pairs))
+
+    def _exchanged(self) -> Iterator[Mistake]:
+        """The step of the target onto the source, inverted."""
+        back = se2.inverse(self.before)
+        moved = se2.transform(back, self.target)
+        for pairs in (self._filtered(*_nearest(moved, self.source)), self._counted(*_nearest(moved, self.source))):
+            if len(pairs) >= MIN_PAIRS:
+                step = best_step(moved[pairs[:, 0]], self.source[pairs[:, 1]])
+                row = se2.inverse(se2.compose(step, back))
+                yield Mistake("neighbours", "target and source are exchanged", row)
 
     def _after(self, before: Floats, pairs: Ints) -> Floats:
         moved = se2.transform(before, self.source[pairs[:, 0]])
@@ -79,12 +101,13 @@ class ObservedStep:
 
     @property
     def _limit_m(self) -> float:
-        """The reference's largest distance of a pair: between its longest pair and the next free neighbour."""
+        """The reference's largest distance of a pair: from its longest pair to the next free neighbour, at a share."""
         onto, distance = _nearest(se2.transform(self.before, self.source), self.target)
         paired = np.isin(np.arange(len(onto)), self.pairs[:, 0])
         free = ~paired & ~np.isin(onto, self.pairs[:, 1])
         longest = float(distance[paired].max(initial=0.0))
-        return 0.5 * (longest + float(distance[free].min())) if free.any() else math.inf
+        next_m = float(distance[free].min(initial=math.inf))
+        return longest + self.limit_share * (next_m - longest) if math.isfinite(next_m) else math.inf
 
     @property
     def _one_to_one(self) -> bool:
@@ -125,6 +148,8 @@ class ObservedStep:
         if self._one_to_one:
             many = "one-to-one filter: several source points may share a target"
             yield "outlier rule", many, self._filtered(onto, distance, keep="all")
+            shortest = np.sort(np.argsort(distance, kind="stable")[: max(self.count, 0)])
+            yield "outlier rule", many, np.stack([shortest, onto[shortest]], axis=1)
             for which in ("first", "last"):
                 what = f"one-to-one filter: the {which} source point of a target is kept, not the closest"
                 yield "outlier rule", what, self._filtered(onto, distance, keep=which)
@@ -145,6 +170,7 @@ class ObservedStep:
         length = np.linalg.norm(moved[every[:, 0]] - self.target[every[:, 1]], axis=1)
         order = np.argsort(length, kind="stable")
         if MIN_PAIRS <= self.count <= len(every) and self.count != len(self.pairs):
+            yield from self._by_range(self.pairs)
             kept = every[order[: self.count]]
             longest, known = float(length[order[self.count - 1]]), len(self.pairs)
             right = float(np.linalg.norm(moved[self.pairs[:, 0]] - self.target[self.pairs[:, 1]], axis=1).max())
@@ -152,6 +178,17 @@ class ObservedStep:
             if self.count < known:
                 what = f"the longest {known - self.count} of {known} pairs are dropped, beyond {longest:.4g} m"
             yield "outlier rule", what, kept
+
+    def _by_range(self, pairs: Ints) -> Iterator[tuple[DivergenceKind, str, Ints]]:
+        """As many pairs as are reported, without those whose source point is near the sensor, or far from it."""
+        if not MIN_PAIRS <= self.count < len(pairs):
+            return
+        away = np.linalg.norm(self.source[pairs[:, 0]], axis=1)
+        order = np.argsort(away, kind="stable")
+        for name, kept, limit in (("nearer", order[-self.count :], order[-self.count]),
+                                  ("farther", order[: self.count], order[self.count - 1])):  # fmt: skip
+            what = f"source points {name} to the origin than {away[limit]:.3g} m are dropped"
+            yield "outlier rule", what.replace("farther to", "farther from"), pairs[np.sort(kept)]
 
     def _by_neighbours(self, moved: Floats) -> Iterator[tuple[DivergenceKind, str, Ints]]:
         """Other neighbours than the nearest ones."""

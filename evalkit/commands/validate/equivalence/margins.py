@@ -46,8 +46,8 @@ class Margin:
 
     def holds(self, a: Pose, b: Pose) -> bool:
         """Whether two poses are equal within the margin."""
-        away = a.inverse() @ b
-        return math.hypot(away.x, away.y) <= self.metres and abs(away.theta) <= self.radians
+        turn = math.remainder(b.theta - a.theta, 2.0 * math.pi)
+        return math.hypot(b.x - a.x, b.y - a.y) <= self.metres and abs(turn) <= self.radians
 
 
 @dataclass(frozen=True)

@@ -82,11 +82,15 @@ def _ask(
 def _clear(rng: np.random.Generator) -> Iterator[DrawnQuestion]:
     """Well separated points and a guess within 2 cm: any neighbour search and any outlier rule give the same pairs."""
     for _ in range(4):
-        grid = np.stack(np.meshgrid(np.arange(-5.0, 5.0), np.arange(-4.0, 4.0)), axis=-1).reshape(-1, 2)
-        target = grid + rng.uniform(-0.2, 0.2, grid.shape)
-        source = target[rng.permutation(len(target))[:50]] + rng.uniform(-0.004, 0.004, (50, 2))
-        near = Pose.of(rng.uniform(-1.0, 1.0, 3) * [0.01, 0.01, 0.001])
+        target, source, near = _separated(rng)
         yield _ask("clear", "well separated points", target, source, near)
+
+
+def _separated(rng: np.random.Generator) -> tuple[Floats, Floats, Pose]:
+    grid = np.stack(np.meshgrid(np.arange(-5.0, 5.0), np.arange(-4.0, 4.0)), axis=-1).reshape(-1, 2)
+    target = grid + rng.uniform(-0.2, 0.2, grid.shape)
+    source = target[rng.permutation(len(target))[:50]] + rng.uniform(-0.004, 0.004, (50, 2))
+    return target, source, Pose.of(rng.uniform(-1.0, 1.0, 3) * [0.01, 0.01, 0.001])
 
 
 def _sizes(rng: np.random.Generator, quick: bool) -> Iterator[DrawnQuestion]:
@@ -115,11 +119,14 @@ def _scales(rng: np.random.Generator, shared: Shared) -> Iterator[DrawnQuestion]
         for changes in ({}, scaled) if scaled else ({},):
             what = f"coordinates of {4 * factor:g} m" + (f", lengths {factor:g} times" if changes else "")
             yield _ask("scales", what, factor * pair.target.points, factor * pair.source.points, guess, changes)
-    for away in (np.array([60.0, -45.0]), np.array([9e3, -7e3])):
+    for away in (np.array([60.0, -45.0]), np.array([105.0, -80.0]), np.array([9e3, -7e3])):
         pair = drawn_pair(rng, 150, 120)
         moved = Pose(pair.guess.x + away[0], pair.guess.y + away[1], pair.guess.theta)
         what = f"target {float(np.hypot(*away)):.0f} m from the origin"
         yield _ask("scales", what, pair.target.points + away, pair.source.points, moved)
+        target, source, near = _separated(rng)  # whose pairs no rounding changes
+        moved = Pose(near.x + away[0], near.y + away[1], near.theta)
+        yield _ask("scales", f"{what}, well separated points", target + away, source, moved)
 
 
 def _headings(rng: np.random.Generator) -> Iterator[DrawnQuestion]:
@@ -222,6 +229,8 @@ def _parameters(rng: np.random.Generator, shared: Shared) -> Iterator[DrawnQuest
     for _ in range(4 if len(shared) > 1 else 0):
         options = {name: [base, *_values(rng, one, base)] for name, (one, base) in shared.items()}
         sets += [{name: choices[rng.integers(len(choices))] for name, choices in options.items()}]
+    sets += [{name: 300, threshold: one.low} for name, (_, value) in shared.items() if _is_count(value)
+             for threshold, (one, other) in shared.items() if isinstance(other, float) and one.low == 0.0]  # fmt: skip
     for drawn in sets:
         changes = {name: type(shared[name][1])(value) for name, value in drawn.items()}
         family = f"parameter {next(iter(changes))}" if len(changes) == 1 else "parameters at once"
@@ -232,6 +241,10 @@ def _parameters(rng: np.random.Generator, shared: Shared) -> Iterator[DrawnQuest
         for count in (2, 3, 4, 5):
             source = np.concatenate([few[:count] + rng.normal(0.0, 0.02, (count, 2)), few[:9] + 80.0])
             yield _ask(family, what, few, source, Pose(), changes)
+
+
+def _is_count(value: Value) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value > 10
 
 
 def _values(rng: np.random.Generator, one: Parameter, value: Value) -> list[Value]:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from evalkit.commands.validate.rules import resource_rules
+from evalkit.commands.validate.rules.odometry_fixture import OdometryFixture, answer_row, last_pose
 from evalkit.commands.validate.rules.registration_rules import UNIT_TOLERANCE, check_turn
-from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, Measured, StateWatch, in_another_thread
+from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, in_another_thread
 from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, format_exception, rule_table
 from evalkit.commands.validate.rules.scenes import (
     BEAMS,
@@ -23,14 +21,10 @@ from evalkit.commands.validate.rules.scenes import (
     format_pose,
     without_hits,
 )
-from evalkit.commands.validate.rules.state_rules import LATER_S, run_elsewhere
+from evalkit.commands.validate.rules.state_rules import FORKS, LATER_S, count_other_copies, run_elsewhere
 from evalkit.core.errors import EvalkitError
 from evalkit.core.pose import Pose
-from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
-from evalkit.odometry.run_odometry import check_estimate
-from evalkit.plugins.protocols import NoAnswer, Odometry
-from evalkit.plugins.specs import Role
 
 ON_TRACK_M = 0.25
 """Largest error after 0.6 m and 0.6 rad: two voxels of a usual map, its turn measured at 4 m."""
@@ -41,75 +35,10 @@ MAX_REMAINING = 0.5
 BEAM_SHARE = 0.3
 """The share of a scan's duration by which answers may be late; without deskewing it is one half."""
 
+STAMPS_M = 1e-3
+"""Tolerance (m, rad) of answers at another time: stamps in seconds, in double precision, are known to 0.2 us."""
+
 QUARTER_TURN = Pose(0.2, 0.1, math.pi / 2.0)
-
-
-class OdometryFixture:
-    """A back end under test; runs each drive with a new object. ``elsewhere``: as for a ``RegistrationFixture``."""
-
-    def __init__(
-        self,
-        make: Callable[[], Odometry],
-        role: Role = "",
-        seed: int = 0,
-        elsewhere: Mapping[str, Any] = {},
-    ) -> None:
-        self._make, self.role, self.seed, self.elsewhere = make, role, seed, elsewhere
-        self.watch = StateWatch()
-        self.short = drive(8)
-        self.asked_s = math.inf
-
-    def make(self) -> Odometry:
-        """A new object."""
-        made = self._make()
-        self.watch.note_loaded()
-        return made
-
-    @cached_property
-    def first_answers(self) -> Floats:
-        """The answers (N, 3) to a short drive."""
-        answers = self.run(self.short.frames)
-        self.asked_s = time.monotonic()
-        return answers
-
-    @cached_property
-    def endurance(self) -> Measured:
-        """What many scans of a standing robot do to the process."""
-        frame = drive(1, standing=1).frames[0]
-
-        def calls(odometry: Odometry) -> Callable[[], object]:
-            stamps = iter(range(frame.scan.stamp_ns, 2**62, 100_000_000))
-            return lambda: answer_row(odometry, replace(frame, scan=replace(frame.scan, stamp_ns=next(stamps))))
-
-        return resource_rules.measure(self.make, calls, self.watch)
-
-    def run(self, frames: Iterable[Frame]) -> Floats:
-        """The answers (N, 3) to the frames, nan if there is none."""
-        odometry = self.make()
-        return np.array([answer_row(odometry, frame) for frame in frames])
-
-
-def answer_row(odometry: Odometry, frame: Frame) -> Floats:
-    """The answer (3,) to one frame, nan if the odometry raises NoAnswer."""
-    try:
-        return validate_pose(odometry.update(frame)).row
-    except NoAnswer:
-        return np.full(3, np.nan)
-
-
-def last_pose(answers: Floats) -> Pose:
-    """The answer to the last scan."""
-    if np.isnan(answers[-1]).any():
-        raise RuleBroken("it has no answer to the last scan")
-    return Pose.of(answers[-1])
-
-
-def validate_pose(answer: object) -> Pose:
-    """The pose of an estimate; raises RuleBroken if the answer is no finite estimate."""
-    try:
-        return check_estimate(answer).pose
-    except (TypeError, ValueError) as error:
-        raise RuleBroken(str(error)) from error
 
 
 def check_starts(fixture: OdometryFixture) -> str:
@@ -300,6 +229,24 @@ def check_read_only(fixture: OdometryFixture) -> str:
     return "all scans are unchanged after the call"
 
 
+def check_stamps(fixture: OdometryFixture) -> str:
+    """The same drive at another time has the same answers: stamps from 1970 on, before, and across 2^31 and 2^32 ns."""
+    begin_ns = fixture.short.frames[0].scan.stamp_ns
+    for first_ns in (1_700_000_000_123_456_789, -3_000_000_000, 2**31 - 150_000_000, 2**32 - 150_000_000):
+        moved = [
+            replace(frame, scan=replace(frame.scan, stamp_ns=frame.scan.stamp_ns - begin_ns + first_ns))
+            for frame in fixture.short.frames
+        ]
+        try:
+            answers = fixture.run(moved)
+        except EvalkitError as error:
+            raise RuleBroken(f"with stamps from {first_ns} ns on: {format_exception(error)}") from error
+        off = np.nan_to_num(answers, nan=1e9) - np.nan_to_num(fixture.first_answers, nan=1e9)
+        if (largest := float(np.abs(off).max())) > STAMPS_M:
+            raise RuleBroken(f"with stamps from {first_ns} ns on, answers differ by up to {largest:.2g} m or rad")
+    return "the answers do not depend on the time of the first stamp"
+
+
 def check_values(fixture: OdometryFixture) -> str:
     """Scans with nan and inf among the ranges, with one beam and with 20,000 beams give an answer or an exception."""
     simulated = drive(6)
@@ -337,7 +284,10 @@ def check_process(fixture: OdometryFixture) -> str:
     if not fixture.elsewhere:
         raise RuleNotApplicable("it has no address by which another process finds it")
     found = run_elsewhere(answers_elsewhere, fixture.elsewhere)
-    return _same_answers(fixture, np.array(found["answers"], dtype=np.float64), "in another process")
+    observed = _same_answers(fixture, np.array(found["answers"], dtype=np.float64), "in another process")
+    if found["copies"]:
+        raise RuleBroken(f"{found['copies']} of {FORKS} copies of a process, with other numbers, have other answers")
+    return observed
 
 
 def check_later(fixture: OdometryFixture) -> str:
@@ -352,7 +302,10 @@ def answers_elsewhere(*, address: dict[str, str], parameters: dict[str, Any], se
     """The answers to a short drive, in this process."""
     from evalkit.commands.validate.rules import runner  # noqa: PLC0415 - which imports the rules
 
-    return {"answers": runner.load_fixture(address, parameters, seed).first_answers}
+    fixture = runner.load_fixture(address, parameters, seed)
+    answers = fixture.first_answers
+    copies = count_other_copies(lambda: np.array_equal(answers, fixture.run(fixture.short.frames), equal_nan=True))
+    return {"answers": answers, "copies": copies}
 
 
 def _same_answers(fixture: OdometryFixture, found: Floats, when: str) -> str:
@@ -385,6 +338,6 @@ def _on_track(fixture: OdometryFixture, simulated: SimulatedDrive, how: str, wit
 RULES = rule_table(
     check_starts, check_first, check_follows, check_moves, check_metres, check_radians, check_first_beam,
     check_mounting, check_without_odometry, check_odometry_gap, check_no_hits, check_no_hits_first, check_all_at_once,
-    check_equal_stamps, check_values, check_fresh, check_deterministic, check_read_only, *RESOURCE_RULES, check_thread,
-    check_process, check_later,
+    check_equal_stamps, check_stamps, check_values, check_fresh, check_deterministic, check_read_only, *RESOURCE_RULES,
+    check_thread, check_process, check_later,
 )  # fmt: skip

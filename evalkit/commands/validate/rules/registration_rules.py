@@ -6,14 +6,16 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from evalkit.commands.validate.rules import resource_rules
+from evalkit.commands.validate.rules.process_state import StateWatch
 from evalkit.commands.validate.rules.range_rules import RANGE_RULES, validate_match
-from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, Measured, StateWatch
+from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, Measured
 from evalkit.commands.validate.rules.rule import RuleBroken, format_exception, rule_table
 from evalkit.commands.validate.rules.scenes import (
     CloudPair,
@@ -94,15 +96,20 @@ class RegistrationFixture:
         """The object that most rules share: a registration is stateless."""
         return self.make()
 
+    def renew(self) -> None:
+        """Share a new object from here on: the one so far has ended."""
+        self.__dict__.pop("shared", None)
+
     @cached_property
     def questions(self) -> list[CloudPair]:
-        """Questions drawn from the seed: three of one size, others larger, smaller and without pairs."""
+        """Questions drawn from the seed: three of one size, others larger, smaller, without pairs, answered at once."""
         rng = np.random.default_rng([self.seed, 1])
         sizes = [(60, 40)] * 3 + [(90, 70), (40, 60), (300, 200), (5, 3), (12, 1)]
         pairs = [drawn_pair(rng, *size) for size in sizes]
         far = pairs[0]
         nothing = CloudPair(far.target, Cloud(far.source.points + 50.0), far.truth, far.guess)
-        return [*pairs, nothing]
+        answered = replace(far, target=Cloud(far.truth.transform(far.source.points)), guess=far.truth)
+        return [*pairs, nothing, answered]
 
     @cached_property
     def first_answers(self) -> list[Bits]:

@@ -8,22 +8,20 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
-import locale
+import math
 import os
-import platform
-import resource
-import signal
+import sys
+import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import psutil
 
+from evalkit.commands.validate.rules.process_state import StateWatch, libc, process_state
 from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable
 from evalkit.core.se2 import Floats
 
@@ -37,33 +35,11 @@ LEAK_BYTES = 8.0
 NOISE_BYTES, CHILD_NOISE_BYTES = 8192, 262_144
 """Growth in all that an allocator may show without a leak: in this process, and in pages of a child process."""
 
+FILED_NOISE = 256
+"""Bytes that a process may write in the meantime without a call: the interpreter's own."""
+
 SLOWER = 1.3
 """Ratio of the shortest call of the last batch to that of the first one from which calls become slower."""
-
-
-COUNTED = ("open files", "threads", "processes")
-"""What a first call may open for good: compared with the state before the endurance run."""
-
-CREATED = ("rounding", "locale", "working folder", "file mode mask")
-"""What even the loading of a library may not change."""
-
-
-class StateWatch:
-    """The state of the process before a back end is loaded, and after its first object was made."""
-
-    def __init__(self) -> None:
-        self._pristine = process_state()
-        self._loaded: dict[str, str] = {}
-
-    def note_loaded(self) -> None:
-        """Keep the state after the first object was made."""
-        self._loaded = self._loaded or process_state()
-
-    def expected(self) -> dict[str, str]:
-        """The state that later calls must leave."""
-        now = process_state()
-        pristine = {name: self._pristine[name] for name in CREATED}
-        return {**now, **self._loaded, **pristine, **{name: now[name] for name in COUNTED}}
 
 
 class Endurance(Protocol):
@@ -80,6 +56,8 @@ class Measured:
     """Growth over batches of ``size`` calls: heap (B + 1,) in bytes, and the shortest CPU time (B,) of a call in ns.
 
     ``instances``: bytes that each instance leaves behind. ``before``, ``after``: the state of the process by name.
+    ``kept_bytes``: bytes from which steady growth per call is a leak.
+    ``filed``: bytes written to files; nan where this is not known, as for a program, which is asked over a pipe.
     """
 
     size: int
@@ -88,6 +66,8 @@ class Measured:
     instances: float
     before: Mapping[str, str]
     after: Mapping[str, str]
+    kept_bytes: float = LEAK_BYTES
+    filed: float = math.nan
 
 
 class _HeapInfo(ctypes.Structure):
@@ -96,8 +76,24 @@ class _HeapInfo(ctypes.Structure):
     )]  # fmt: skip
 
 
-def measure(make: Callable[[], Any], calls: Callable[[Any], Callable[[], object]], watch: StateWatch) -> Measured:
-    """Run ``calls(make())`` many times, and make and drop many instances."""
+def measure(
+    make: Callable[[], Any],
+    calls: Callable[[Any], Callable[[], object]],
+    watch: StateWatch,
+    kept_bytes: float = LEAK_BYTES,
+) -> Measured:
+    """Run ``calls(make())`` many times, and make and drop many instances; ``kept_bytes``: see ``Measured``."""
+    gc.collect()
+    gc.freeze()  # each measurement of the heap then collects only what the calls made, not what the caller holds
+    try:
+        return _measure(make, calls, watch, kept_bytes)
+    finally:
+        gc.unfreeze()
+
+
+def _measure(
+    make: Callable[[], Any], calls: Callable[[Any], Callable[[], object]], watch: StateWatch, kept_bytes: float
+) -> Measured:
     before_instances = _heap_bytes()
     started = time.process_time()
     made = 0
@@ -118,11 +114,40 @@ def measure(make: Callable[[], Any], calls: Callable[[Any], Callable[[], object]
         warm_up += 1
     each_s = max((time.process_time() - started) / warm_up, 1e-6)
     size = int(np.clip(BUDGET_S / each_s, 40, CALLS)) // BATCHES
-    heap, shortest = _run_batches(call, size)
-    if _leak_bytes(heap, size) or _is_slower(shortest):  # caches fill, clocks change: a fault shows a second time
-        heap, again = _run_batches(call, size)
-        shortest = np.concatenate([shortest[:1], again])
-    return Measured(size, heap, shortest, instances, before, process_state())
+    with _counted_output() as output:
+        heap, shortest = _run_batches(call, size)
+    leaks = _leak_bytes(heap, size, kept_bytes) > 0.0
+    if leaks or _is_slower(shortest):  # caches fill, clocks change: a fault shows a second time
+        heap, again = _run_batches(call, 2 * size)  # twice as many: a table that doubles its size does so again
+        shortest, heap = np.concatenate([shortest[:1], again]), heap[0] + 0.5 * (heap - heap[0])
+    return Measured(size, heap, shortest, instances, before, process_state(), kept_bytes, output.filed)
+
+
+class _Output:
+    filed = math.nan
+
+
+@contextlib.contextmanager
+def _counted_output() -> Iterator[_Output]:
+    """Counts the bytes that are written to files meanwhile; messages on the terminal are none, and are dropped."""
+    output, process = _Output(), psutil.Process()
+    if not hasattr(process, "io_counters") or process.children():
+        yield output
+        return
+    sys.stdout.flush()
+    sys.stderr.flush()
+    before = process.io_counters().write_chars
+    saved = os.dup(1), os.dup(2)
+    with tempfile.TemporaryFile() as messages:
+        for number in (1, 2):
+            os.dup2(messages.fileno(), number)
+        try:
+            yield output
+        finally:
+            output.filed = process.io_counters().write_chars - before - os.fstat(messages.fileno()).st_size
+            for number, old in enumerate(saved, start=1):
+                os.dup2(old, number)
+                os.close(old)
 
 
 def _run_batches(call: Callable[[], object], size: int) -> tuple[Floats, Floats]:
@@ -140,22 +165,24 @@ def _is_slower(shortest_ns: Floats) -> bool:
     return bool(last > SLOWER * max(first, 1.0) and last - first > 2000.0 and (np.diff(shortest_ns) > 0).mean() > 0.6)
 
 
-def _leak_bytes(heap: Floats, size: int) -> float:
-    """Bytes per call by which the heap (B + 1,) grows steadily, 0 if it does not."""
-    growth = np.diff(heap)
-    each = float(np.median(growth)) / size
+def _leak_bytes(heap: Floats, size: int, kept_bytes: float) -> float:
+    """Bytes per call by which the heap (B + 1,) grows, steadily or in steps; 0 if it does not, or less than it may."""
+    growth = float(heap[-1] - heap[0])
+    each = growth / (size * BATCHES)
     noise = CHILD_NOISE_BYTES if psutil.Process().children() else NOISE_BYTES
-    return each if each >= LEAK_BYTES and (growth > 0).mean() >= 0.8 and growth.sum() > noise else 0.0
+    return each if each >= kept_bytes and growth > noise else 0.0
 
 
 def check_memory(fixture: Endurance) -> str:
     """Calls and instances leave no memory behind."""
     found = fixture.endurance
     calls = found.size * BATCHES
-    if leak := _leak_bytes(found.heap, found.size):
+    if leak := _leak_bytes(found.heap, found.size, found.kept_bytes):
         raise RuleBroken(f"{calls} calls: {leak:.0f} bytes more per call, twice")
     if found.instances >= LEAK_BYTES:
         raise RuleBroken(f"each instance leaves {found.instances:.0f} bytes behind when it is destroyed")
+    if found.kept_bytes > LEAK_BYTES:
+        return f"{calls} calls leave less than {found.kept_bytes:.0f} bytes each, {INSTANCES} instances nothing"
     return f"{calls} calls and {INSTANCES} instances leave nothing behind"
 
 
@@ -180,6 +207,16 @@ def _unchanged(fixture: Endurance, names: tuple[str, ...], what: str) -> str:
 def check_open_files(fixture: Endurance) -> str:
     """Calls leave no file open."""
     return _unchanged(fixture, ("open files",), "open files")
+
+
+def check_files(fixture: Endurance) -> str:
+    """Calls write no file."""
+    found = fixture.endurance
+    if math.isnan(found.filed):
+        raise RuleNotApplicable("the bytes that it writes to files are not known here")
+    if found.filed > FILED_NOISE:
+        raise RuleBroken(f"{found.size * BATCHES} calls write {found.filed:.0f} bytes to files")
+    return f"{found.size * BATCHES} calls write nothing to files"
 
 
 def check_threads(fixture: Endurance) -> str:
@@ -212,90 +249,9 @@ def check_folder(fixture: Endurance) -> str:
 
 
 RESOURCE_RULES = (
-    check_memory, check_slowdown, check_open_files, check_threads, check_floating_point, check_signals, check_locale,
-    check_folder,
+    check_memory, check_slowdown, check_open_files, check_files, check_threads, check_floating_point, check_signals,
+    check_locale, check_folder,
 )  # fmt: skip
-
-
-def process_state() -> dict[str, str]:
-    """What a call may not change, by name, in words."""
-    process = psutil.Process()
-    children = process.children(recursive=True)
-    files, threads = [process.num_fds()], process.num_threads()
-    for child in children:
-        with contextlib.suppress(psutil.Error):
-            files.append(child.num_fds())
-            threads += child.num_threads()
-    mask = os.umask(0)
-    os.umask(mask)
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, ())
-    limits = [resource.getrlimit(number) for number in range(10)]
-    timers = [signal.getitimer(kind) != (0.0, 0.0) for kind in (0, 1, 2)]
-    rounding, controls = _float_controls()
-    return {
-        "open files": str(sum(files)), "threads": str(threads), "processes": str(len(children)), "rounding": rounding,
-        "floating-point controls": controls, "signal handlers": _handlers(), "blocked signals": str(sorted(blocked)),
-        "timers": f"{sum(timers)} running", "locale": locale.setlocale(locale.LC_ALL), "working folder": _folder(),
-        "environment variables": _environment(), "file mode mask": oct(mask), "limits": str(limits),
-        "priority": str(os.nice(0)), "cores": str(_cores()),
-    }  # fmt: skip
-
-
-def _folder() -> str:
-    try:
-        return str(Path.cwd())
-    except FileNotFoundError:
-        return "none: it was removed"
-
-
-def _cores() -> list[int]:
-    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-
-
-@cache
-def _libc() -> ctypes.CDLL:
-    return ctypes.CDLL(None)
-
-
-def _environment() -> str:
-    """The environment as C code sees it: number of variables, and a number that changes with their values."""
-    try:
-        table = ctypes.POINTER(ctypes.c_char_p).in_dll(_libc(), "environ")
-    except ValueError:
-        return ""
-    values: list[bytes] = []
-    while table and (entry := table[len(values)]) is not None:
-        values.append(entry)
-    return f"{len(values)} ({hash(tuple(values)) & 0xFFFF:04x})"
-
-
-def _handlers() -> str:
-    """The handlers of all signals, as addresses: signals that are not at their default."""
-    entries = []
-    for number in range(1, 32):
-        old = (ctypes.c_void_p * 32)()
-        if _libc().sigaction(number, None, ctypes.byref(old)) == 0 and old[0]:
-            entries.append(f"{number}:{'ignored' if old[0] == 1 else hex(old[0])}")
-    return " ".join(entries)
-
-
-def _float_controls() -> tuple[str, str]:
-    """The rounding mode in words, "" if unknown, and the control bits beside the flags of past exceptions."""
-    modes = {
-        "x86_64": {0: "to nearest", 0x400: "downward", 0x800: "upward", 0xC00: "towards zero"},
-        "aarch64": {0: "to nearest", 0x400000: "upward", 0x800000: "downward", 0xC00000: "towards zero"},
-    }
-    machine, environment = platform.machine(), (ctypes.c_uint32 * 16)()
-    try:
-        math_library = ctypes.CDLL("libm.so.6")
-    except OSError:
-        return "", ""
-    if machine not in modes or math_library.fegetenv(ctypes.byref(environment)):
-        return "", ""
-    mode = modes[machine].get(math_library.fegetround(), "unknown")
-    if machine == "aarch64":
-        return mode, f"{environment[0]:x}"
-    return mode, f"{environment[0] & 0xFFFF:x} {environment[7] & ~0x3F:x}"  # x87 control word, MXCSR without flags
 
 
 def _heap_bytes() -> float:
@@ -306,9 +262,9 @@ def _heap_bytes() -> float:
     for child in process.children(recursive=True):
         with contextlib.suppress(psutil.Error):
             children += child.memory_info().rss
-    if not hasattr(_libc(), "mallinfo2"):
+    if not hasattr(libc(), "mallinfo2"):
         return float(process.memory_info().rss + children)
-    count = _libc().mallinfo2
+    count = libc().mallinfo2
     count.restype = _HeapInfo
     info = count()
     return float(info.uordblks + info.hblkhd + children)

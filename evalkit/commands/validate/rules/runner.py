@@ -15,22 +15,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from evalkit.commands.validate.rules import odometry_rules, registration_rules
-from evalkit.commands.validate.rules.odometry_rules import OdometryFixture
+from evalkit.commands.validate.rules import odometry_rules, registration_rules, slam_rules
+from evalkit.commands.validate.rules.odometry_fixture import OdometryFixture
 from evalkit.commands.validate.rules.registration_rules import RegistrationFixture
 from evalkit.commands.validate.rules.rule import Rule, RuleReport, RuleResult, check_rule
+from evalkit.commands.validate.rules.slam_rules import SlamFixture
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
-from evalkit.execution.subprocesses import ChildProcess, end_with_parent
+from evalkit.execution.subprocesses import ChildProcess, Usage, end_with_parent
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, address_of, spec_at
 from evalkit.plugins.parameters import Value, resolve_parameters
-from evalkit.plugins.specs import BackendSpec, RegistrationSpec
+from evalkit.plugins.specs import BackendSpec, RegistrationSpec, SlamSpec
 
 MAX_CRASHES = 3
 """Ends of the process after which the remaining rules are skipped."""
-
-BUSY = 3.0
-"""On a busy machine a rule may take this many times its limit by the wall clock while it uses less CPU time."""
 
 LOADING_S = 60.0
 """Time limit (s) until the first rule begins: Python and the plug-in's module."""
@@ -48,6 +46,7 @@ STARTS = "starts"
 RULES: Mapping[str, Mapping[str, Rule]] = {
     "registration": registration_rules.RULES,
     "odometry": odometry_rules.RULES,
+    "slam": slam_rules.RULES,
 }
 
 RECORDED_REMEDY = (
@@ -157,13 +156,12 @@ class _RuleRunner:
 
     def _watch(self, child: ChildProcess, folder: Path) -> tuple[bool, str]:
         """Watches the process until it ends; whether it hangs, and the limit it exceeded or ""."""
-        count, since_s, since_cpu_s = 0, 0.0, 0.0
+        count, begin = 0, Usage(0.0, 0.0, 0)
         for used in child.watch():
             if (size := len(_read_lines(folder))) > count:
-                count, since_s, since_cpu_s = size, used.wall_s, used.cpu_s
+                count, begin = size, used
             limit_s = self._limit_s if count else LOADING_S
-            wall_s, cpu_s = used.wall_s - since_s, used.cpu_s - since_cpu_s
-            if wall_s > limit_s and (cpu_s > 0.8 * limit_s or wall_s > BUSY * limit_s):
+            if used.exceeds(limit_s, begin):
                 return True, f"no answer for {limit_s:g} s"
             if used.resident_bytes > self._memory_mib * 2**20:
                 return False, f"used more than {self._memory_mib} MiB"
@@ -225,7 +223,8 @@ def _make_fixture(
 ) -> RegistrationFixture | OdometryFixture:
     if isinstance(spec, RegistrationSpec):
         return RegistrationFixture(spec.make, seed, spec.parameters, parameters, elsewhere)
-    return OdometryFixture(partial(spec.make, **parameters), spec.role, seed, elsewhere)
+    fixture = SlamFixture if isinstance(spec, SlamSpec) else OdometryFixture
+    return fixture(partial(spec.make, **parameters), spec.role, seed, elsewhere)
 
 
 if __name__ == "__main__":

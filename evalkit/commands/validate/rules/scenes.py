@@ -132,6 +132,14 @@ def without_hits(frame: Frame) -> Frame:
     return replace(frame, scan=replace(scan, ranges=np.full(len(scan.ranges), np.inf)))
 
 
+def sector(frame: Frame, first: float, last: float) -> Frame:
+    """A frame of simultaneous beams by those between two angles (rad) alone, in their order."""
+    angles = se2.wrap(frame.scan.angles)
+    rows = np.flatnonzero((angles >= first) & (angles <= last))
+    rows = rows[np.argsort(angles[rows])]
+    return replace(frame, scan=replace(frame.scan, ranges=frame.scan.ranges[rows], angles=angles[rows]))
+
+
 def _arc(speed_mps: float, turn_radps: float) -> Pose:
     seconds = PERIOD_NS * 1e-9
     angle = turn_radps * seconds

@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ import psutil
 
 from evalkit.commands.validate.rules.resource_rules import BATCHES, in_another_thread
 from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, format_exception
-from evalkit.commands.validate.rules.scenes import CloudPair
+from evalkit.commands.validate.rules.scenes import CloudPair, drawn_pair
 from evalkit.core.match import Match
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
@@ -76,15 +77,34 @@ def check_many_calls(fixture: RegistrationFixture) -> str:
 
 
 def check_buffers(fixture: RegistrationFixture) -> str:
-    """The same buffers with other content give the answer to the other content."""
-    one = fixture.make()
-    pairs = [pair for pair in fixture.questions if len(pair.target) == len(fixture.questions[0].target)]
-    with shared_memory() as target, shared_memory() as source:
-        for pair in pairs * 2:
-            inside = CloudPair(target.cloud(pair.target), source.cloud(pair.source), pair.truth, pair.guess)
-            expected = answer_bits(fixture.make(), pair)
-            _require(expected, answer_bits(one, inside), "from the buffers of the call before")
-    return f"{2 * len(pairs)} calls with the same buffers answer as new objects do"
+    """The same buffers with other content, in whole or in part, give the answer to the other content."""
+    groups = list(_groups_of_one_size(fixture))
+    expected = [[answer_bits(fixture.make(), pair) for pair in group] for group in groups]
+    one, calls = fixture.make(), 0
+    for group, wanted in zip(groups, expected, strict=True):
+        with shared_memory() as target, shared_memory() as source:
+            for pair, bits in zip(group * 2, wanted * 2, strict=True):
+                inside = CloudPair(target.cloud(pair.target), source.cloud(pair.source), pair.truth, pair.guess)
+                _require(bits, answer_bits(one, inside), "from the buffers of the call before")
+                calls += 1
+    return f"{calls} calls with the same buffers answer as new objects do"
+
+
+def _groups_of_one_size(fixture: RegistrationFixture) -> Iterator[list[CloudPair]]:
+    """Questions of one size each: unrelated ones, and some whose clouds differ in the middle alone."""
+    yield [pair for pair in fixture.questions if len(pair.target) == len(fixture.questions[0].target)]
+    rng = np.random.default_rng([fixture.seed, 3])
+    for size in (60, 1500):
+        pair = drawn_pair(rng, size, 60)
+        target, source = (_shift_middle(one, rng) for one in (pair.target, pair.source))
+        yield [pair, replace(pair, target=target), pair, replace(pair, source=source)]
+
+
+def _shift_middle(cloud: Cloud, rng: np.random.Generator) -> Cloud:
+    """The cloud with its middle half moved by some centimetres; the first and the last points stay."""
+    points, count = cloud.points.copy(), len(cloud)
+    points[count // 4 : 3 * count // 4] += rng.uniform(0.03, 0.08, 2)
+    return Cloud(points)
 
 
 def check_bounds(fixture: RegistrationFixture) -> str:
@@ -176,15 +196,22 @@ def answers_elsewhere(*, address: dict[str, str], parameters: dict[str, Any], se
 
 
 def _count_other_copies(fixture: RegistrationFixture) -> int:
-    """The number of copies of this process with other answers; 0 where there are threads, which a copy would lose."""
+    expected = fixture.first_answers
+    return count_other_copies(
+        lambda: all(
+            answer_bits(fixture.make(), one) == bits for one, bits in zip(fixture.questions, expected, strict=True)
+        )
+    )
+
+
+def count_other_copies(repeats: Callable[[], bool]) -> int:
+    """The number of copies of this process in which a call returns False; 0 where threads would be lost in a copy."""
     if psutil.Process().num_threads() > 1:
         return 0
-    expected, other = fixture.first_answers, 0
+    other = 0
     for _ in range(FORKS):
         if (child := os.fork()) == 0:
-            same = all(answer_bits(fixture.make(), one) == bits
-                       for one, bits in zip(fixture.questions, expected, strict=True))  # fmt: skip
-            os._exit(0 if same else 1)
+            os._exit(0 if repeats() else 1)
         other += os.waitpid(child, 0)[1] != 0
     return other
 

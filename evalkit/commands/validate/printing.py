@@ -1,0 +1,61 @@
+"""The end of a validation: the page, the JSON and JUnit files, the printed table, and the exit code."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from pathlib import Path
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from evalkit.commands.validate.acceptance import AcceptanceReport, as_junit
+from evalkit.io.output_files import write_texts
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import out
+
+MAX_LINES = 4
+"""Checks of a level in the printed summary of a report with several levels; the page shows all."""
+
+
+def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | None) -> None:
+    """Writes the page and the JSON file, prints the report, and exits with code 1 if the claim does not hold."""
+    from evalkit.commands.validate import page  # noqa: PLC0415 - imports matplotlib
+
+    content = report.as_json()
+    command = "evalkit " + shlex.join(sys.argv[1:])
+    write_texts(
+        folder,
+        {"acceptance.json": json.dumps(content, indent=1) + "\n", "index.html": page.render_page(report, command)},
+    )
+    if junit is not None:
+        write_texts(junit.parent, {junit.name: as_junit(report)})
+    if as_json:
+        options.print_json(content)
+    else:
+        progress.print_table(out, format_table(report))
+        out.print(report.verdict, markup=False, emoji=False, highlight=False)
+        if (seed := report.settings.get("seed")) is not None:
+            out.print(f"{report.asked} checks, questions drawn with --seed {seed}", markup=False, highlight=False)
+        out.print(str((folder / "index.html").resolve()), markup=False, highlight=False)
+    if not report.passed:
+        raise typer.Exit(1)
+
+
+def format_table(report: AcceptanceReport) -> Table:
+    """One row per level; of a single level, one row per check."""
+    if len(report.levels) == 1:
+        table = Table("check", "outcome", "observed", expand=out.is_terminal)
+        for check in report.levels[0].checks:
+            name = f"{check.name}, {check.on}" if check.on else check.name
+            table.add_row(Text(name), check.outcome, Text(check.observed))  # third-party text is no markup
+        return table
+    table = Table("level", "outcome", "observed", expand=out.is_terminal)
+    for level in report.levels:
+        checks = level.decisive_checks(report.claim)
+        lines = [f"{one.on + ': ' if one.on else ''}{one.name}: {one.observed}" for one in checks[:MAX_LINES]]
+        lines += [f"... and {len(checks) - MAX_LINES} more"] if len(checks) > MAX_LINES else []
+        table.add_row(f"{level.number} {level.name}", level.outcome(report.claim), Text("\n".join(lines)))
+    return table
