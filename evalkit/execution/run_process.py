@@ -12,18 +12,20 @@ from typing import Any, BinaryIO
 
 from evalkit.config.experiment import Limits
 from evalkit.core.errors import MachineFault
+from evalkit.core.map_start import MapStart
 from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
 from evalkit.execution.conditions import ConditionsMeter
 from evalkit.execution.subprocesses import OUTPUT, ChildProcess, Usage
 from evalkit.execution.worker import MACHINE_FAULT_CODE, Request
 from evalkit.io import untrusted_io
 from evalkit.io.output_files import as_store_error, write_text
+from evalkit.results.final_files import CLOSURES, FINAL, parse_final
 from evalkit.results.store import STEPS, whole_records
 
 REQUEST, STARTED, OUTCOME = "request.json", "started.json", "outcome.json"
 
 KNOWN = {"cause": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
-         "every": int, "reading": bool, "conditions": dict}  # fmt: skip
+         "every": int, "reading": bool, "conditions": dict, "final_cpu_ns": int, "start": dict}  # fmt: skip
 """Keys and types accepted from ``STARTED`` and ``OUTCOME``, because a back end can write to the folder of its run."""
 
 Ending = tuple[Cause, str]
@@ -112,6 +114,17 @@ class _Supervision:
             ending = ending or _ending_without_outcome(self._child, self._folder)
         cause, reason = ending or (Cause(cause), reason)
         values["conditions"] = self._meter.conclude(values.get("conditions", {}))
+        try:
+            values["start"] = MapStart.of(values["start"]) if "start" in values else None
+        except (TypeError, KeyError, ValueError) as error:
+            values["start"] = None
+            cause, reason = Cause.NO_OUTCOME, f"the start in the map cannot be read: {error}"
+        if cause == Cause.COMPLETED and (self._folder / FINAL).exists():
+            try:
+                files = {name: untrusted_io.read_bytes(self._folder / name) for name in (FINAL, CLOSURES)}
+                values["final"], values["loop_closures"] = parse_final(files, steps["stamp_ns"])
+            except (OSError, ValueError) as error:
+                cause, reason = Cause.NO_OUTCOME, f"the corrected poses cannot be read: {error}"
         return RunResult(steps, cause=cause, reason=reason, **values)
 
 

@@ -10,7 +10,7 @@ from concurrent.futures import CancelledError
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,9 @@ from evalkit.execution.subprocesses import WorkerPool
 from evalkit.execution.worker import Request
 from evalkit.metrics import evaluate
 from evalkit.plugins import registry
+from evalkit.plugins.kept_sequence import KeptSequence
+from evalkit.plugins.known_map import load_known_map
+from evalkit.plugins.parameters import ALIGN_TRUTH, Value
 from evalkit.plugins.specs import MapSpec
 from evalkit.results.store import Store
 
@@ -147,6 +150,8 @@ def _execute(store: Store, settings: RunSettings, pending: PendingRun, slot: Wor
             raise CancelledError
         steps = result.steps if settings.timed else _without_times(result.steps)
         result = replace(result, steps=steps, provenance=_provenance(settings, spec, slot.core))
+        if not settings.timed:
+            result = replace(result, final_cpu_ns=0)
         store.save_result(spec, result)
     return result
 
@@ -188,12 +193,17 @@ def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: Run
     if core is not None:
         os.sched_setaffinity(0, {core})
     backend, mapper = registry.backend(spec.method.backend), registry.mapper(settings.mapper.name)
-    sequence = registry.dataset(spec.sequence.dataset).open(spec.dataset_parameters)
+    sequence = _open_kept(folder, spec.sequence.dataset, tuple(spec.dataset_parameters.items()))
     if isinstance(backend, MapSpec):
         scores = evaluate.evaluate_map(result, backend.make(**spec.method.parameters), sequence)
     else:
         scores = evaluate.evaluate_run(
-            result, sequence, lambda: mapper.make(**settings.mapper.parameters), settings.mapper.scans
+            result,
+            sequence,
+            lambda: mapper.make(**settings.mapper.parameters),
+            settings.mapper.scans,
+            load_known_map(spec.dataset_parameters, sequence),
+            bool(spec.dataset_parameters.get(ALIGN_TRUTH, False)),
         )
     if not settings.timed and not result.steps["wall_ns"].any():
         without = {name: _untimed(name, score) for name, score in scores.by_metric.items()}
@@ -202,6 +212,15 @@ def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: Run
     store.save_scores(spec.key, scores, settings.scoring_code)
     if store.load_scores(spec.key) is None:
         raise RuntimeError(f"{store.run_folder(spec.key)}: scores were written but cannot be read back")
+
+
+@lru_cache(maxsize=1)
+def _open_kept(_folder: Path, dataset: str, parameters: tuple[tuple[str, Value], ...]) -> KeptSequence:
+    """The data of a run, kept for the next one: successive runs are of different methods on the same data.
+
+    ``_folder``: of the results; another experiment reads the data again, which may have changed in between.
+    """
+    return KeptSequence(registry.dataset(dataset).open(dict(parameters)))
 
 
 def _untimed(name: str, score: Score) -> Score:

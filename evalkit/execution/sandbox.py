@@ -10,14 +10,15 @@ import pickle
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from evalkit.execution.subprocesses import ChildProcess, Usage, end_with_parent
 from evalkit.execution.task import AnyTask, Result, Task, make_task
-from evalkit.execution.task_store import TaskStore
+from evalkit.execution.task_store import read_result, write_result
 
-SYSTEM_PATH, REQUEST = "path.pickle", "request.pickle"
+SYSTEM_PATH, REQUEST, RESULT = "path.pickle", "request.pickle", "result.npz"
 PLACE = "place.txt"
 PLACE_VARIABLE = "EVALKIT_PLACE"
 """Environment variable of the child: the file where it writes what it does next."""
@@ -33,13 +34,13 @@ def sandboxed(task: AnyTask, limit_s: float, memory_mib: int) -> AnyTask:
     inside = make_task(
         task.name, run, function=task.function, arguments=task.arguments, limit_s=limit_s, memory_mib=memory_mib
     )
-    return inside.depending_on(task.function.__module__, *task.modules)
+    return replace(inside.depending_on(task.function.__module__, *task.modules), own_process=True)
 
 
 def run(function: Callable[..., Result], arguments: Mapping[str, Any], limit_s: float, memory_mib: int) -> Result:
     """The function's result, or {"ended": how its process ended, and what it did then}.
 
-    ``limit_s``: wall clock time in all; ``memory_mib``: memory of the process and of all that it starts.
+    ``limit_s``: time in all, see ``Usage.exceeds``; ``memory_mib``: memory of the process and of all that it starts.
     """
     task = Task("result", function, arguments)
     with tempfile.TemporaryDirectory(prefix="evalkit-validate-") as place:
@@ -51,7 +52,7 @@ def run(function: Callable[..., Result], arguments: Mapping[str, Any], limit_s: 
             broken_limit = next(
                 (why for used in child.watch() if (why := _broken_limit(used, limit_s, memory_mib))), ""
             )
-        result = TaskStore(folder).load(task) if not broken_limit else None
+        result = read_result(folder / RESULT) if not broken_limit else None
         if result is not None:
             return result
         how = broken_limit or child.describe_end()
@@ -74,12 +75,12 @@ def main() -> int:
     sys.path.extend(entry for entry in path if entry not in sys.path)
     task: AnyTask = pickle.loads((folder / REQUEST).read_bytes())
     result, _ = task.run()
-    TaskStore(folder).save(task, result)
+    write_result(folder / RESULT, result, folder)
     return 0
 
 
 def _broken_limit(used: Usage, limit_s: float, memory_mib: int) -> str:
-    if used.wall_s > limit_s:
+    if used.exceeds(limit_s):
         return f"not finished after {limit_s:g} s"
     return f"used more than {memory_mib} MiB" if used.resident_bytes > memory_mib * 2**20 else ""
 

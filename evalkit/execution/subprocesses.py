@@ -58,6 +58,12 @@ OUTPUT = "output.txt"
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 
+BUSY, IDLE, WORKING = 3.0, 0.02, 0.8
+"""A child on a busy machine may take this many times its limit by the wall clock: one whose CPU time lies between these
+shares of the limit. Below it waits, above it had its time.
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Usage:
     """Resources that a child and its descendants have used: wall clock and CPU time in seconds, resident memory."""
@@ -65,6 +71,16 @@ class Usage:
     wall_s: float
     cpu_s: float
     resident_bytes: int
+
+    def exceeds(self, limit_s: float, begin: Usage | None = None) -> bool:
+        """Whether a time limit, counted from ``begin``, is exceeded: by a child that works, or that waits.
+
+        A child that got some CPU time, but less than it needs, is on a busy machine: it has ``BUSY`` times the limit.
+        """
+        wall_s = self.wall_s - (begin.wall_s if begin else 0.0)
+        cpu_s = self.cpu_s - (begin.cpu_s if begin else 0.0)
+        starved = IDLE * limit_s < cpu_s < WORKING * limit_s
+        return wall_s > (BUSY * limit_s if starved else limit_s)
 
 
 class ChildProcess:

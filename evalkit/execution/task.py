@@ -30,7 +30,8 @@ class Task(Generic[R_co]):
     Build it with ``make_task``, which checks the arguments' types. The arguments are JSON values, dataclasses of such
     values, and module-level functions. ``name`` identifies the result among those of one call of ``run_tasks``.
     ``modules``: modules that the result depends on and that the function's module does not import, such as plug-ins.
-    ``limit_s``: wall clock time, after which the task's process is ended; 0 for no limit.
+    ``limit_s``: wall clock time, after which the task's process is ended; 0 for no limit. ``own_process``: whether the
+    function only starts a process and watches it, so that it needs no other one.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Task(Generic[R_co]):
     arguments: Mapping[str, Any] = field(default_factory=dict)
     modules: tuple[str, ...] = ()
     limit_s: float = 0.0
+    own_process: bool = False
 
     def __post_init__(self) -> None:
         if not function_name(self.function).partition(":")[2].isidentifier():

@@ -11,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from queue import SimpleQueue
 from types import MappingProxyType
 from typing import Generic
 
@@ -129,18 +130,37 @@ class _Collector(Generic[R]):
 
 
 def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -> None:
-    """Run tasks in processes with one thread and one core each."""
+    """Run tasks in processes with one thread and one core each; where all start processes themselves, in theirs."""
     if not tasks:
         return
     collector.store.create()
     os.environ.update(environment.SINGLE_THREAD)  # inherited by the processes
-    with WorkerPool(environment.core_of_each(workers)) as pool, ThreadPoolExecutor(workers) as threads:
-        futures = {threads.submit(_run_in_pool, pool, task, collector.store.note(task)): task for task in tasks}
+    cores = environment.core_of_each(workers)
+    own_processes = all(task.own_process for task in tasks)
+    with WorkerPool(() if own_processes else cores) as pool, ThreadPoolExecutor(workers) as threads:
+        if own_processes:
+            idle: SimpleQueue[int | None] = SimpleQueue()
+            for core in cores:
+                idle.put(core)
+            futures = {threads.submit(_run_on_core, idle, task): task for task in tasks}
+        else:
+            futures = {threads.submit(_run_in_pool, pool, task, collector.store.note(task)): task for task in tasks}
         try:
             collector.collect((futures[future], future) for future in as_completed(futures))
         except BaseException:  # an interrupt or an unwritable folder
             threads.shutdown(wait=True, cancel_futures=True)
             raise
+
+
+def _run_on_core(idle: SimpleQueue[int | None], task: Task[R]) -> tuple[R, float]:
+    """Run a task that starts its own process in this thread, on an idle core."""
+    core = idle.get()
+    try:
+        if core is not None:
+            os.sched_setaffinity(0, {core})  # of this thread; the process inherits it
+        return task.run()
+    finally:
+        idle.put(core)
 
 
 def _run_in_pool(pool: WorkerPool, task: Task[R], note: Path) -> tuple[R, float]:

@@ -28,12 +28,7 @@ class TaskStore:
 
     def load(self, task: Task[R]) -> R | None:
         """The stored result of a task, None if there is none that can be read."""
-        try:
-            arrays = untrusted_io.read_arrays(self.path(task))
-            content = untrusted_io.parse_json(str(arrays.pop("json")))
-        except (OSError, ValueError, KeyError):
-            return None
-        return cast(R, content | arrays) if isinstance(content, dict) else None
+        return cast(R | None, read_result(self.path(task)))
 
     def path(self, task: Task[Result]) -> Path:
         """The file of a task's result."""
@@ -45,8 +40,23 @@ class TaskStore:
 
     def save(self, task: Task[R], result: R) -> None:
         """Writes the result of a task. Raises StoreError if the folder cannot be written."""
-        members: dict[str, Any] = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
-        rest = {name: value for name, value in result.items() if name not in members}
-        body = io.BytesIO()
-        np.savez_compressed(body, **members, json=np.array(json.dumps(rest)))
-        write_bytes(self.path(task), body.getvalue(), self.folder)
+        write_result(self.path(task), result, self.folder)
+
+
+def read_result(path: Path) -> Result | None:
+    """The result in a file, None if there is none that can be read."""
+    try:
+        arrays = untrusted_io.read_arrays(path)
+        content = untrusted_io.parse_json(str(arrays.pop("json")))
+    except (OSError, ValueError, KeyError):
+        return None
+    return content | arrays if isinstance(content, dict) else None
+
+
+def write_result(path: Path, result: Result, folder: Path) -> None:
+    """Write a result to a file in a folder, completely or not at all. Raises StoreError if it cannot be written."""
+    members: dict[str, Any] = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
+    rest = {name: value for name, value in result.items() if name not in members}
+    body = io.BytesIO()
+    np.savez_compressed(body, **members, json=np.array(json.dumps(rest)))
+    write_bytes(path, body.getvalue(), folder)

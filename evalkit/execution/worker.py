@@ -11,7 +11,9 @@ import os
 import sys
 import time
 import traceback
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -25,14 +27,16 @@ from evalkit.core.scan import Frame
 from evalkit.core.timing import CallTiming
 from evalkit.execution.conditions import WaitingMeter, measure_own_threads
 from evalkit.execution.subprocesses import end_with_parent
-from evalkit.io.output_files import write_text
+from evalkit.io.output_files import write_bytes, write_text
 from evalkit.odometry import frontend
+from evalkit.odometry.corrections import read_corrections
 from evalkit.odometry.run_odometry import run_odometry
 from evalkit.plugins import registry
 from evalkit.plugins.nuisance import perturb_parameters
-from evalkit.plugins.parameters import NUISANCE, Value
+from evalkit.plugins.parameters import MAP, NUISANCE, Value
 from evalkit.plugins.protocols import Odometry, Sequence
-from evalkit.plugins.specs import DatasetSpec, MapSpec
+from evalkit.plugins.specs import DatasetSpec, MapSpec, SlamSpec
+from evalkit.results.final_files import format_final
 
 WARM_UP_SCANS = 5
 """Number of scans that a separate instance of the back end processes before the timed run; not part of any number."""
@@ -43,8 +47,12 @@ MIN_ANSWERED = 0.95
 MACHINE_FAULT_CODE = 75
 """Exit code (EX_TEMPFAIL) of a run that could not write its outcome because the machine failed."""
 
+STEPS = "steps.bin"
 NOT_REPORTED = -1
-"""Value of ``accepted`` and ``converged`` in a ``STEP`` record where the odometry does not report a stage."""
+"""Value of ``accepted``, ``converged`` and ``corrected`` in a ``STEP`` record where the odometry does not report it."""
+
+NOT_IN_OUTCOME = ("steps", "provenance", "final", "loop_closures")
+"""Fields of a result that are no part of the outcome: they have files of their own, or the parent knows them."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +74,7 @@ def main() -> int:
     if request.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {request.core})
     result = execute_request(request, folder)
-    outcome = {name: value for name, value in asdict(result).items() if name not in ("steps", "provenance")}
+    outcome = {name: value for name, value in asdict(result).items() if name not in NOT_IN_OUTCOME}
     try:
         _write_json(folder / "outcome.json", outcome)
     except StoreError as error:
@@ -79,10 +87,10 @@ def main() -> int:
 def execute_request(request: Request, folder: Path) -> RunResult:
     """Run the back end over the sequence; append one ``STEP`` record per scan to ``steps.bin``.
 
-    Returns how the run went, without its steps.
+    Writes the corrected poses and loop closures of a SLAM. Returns how the run went, without its steps and these.
     """
     notes: dict[str, int] = {}
-    expected = warm = 0
+    expected = warm = final_cpu_ns = 0
     every = 1
     cause, reason = Cause.COMPLETED, ""
     conditions = None
@@ -96,27 +104,42 @@ def execute_request(request: Request, folder: Path) -> RunResult:
         if isinstance(spec, MapSpec):
             spec.make(**request.backend_parameters)  # raises if the file cannot be read
             return RunResult(NO_STEPS, expected, peak_memory_bytes=_peak_memory_bytes())
-        values = request.backend_parameters
-        if NUISANCE in request.dataset_parameters:
-            perturbation = int(request.dataset_parameters[NUISANCE])
-            values = perturb_parameters(values, frontend.settable_parameters(spec), perturbation)
+        values = find_run_parameters(request)
         expected = len(sequence)
         every = _find_scan_stride(dataset, request)
-        started = {"expected": expected, "every": every}
+        started: dict[str, Any] = {"expected": expected, "every": every}
+        make: Callable[[], Odometry] = partial(frontend.make_odometry, spec, values)
+        if MAP in request.dataset_parameters:
+            from evalkit.odometry.map_localisation import localise  # noqa: PLC0415 - most runs start faster without
+
+            localised = localise(spec, values, request.dataset_parameters, sequence, folder)
+            if localised is not None:
+                make, sequence, started["start"] = localised.make, localised.sequence, localised.start.as_dict()
         _write_json(folder / "started.json", started)  # in case the back end kills this process in its warm-up
-        warm = _warm_up(frontend.make_odometry(spec, values), sequence)
-        odometry = frontend.make_odometry(spec, values)
+        warm = _warm_up(make(), sequence)
+        odometry = make()
         _write_json(folder / "started.json", started | {"warm_up_scans": warm})
         waiting = WaitingMeter()
-        with (folder / "steps.bin").open("ab", buffering=0) as file:
+        with (folder / STEPS).open("ab", buffering=0) as file:
             record_run(odometry, sequence, request, file)
+        if isinstance(spec, SlamSpec):
+            final_cpu_ns = record_final(odometry, folder)
         conditions = measure_own_threads(waiting.percent())
         notes = dict(sequence.notes())
     except Exception as error:  # noqa: BLE001 - an exception of a third party's code is a result to report
         cause, reason = cause_of(error)
     return RunResult(
-        NO_STEPS, expected, cause, plain(reason), _peak_memory_bytes(), warm, notes, every, conditions=conditions
-    )
+        NO_STEPS, expected, cause, plain(reason), _peak_memory_bytes(), warm, notes, every, conditions=conditions,
+        final_cpu_ns=final_cpu_ns,
+    )  # fmt: skip
+
+
+def find_run_parameters(request: Request) -> dict[str, Value]:
+    """The parameters of the back end in this run: perturbed if the recording is."""
+    if NUISANCE not in request.dataset_parameters:
+        return request.backend_parameters
+    known = frontend.settable_parameters(registry.backend(request.backend))
+    return perturb_parameters(request.backend_parameters, known, int(request.dataset_parameters[NUISANCE]))
 
 
 def cause_of(error: Exception) -> tuple[Cause, str]:
@@ -175,6 +198,17 @@ def record_run(odometry: Odometry, sequence: Sequence, request: Request, steps: 
         raise BackendFailed(request.backend, what, f"reason for the last one: {reason}")
 
 
+def record_final(odometry: Odometry, folder: Path) -> int:
+    """Write the corrected poses and loop closures of a SLAM beside its steps; returns the CPU time of asking in ns.
+
+    Raises as ``read_corrections``.
+    """
+    found = read_corrections(odometry, np.fromfile(folder / STEPS, STEP)["stamp_ns"])
+    for name, content in format_final(found.trajectory, found.closures).items():
+        write_bytes(folder / name, content)
+    return found.cpu_ns
+
+
 def _append(steps: BinaryIO, record: bytes) -> None:
     """Append a whole record, so that the next one does not begin inside it. Raises MachineFault on a full disk."""
     try:
@@ -201,6 +235,7 @@ def _record_step(frame: Frame, estimate: OdometryEstimate, timing: CallTiming, a
         record[f"{name}_converged"] = NOT_REPORTED if stage is None else stage.converged
     if not estimate.stages and estimate.accepted is not None:
         record["s2m_accepted"] = estimate.accepted
+    record["corrected"] = NOT_REPORTED if estimate.corrected is None else estimate.corrected
     return record.tobytes()
 
 

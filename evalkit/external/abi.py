@@ -13,7 +13,7 @@ from evalkit.core.errors import BackendFailed
 
 VERSION = 1
 
-KINDS: dict[int, Literal["registration", "odometry"]] = {1: "registration", 2: "odometry"}
+KINDS: dict[int, Literal["registration", "odometry", "slam"]] = {1: "registration", 2: "odometry", 3: "slam"}
 
 
 class PoseStruct(ctypes.Structure):
@@ -39,6 +39,14 @@ class MatchStruct(ctypes.Structure):
     inliers: int
 
 
+class GuardedMatch(ctypes.Structure):
+    """An answer, and a value after it that a library may not change."""
+
+    _fields_: ClassVar = [("answer", MatchStruct), ("after", c_int64)]
+    answer: MatchStruct
+    after: int
+
+
 class FrameStruct(ctypes.Structure):
     """``evalkit_frame``."""
 
@@ -51,24 +59,43 @@ class FrameStruct(ctypes.Structure):
     ]  # fmt: skip
 
 
+class LoopClosureStruct(ctypes.Structure):
+    """``evalkit_loop_closure``."""
+
+    _fields_: ClassVar = [
+        ("stamp_ns", c_int64), ("other_stamp_ns", c_int64), ("other_from_base", PoseStruct), ("accepted", c_int32),
+        ("reason", c_char_p),
+    ]  # fmt: skip
+    stamp_ns: int
+    other_stamp_ns: int
+    other_from_base: PoseStruct
+    accepted: int
+    reason: bytes | None
+
+
 Trace = CFUNCTYPE(None, c_void_p, c_double, c_int32, POINTER(PoseStruct))
 
 _COMMON: dict[str, tuple[object, list[object]]] = {
     "evalkit_create": (c_void_p, [POINTER(c_char_p), POINTER(c_char_p), c_size_t]),
     "evalkit_destroy": (None, [c_void_p]),
 }
-_CALLS: dict[str, tuple[str, list[object]]] = {
-    "registration": (
-        "evalkit_register",
-        [c_void_p, POINTER(c_double), c_size_t, POINTER(c_double), c_size_t, POINTER(PoseStruct), Trace, c_void_p,
-         POINTER(MatchStruct)],
-    ),
-    "odometry": ("evalkit_update", [c_void_p, POINTER(FrameStruct), POINTER(PoseStruct)]),
+_UPDATE: list[object] = [c_void_p, POINTER(FrameStruct), POINTER(PoseStruct)]
+_CALLS: dict[str, dict[str, list[object]]] = {
+    "registration": {
+        "evalkit_register": [
+            c_void_p, POINTER(c_double), c_size_t, POINTER(c_double), c_size_t, POINTER(PoseStruct), Trace, c_void_p,
+            POINTER(MatchStruct),
+        ],
+    },
+    "odometry": {"evalkit_update": _UPDATE},
+    "slam": {"evalkit_update": _UPDATE, "evalkit_trajectory": [c_void_p, POINTER(PoseStruct), c_size_t]},
 }  # fmt: skip
 _OPTIONAL: dict[str, tuple[object, list[object]]] = {
     "evalkit_summary": (c_char_p, []),
     "evalkit_parameters": (c_char_p, []),
     "evalkit_last_error": (c_char_p, [c_void_p]),
+    "evalkit_loop_closures": (c_size_t, [c_void_p, POINTER(LoopClosureStruct), c_size_t]),
+    "evalkit_corrected": (c_int32, [c_void_p]),
     "evalkit_pairs": (POINTER(c_int32), [c_void_p, POINTER(c_size_t)]),
 }
 
@@ -88,11 +115,12 @@ def load(name: str, file: Path) -> ctypes.CDLL:
         raise BackendFailed(name, f"has version {found} of the interface, expected {VERSION}", remedy)
     _declare(name, library, "evalkit_kind", c_int32, [])
     if (kind := library.evalkit_kind()) not in KINDS:
-        raise BackendFailed(name, f"evalkit_kind returned {kind}", "expected 1 (registration) or 2 (odometry)")
+        remedy = "expected 1 (registration), 2 (odometry) or 3 (SLAM)"
+        raise BackendFailed(name, f"evalkit_kind returned {kind}", remedy)
     for function, (result, arguments) in _COMMON.items():
         _declare(name, library, function, result, arguments)
-    call, arguments = _CALLS[KINDS[kind]]
-    _declare(name, library, call, c_int32, arguments)
+    for call, arguments in _CALLS[KINDS[kind]].items():
+        _declare(name, library, call, c_int32, arguments)
     for function, (result, arguments) in _OPTIONAL.items():
         if hasattr(library, function):
             _declare(name, library, function, result, arguments)

@@ -15,13 +15,14 @@ from evalkit.core.errors import BackendFailed, BadParameter, brief
 from evalkit.odometry import frontend
 from evalkit.plugins.parameters import Parameter, Value, with_defaults
 from evalkit.plugins.protocols import Odometry
-from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec
+from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec, SlamSpec
 
 NOT_DECLARED = "not declared: external implementation"
 
 SPEC_TYPES: dict[object, type[RegistrationSpec | OdometrySpec]] = {
     "registration": RegistrationSpec,
     "odometry": OdometrySpec,
+    "slam": SlamSpec,
 }
 """Spec types by the kind in a declaration."""
 
@@ -48,7 +49,7 @@ def read_declaration(name: str, content: Mapping[str, Any]) -> Declaration:
         raise BackendFailed(name, *content["failed"])
     kind = content.get("kind")
     if kind not in SPEC_TYPES:
-        raise _make_error(name, "kind", kind, "'registration' or 'odometry'")
+        raise _make_error(name, "kind", kind, "'registration', 'odometry' or 'slam'")
     listed = content.get("parameters", [])
     if not isinstance(listed, list):
         raise _make_error(name, "parameters", listed, "a list")
@@ -125,7 +126,7 @@ def make_spec(
     """Make the spec of an available implementation; ``parameters``: those it declares and those that evalkit adds."""
     summary = declared.summary + (f" (on {declared.device})" if declared.device else "")
     made = declared.spec_type(make, summary, NOT_DECLARED, NOT_DECLARED, parameters=parameters, digest=digest)
-    return replace(made, guess="its own") if declared.spec_type is OdometrySpec else made
+    return made if declared.spec_type is RegistrationSpec else replace(made, guess="its own")
 
 
 def missing_spec(name: str, why: str, digest: str = "") -> BackendSpec:

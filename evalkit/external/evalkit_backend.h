@@ -9,8 +9,8 @@
  * One thread calls the functions; several instances may exist at the same time.  Equal arguments must give bit-identical
  * results.  Do not end the process, and let no C++ exception leave these functions.
  *
- * Required: evalkit_abi, evalkit_kind, evalkit_create, evalkit_destroy, and evalkit_register or evalkit_update,
- * depending on the kind.  The others are optional.
+ * Required: evalkit_abi, evalkit_kind, evalkit_create, evalkit_destroy, and, depending on the kind, evalkit_register,
+ * or evalkit_update, or evalkit_update and evalkit_trajectory.  The others are optional.
  */
 #ifndef EVALKIT_BACKEND_H
 #define EVALKIT_BACKEND_H
@@ -22,6 +22,7 @@
 
 #define EVALKIT_REGISTRATION 1 /* aligns one cloud with another; evalkit's front end makes it an odometry */
 #define EVALKIT_ODOMETRY 2     /* estimates the motion over a whole sequence with its own map */
+#define EVALKIT_SLAM 3         /* an odometry that also corrects poses it has given */
 
 #if defined(_WIN32)
 #define EVALKIT_EXPORT __declspec(dllexport)
@@ -57,13 +58,20 @@ typedef struct {
     const evalkit_pose *start_from_end; /* the wheels' motion from the first beam to the last, or NULL */
 } evalkit_frame;
 
+typedef struct {
+    int64_t stamp_ns, other_stamp_ns; /* the later and the earlier of two frames */
+    evalkit_pose other_from_base;     /* measured pose of the base at the later frame in the base at the earlier one */
+    int32_t accepted;                 /* 0 or 1: whether the motion is used now */
+    const char *reason;               /* why, 1 to 200 bytes; valid until the next call of a function */
+} evalkit_loop_closure;
+
 /* Callback for one iteration: error (m) and pairs before it, pose after it.  Pass `listener` on unchanged. */
 typedef void (*evalkit_trace)(void *listener, double error_m, int32_t inliers, const evalkit_pose *target_from_source);
 
 /* Return EVALKIT_ABI, the version of this file at compile time. */
 EVALKIT_EXPORT int32_t evalkit_abi(void);
 
-/* EVALKIT_REGISTRATION or EVALKIT_ODOMETRY. */
+/* EVALKIT_REGISTRATION, EVALKIT_ODOMETRY or EVALKIT_SLAM. */
 EVALKIT_EXPORT int32_t evalkit_kind(void);
 
 /* Optional: one line of description for the report. */
@@ -91,9 +99,21 @@ EVALKIT_EXPORT int32_t evalkit_register(void *self, const double *target_xy, siz
  * none.  Called during `trace` only; the numbers stay valid until `trace` returns. */
 EVALKIT_EXPORT const int32_t *evalkit_pairs(void *self, size_t *count);
 
-/* Kind odometry: set *answer to start_from_base at the frame's first beam; the identity for the first frame.
+/* Kinds odometry and SLAM: set *answer to start_from_base at the frame's first beam; the identity for the first frame.
  * Every sequence has a new instance; frames are in the order of time.  Return 0, or another code to end the run. */
 EVALKIT_EXPORT int32_t evalkit_update(void *self, const evalkit_frame *frame, evalkit_pose *answer);
+
+/* Kind SLAM: write the corrected start_from_base of every frame for which evalkit_update returned 0, oldest first: `count`
+ * poses, which the caller owns; the first is the identity.  Called after the last frame; evalkit validate calls it after
+ * others too.  It must not change a later answer.  Return 0, or another code to end the run as failed. */
+EVALKIT_EXPORT int32_t evalkit_trajectory(void *self, evalkit_pose *poses, size_t count);
+
+/* Optional, kind SLAM: write the first `room` loop closures, rejected candidates included, in the order of stamp_ns; return
+ * the number of all, at most 100000.  Called with room 0 and NULL first.  It must not change a later answer. */
+EVALKIT_EXPORT size_t evalkit_loop_closures(void *self, evalkit_loop_closure *closures, size_t room);
+
+/* Optional, kind SLAM: 1 if the last evalkit_update moved the pose of an earlier frame by more than 1 cm or 0.5 deg, else 0. */
+EVALKIT_EXPORT int32_t evalkit_corrected(void *self);
 
 /* Free an instance of evalkit_create. */
 EVALKIT_EXPORT void evalkit_destroy(void *self);

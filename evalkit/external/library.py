@@ -11,6 +11,8 @@ import subprocess
 import sys
 import tempfile
 import weakref
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -19,12 +21,14 @@ import numpy as np
 
 from evalkit.core.arrays import Ints
 from evalkit.core.errors import BackendFailed
+from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.match import Iteration, Match
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import Cost, Stopwatch
+from evalkit.core.trajectory import Trajectory
 from evalkit.execution.subprocesses import signal_name
 from evalkit.external import abi, elf
 from evalkit.external.declaration import (
@@ -38,11 +42,15 @@ from evalkit.external.declaration import (
     read_declaration,
     split_words,
 )
+from evalkit.odometry.corrections import MAX_CLOSURES
 from evalkit.plugins.parameters import Parameter, Value
-from evalkit.plugins.specs import BackendSpec, RegistrationSpec
+from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec, SlamSpec
 
 LOADING_S = 20.0
 """Time limit for loading a library and reading its description."""
+
+GUARD = 0x5A5A_A5A5_C3C3_3C3C
+"""The value after an answer, which a library may not change."""
 
 TRACE = Parameter("trace", False, "", "record every iteration; costs time in the call")
 
@@ -62,10 +70,8 @@ def scheme(rest: str) -> BackendSpec:
     except BackendFailed as error:
         return broken_spec(name, "; ".join(error.args[1:]), digest)
     own = (TRACE,) if declared.spec_type is RegistrationSpec else ()
-    make = LibraryRegistration if declared.spec_type is RegistrationSpec else LibraryOdometry
-    return make_spec(
-        declared, override_defaults(name, (*declared.parameters, *own), words), partial(make, name, file), digest
-    )
+    make = partial(_MADE[declared.spec_type], name, file)
+    return make_spec(declared, override_defaults(name, (*declared.parameters, *own), words), make, digest)
 
 
 class LibraryRegistration:
@@ -86,7 +92,8 @@ class LibraryRegistration:
 
         with conversion:
             onto, points = _to_contiguous(target.points), _to_contiguous(source.points)
-            start, answer = _to_abi_pose(guess), abi.MatchStruct()
+            start, guarded = _to_abi_pose(guess), abi.GuardedMatch(after=GUARD)
+            answer = guarded.answer
             answer.target_from_source.x = np.nan  # detected if the library does not set it
             trace = abi.Trace(record) if self._trace else abi.Trace()
         self._instance.call(
@@ -94,6 +101,7 @@ class LibraryRegistration:
             ctypes.byref(start), trace, None, ctypes.byref(answer),
         )  # fmt: skip
         with conversion:
+            self._instance.check_arguments(guarded, start, guess)
             pose = self._instance.check_pose(answer.target_from_source)
         return Match(
             pose, bool(answer.converged), answer.iterations, answer.error_m, answer.inliers, tuple(history),
@@ -125,17 +133,78 @@ class LibraryOdometry:
         return OdometryEstimate(pose, cost=Cost(conversion.cpu_ns))
 
 
+class LibrarySlam(LibraryOdometry):
+    """A Slam: ``evalkit_trajectory`` and ``evalkit_loop_closures`` of a library."""
+
+    def __init__(self, name: str, file: Path, **parameters: Value) -> None:
+        super().__init__(name, file, **parameters)
+        self._name = name
+        self._stamps_ns: list[int] = []
+
+    def update(self, frame: Frame) -> OdometryEstimate:
+        """As ``LibraryOdometry.update``, with whether it corrected earlier poses, where the library tells."""
+        estimate = super().update(frame)
+        self._stamps_ns.append(frame.scan.stamp_ns)
+        corrected = self._instance.ask("evalkit_corrected")
+        return estimate if corrected is None else replace(estimate, corrected=bool(corrected))
+
+    def trajectory(self) -> Trajectory:
+        """Return the corrected poses; raises BackendFailed where the library reports an error or sets too few."""
+        poses = np.full((len(self._stamps_ns), 3), np.nan)
+        rows = poses.ctypes.data_as(ctypes.POINTER(abi.PoseStruct))
+        self._instance.call("evalkit_trajectory", rows, len(poses))
+        if not (finite := np.isfinite(poses).all(axis=1)).all():
+            what = f"evalkit_trajectory set no finite pose at index {int(np.argmin(finite))} of {len(poses)}"
+            raise BackendFailed(self._name, what, "write one pose for each frame that evalkit_update answered")
+        return Trajectory(np.array(self._stamps_ns, dtype=np.int64), poses, "start", "base")
+
+    def loop_closures(self) -> tuple[LoopClosure, ...]:
+        """Return the library's loop closures, () where it reports none; raises BackendFailed for an invalid one."""
+        count = self._instance.ask("evalkit_loop_closures", None, 0) or 0
+        if count > MAX_CLOSURES:
+            what = f"evalkit_loop_closures returned {count}, at most {MAX_CLOSURES} are stored"
+            raise BackendFailed(self._name, what, "report fewer candidates")
+        rows = (abi.LoopClosureStruct * count)()
+        written = self._instance.ask("evalkit_loop_closures", rows, count) if count else 0
+        try:
+            return tuple(_from_abi_closure(row) for row in rows[: min(written or 0, count)])
+        except ValueError as error:
+            raise BackendFailed(self._name, f"evalkit_loop_closures: {error}", "correct the loop closure") from None
+
+
+_MADE: dict[type[BackendSpec], Callable[..., LibraryRegistration | LibraryOdometry]] = {
+    RegistrationSpec: LibraryRegistration,
+    OdometrySpec: LibraryOdometry,
+    SlamSpec: LibrarySlam,
+}
+
+
+class _Texts:
+    """Texts for a call. Once erased they are unreadable, but not freed: reading them later fails, and always so."""
+
+    def __init__(self, texts: Iterable[str]) -> None:
+        self._buffers = [ctypes.create_string_buffer(text.encode()) for text in texts]
+        pointers = [ctypes.cast(one, ctypes.c_char_p) for one in self._buffers]
+        self.array = (ctypes.c_char_p * len(pointers))(*pointers)
+
+    def erase(self) -> None:
+        """Overwrite the texts, and the pointers to them with NULL."""
+        for index, buffer in enumerate(self._buffers):
+            buffer.value = b"?" * len(buffer.value)
+            self.array[index] = None
+
+
 class Instance:
     """An instance made by ``evalkit_create``; ``evalkit_destroy`` is called when it is garbage-collected."""
 
     def __init__(self, name: str, file: Path, parameters: dict[str, Value]) -> None:
         self._name = name
         self._library = abi.load(name, file)
-        names = (ctypes.c_char_p * len(parameters))(*(key.encode() for key in parameters))
-        values = (ctypes.c_char_p * len(parameters))(
-            *(format_value(setting).encode() for setting in parameters.values())
-        )
-        self._self: int | None = self._library.evalkit_create(names, values, len(parameters))
+        self._names, self._values = _Texts(parameters), _Texts(map(format_value, parameters.values()))
+        count = len(parameters)
+        self._self: int | None = self._library.evalkit_create(self._names.array, self._values.array, count)
+        self._names.erase()
+        self._values.erase()
         if self._self is None:
             raise BackendFailed(name, f"evalkit_create returned NULL{self._last_error()}", "see what it needs")
         weakref.finalize(self, self._library.evalkit_destroy, self._self)
@@ -148,6 +217,11 @@ class Instance:
                 self._name, f"{function} returned error {code}{self._last_error()}", "see what it needs"
             )
 
+    def ask(self, function: str, *arguments: object) -> int | None:
+        """Return the number that an optional function of the instance returns; None where the library lacks it."""
+        found = getattr(self._library, function, None)
+        return None if found is None else int(found(self._self, *arguments))
+
     def traced_pairs(self, most: int) -> Ints | None:
         """Return the pairs (K, 2) of the current iteration, at most ``most``; None where the library reports none."""
         find = getattr(self._library, "evalkit_pairs", None)
@@ -156,6 +230,14 @@ class Instance:
         if not found or count.value > most:
             return None
         return np.array(found[: 2 * count.value], dtype=np.int64).reshape(-1, 2)
+
+    def check_arguments(self, guarded: abi.GuardedMatch, start: abi.PoseStruct, guess: Pose) -> None:
+        """Raise BackendFailed where the library wrote beyond its answer, or to the guess."""
+        if guarded.after != GUARD:
+            remedy = "compile it with the evalkit_backend.h of this evalkit, and write within *answer"
+            raise BackendFailed(self._name, "evalkit_register wrote beyond its answer", remedy)
+        if (start.x, start.y, start.theta) != (guess.x, guess.y, guess.theta):
+            raise BackendFailed(self._name, "evalkit_register wrote to the guess, which is read-only", "use a copy")
 
     def check_pose(self, row: abi.PoseStruct) -> Pose:
         """Return the pose of an answer; raises BackendFailed where it is not finite."""
@@ -212,6 +294,12 @@ def _to_abi_pose(pose: Pose) -> abi.PoseStruct:
 
 def _to_pose_pointer(pose: Pose | None) -> Any:
     return None if pose is None else ctypes.pointer(_to_abi_pose(pose))
+
+
+def _from_abi_closure(row: abi.LoopClosureStruct) -> LoopClosure:
+    reason = (row.reason or b"").decode(errors="replace")
+    motion = _from_abi_pose(row.other_from_base)
+    return LoopClosure(row.stamp_ns, row.other_stamp_ns, motion, bool(row.accepted), reason)
 
 
 def _from_abi_pose(row: abi.PoseStruct) -> Pose:

@@ -14,7 +14,7 @@ from evalkit.external.declaration import NOT_DECLARED, compute_digest, override_
 from evalkit.io import map_server
 from evalkit.metrics.consistency import look_up_cells
 from evalkit.plugins.parameters import Parameter
-from evalkit.plugins.result_files import read_grid
+from evalkit.plugins.result_files import read_map
 from evalkit.plugins.specs import BackendSpec, MapSpec
 
 SUFFIXES = (".yaml", ".yml")
@@ -43,7 +43,7 @@ def map_spec(name: str, file: Path, topic: str, words: list[str]) -> BackendSpec
 
 def load_map(file: Path, topic: str, *, x_m: float, y_m: float, yaw_deg: float) -> OccupancyGrid:
     """Load a map in the world's frame; raises BadData where it cannot be read."""
-    grid, map_from_grid = read_grid(f"{file}?map={topic}") if topic else map_server.read_rotated_map(file)
+    grid, map_from_grid = read_map(f"{file}?map={topic}" if topic else str(file))
     return transform_map(grid, Pose(x_m, y_m, math.radians(yaw_deg)) @ map_from_grid)
 
 

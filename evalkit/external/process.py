@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 
 from evalkit.core.errors import BackendFailed, BadParameter
+from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.match import Iteration, Match
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import Answer, Cost, Stopwatch
+from evalkit.core.trajectory import Trajectory
 from evalkit.external import elf
 from evalkit.external.declaration import (
     Declaration,
@@ -30,8 +32,10 @@ from evalkit.external.declaration import (
     read_declaration,
 )
 from evalkit.external.program import Program
+from evalkit.external.secrets import fill_in_secrets
+from evalkit.odometry.corrections import MAX_CLOSURES
 from evalkit.plugins.parameters import Parameter, Value
-from evalkit.plugins.specs import BackendSpec, RegistrationSpec
+from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec, SlamSpec
 
 VERSION = 1
 MAX_COUNTED = 2.0**31
@@ -39,6 +43,9 @@ MAX_COUNTED = 2.0**31
 
 HELLO_S = 10.0
 """Time limit for the start of a program and its first answer."""
+
+PART = 1000
+"""Number of poses or loop closures in one answer: it has at most 1 MiB."""
 
 TIMEOUT = Parameter(
     "answer_timeout_s", 10.0, "s", "time limit for an answer; a longer wait is a failure", low=1e-3, high=3600.0
@@ -109,8 +116,42 @@ class ProgramOdometry:
                 "angles": scan.angles.tolist(),
                 "ranges": _encode_ranges(scan.ranges),
             }
-        pose, cost = self._session.ask(question, self._session.pose, conversion)
-        return OdometryEstimate(pose, cost=cost)
+        (pose, corrected), cost = self._session.ask(question, self._session.estimate, conversion)
+        return OdometryEstimate(pose, cost=cost, corrected=corrected)
+
+
+class ProgramSlam(ProgramOdometry):
+    """A Slam that asks a program for "trajectory" and "loop_closures", in parts."""
+
+    def __init__(self, session: ProgramSession) -> None:
+        super().__init__(session)
+        self._stamps_ns: list[int] = []
+
+    def update(self, frame: Frame) -> OdometryEstimate:
+        """As ``ProgramOdometry.update``; the frame is then one of the trajectory."""
+        estimate = super().update(frame)
+        self._stamps_ns.append(frame.scan.stamp_ns)
+        return estimate
+
+    def trajectory(self) -> Trajectory:
+        """Return the corrected poses; raises BackendFailed where the program gives no valid ones for all frames."""
+        count = len(self._stamps_ns)
+        rows = [
+            self._session.ask_rows("trajectory", "poses", begin, 3 * min(PART, count - begin))
+            for begin in range(0, count, PART)
+        ]
+        poses = np.array([value for part in rows for value in part], dtype=np.float64).reshape(-1, 3)
+        return Trajectory(np.array(self._stamps_ns, dtype=np.int64), poses, "start", "base")
+
+    def loop_closures(self) -> tuple[LoopClosure, ...]:
+        """Return the program's loop closures; raises BackendFailed where it gives an invalid one, or too many."""
+        closures: list[LoopClosure] = []
+        while len(closures) <= MAX_CLOSURES:
+            part = self._session.ask_closures(len(closures))
+            closures += part
+            if len(part) < PART:
+                return tuple(closures)
+        raise self._session.program.malformed("loop_closures", len(closures), f"at most {MAX_CLOSURES} in all")
 
 
 class ProgramSession:
@@ -167,6 +208,44 @@ class ProgramSession:
             tuple(self._iteration(entry) for entry in self._list(answer, "trace")),
         )
 
+    def ask_rows(self, ask: str, key: str, begin: int, count: int) -> list[float]:
+        """Ask for a part of a list of finite numbers; raises BackendFailed where it has another length."""
+        answer = self.program.ask({"ask": ask, "from": begin, "count": PART})
+        found = self._list(answer, key)
+        if len(found) != count or not all(_is_finite(value) for value in found):
+            raise self.program.malformed(key, found, f"{count} finite numbers from pose {begin} on")
+        return found
+
+    def ask_closures(self, begin: int) -> list[LoopClosure]:
+        """Ask for the loop closures from an index on, at most ``PART``; raises BackendFailed."""
+        answer = self.program.ask({"ask": "loop_closures", "from": begin, "count": PART})
+        found = self._list(answer, "loop_closures")
+        if len(found) > PART:
+            raise self.program.malformed("loop_closures", f"{len(found)} entries", f"at most {PART}")
+        return [self._closure(entry) for entry in found]
+
+    def _closure(self, entry: Any) -> LoopClosure:
+        expected = "objects with stamp_ns, other_stamp_ns, pose, accepted (true or false) and reason"
+        if not isinstance(entry, dict):
+            raise self.program.malformed("loop_closures", entry, expected)
+        later, earlier = entry.get("stamp_ns"), entry.get("other_stamp_ns")
+        accepted, reason = entry.get("accepted"), entry.get("reason")
+        if not isinstance(later, int) or not isinstance(earlier, int) or max(abs(later), abs(earlier)) >= 2**63:
+            raise self.program.malformed("loop_closures", entry, expected)
+        if not isinstance(accepted, bool) or not isinstance(reason, str):
+            raise self.program.malformed("loop_closures", entry, expected)
+        try:
+            return LoopClosure(later, earlier, self.pose(entry), accepted, reason)
+        except ValueError as error:
+            raise self.program.malformed("loop_closures", entry, str(error)) from None
+
+    def estimate(self, answer: dict[str, Any]) -> tuple[Pose, bool | None]:
+        """Return the pose of an answer, and whether it corrected earlier ones (None: not told); BackendFailed."""
+        corrected = answer.get("corrected")
+        if corrected is not None and not isinstance(corrected, bool):
+            raise self.program.malformed("corrected", corrected, "true or false")
+        return self.pose(answer), corrected
+
     def _iteration(self, entry: Any) -> Iteration:
         """Return one entry of a trace; raises BackendFailed."""
         if not isinstance(entry, dict):
@@ -189,16 +268,28 @@ class ProgramSession:
         found = answer.get("pose")
         if not isinstance(found, list) or len(found) != 3 or not all(type(value) in (int, float) for value in found):
             raise self.program.malformed("pose", found, "three numbers: x, y, theta")
-        if not all(abs(value) <= sys.float_info.max for value in found):  # JSON's whole numbers are unbounded
+        if not all(_is_finite(value) for value in found):
             raise self.program.malformed("pose", found, "finite numbers; without a better pose, the guess")
         return Pose.of(found)
+
+
+_MADE: dict[type[BackendSpec], Callable[[ProgramSession], ProgramRegistration | ProgramOdometry]] = {
+    RegistrationSpec: ProgramRegistration,
+    OdometrySpec: ProgramOdometry,
+    SlamSpec: ProgramSlam,
+}
 
 
 def _make(
     name: str, argv: list[str], declared: Declaration, *, answer_timeout_s: float, **parameters: Value
 ) -> ProgramRegistration | ProgramOdometry:
     session = ProgramSession(name, argv, declared, answer_timeout_s, parameters)
-    return ProgramRegistration(session) if declared.spec_type is RegistrationSpec else ProgramOdometry(session)
+    return _MADE[declared.spec_type](session)
+
+
+def _is_finite(value: object) -> bool:
+    """Whether a value of JSON is a number that a float can hold; its whole numbers are unbounded."""
+    return isinstance(value, (int, float)) and type(value) is not bool and abs(value) <= sys.float_info.max
 
 
 def _greet(program: Program) -> dict[str, Any]:
@@ -224,7 +315,7 @@ def _split_command(name: str, rest: str) -> list[str]:
         raise BadParameter(name, "command", rest, f"a command line ({error}: correct the quotation marks)") from None
     if not words:
         raise BadParameter(name, "command", rest, "exec:PROGRAM ARGUMENTS")
-    return words
+    return fill_in_secrets(words)
 
 
 def _resolve_command(words: list[str]) -> tuple[list[str], str]:

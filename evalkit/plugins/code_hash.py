@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 
 def hash_code(modules: tuple[str, ...], libraries: tuple[str, ...]) -> str:
@@ -51,22 +53,32 @@ def hash_files(parameters: Mapping[str, object]) -> str:
 def find_sources(module: str, roots: frozenset[str]) -> frozenset[Path]:
     """Return the source files of a module and of all its direct and indirect imports within the packages ``roots``.
 
-    The data of a module, a TOML file of the same name beside it, belong to its sources.
+    The data of a module, a TOML file of the same name beside it, belong to its sources. Imports for a type checker do
+    not run; they only tell where a package finds what ``from package import name`` imports on first use (PEP 562).
     """
     found: dict[str, Path] = {}
-    waiting = [module]
+    on_first_use: dict[str, str] = {}
+    waiting = deque([module])
     while waiting:
-        name = waiting.pop()
+        name = waiting.popleft()
         if name in found or name.partition(".")[0] not in roots:
             continue
-        file = _file(name)
-        if file is not None:
+        if name in on_first_use:
+            waiting.append(on_first_use[name])
+        elif name.endswith(".*"):
+            waiting.extend(source for known, source in on_first_use.items() if known.startswith(name[:-1]))
+        elif (file := _file(name, found)) is not None:
             found[name] = file
-            waiting.extend(_imported(name, file))
+            imports = _imported(name, file)
+            waiting.extend(imports.names)
+            on_first_use |= imports.on_first_use
     return frozenset([*found.values(), *filter(Path.is_file, (file.with_suffix(".toml") for file in found.values()))])
 
 
-def _file(name: str) -> Path | None:
+def _file(name: str, found: Mapping[str, Path]) -> Path | None:
+    parent = found.get(name.rpartition(".")[0])
+    if parent is not None and parent.name != "__init__.py":  # a name in a module: not searched, which would import it
+        return None
     try:
         spec = find_spec(name)
     except ModuleNotFoundError:  # "package.name" where name is an attribute, not a module
@@ -74,22 +86,45 @@ def _file(name: str) -> Path | None:
     return Path(spec.origin) if spec is not None and spec.origin and spec.origin != "built-in" else None
 
 
+class _Imports(NamedTuple):
+    """What a source file imports anywhere.
+
+    ``names``: modules, each before its names: "package.name" for a name imported from a package, "package.*" for a
+    whole package. ``on_first_use``: the modules that its names for a type checker come from.
+    """
+
+    names: tuple[str, ...] = ()
+    on_first_use: Mapping[str, str] = {}
+
+
 @cache
-def _imported(name: str, file: Path) -> tuple[str, ...]:
-    """Return the modules that a source file imports anywhere; "package.name" for every name imported from a package."""
-    return tuple(_imports(name, file)) if file.suffix == ".py" else ()
-
-
-def _imports(name: str, file: Path) -> Iterator[str]:
+def _imported(name: str, file: Path) -> _Imports:
+    if file.suffix != ".py":
+        return _Imports()
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(ast.parse(file.read_bytes())):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+    names: list[str] = []
+    on_first_use: dict[str, str] = {}
+    for node, runs in _statements(ast.parse(file.read_bytes()).body, True):
+        if isinstance(node, ast.Import) and runs:
+            names += [text for alias in node.names for text in (alias.name, f"{alias.name}.*")]
         elif isinstance(node, ast.ImportFrom):
             parent = ".".join(package.split(".")[: len(package.split(".")) - node.level + 1]) if node.level else ""
             base = ".".join(part for part in (parent, node.module) if part)
-            yield base
-            yield from (f"{base}.{alias.name}" for alias in node.names)
+            if runs:
+                names += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+            else:
+                on_first_use |= {f"{name}.{alias.asname or alias.name}": base for alias in node.names}
+    return _Imports(tuple(names), on_first_use)
+
+
+def _statements(nodes: Iterable[ast.AST], runs: bool) -> Iterator[tuple[ast.AST, bool]]:
+    """Yield all statements, those inside others too, and whether they run: not those for a type checker."""
+    for node in nodes:
+        yield node, runs
+        typing_only = isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
+        yield from _statements(getattr(node, "body", ()), runs and not typing_only)
+        for part in ("orelse", "finalbody", "handlers", "cases"):
+            yield from _statements(getattr(node, part, ()), runs)
 
 
 @cache

@@ -23,6 +23,15 @@ Value = bool | int | float | str
 NUISANCE, EXCERPT = "nuisance", "nuisance_scans"
 """Reserved parameters of a recording: the number of its perturbation, and the scans of an excerpt (0: all)."""
 
+MAP, MAP_START, ALIGN_TRUTH = "map", "map_start", "align_truth"
+"""Reserved parameters of a sequence on which methods track the robot in a known map: the map's file or ``TRUE_MAP``,
+the start in the map as "x,y,yaw" (m, m, deg), "" to search it, and whether the ground truth is in another frame."""
+
+TRUE_MAP = "truth"
+"""In place of a file: the true map of the sequence."""
+
+RESERVED = (NUISANCE, EXCERPT, MAP, MAP_START, ALIGN_TRUTH)
+
 _KEY = "evalkit parameter"
 _EXPECTED: dict[type, str] = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 

@@ -1,4 +1,4 @@
-"""Protocols that plug-ins implement: Registration, Odometry, Mapper, Sequence."""
+"""Protocols that plug-ins implement: Registration, Odometry, Slam, Mapper, Sequence."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from typing import Protocol
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
+from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.match import Match
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame, Scan
+from evalkit.core.trajectory import Trajectory
 
 
 class Registration(Protocol):
@@ -29,6 +31,26 @@ class Odometry(Protocol):
 
         Raises NoAnswer where this frame has no estimate; the next frame follows as usual.
         """
+        ...
+
+
+class Slam(Odometry, Protocol):
+    """An odometry that also corrects poses it has given, by closing loops or by optimising a map.
+
+    ``update`` returns what the robot has at that moment (*online*). ``trajectory`` returns what the method believes
+    afterwards (*final*). Neither ``trajectory`` nor ``loop_closures`` changes an answer given later.
+    """
+
+    def trajectory(self) -> Trajectory:
+        """Return the corrected poses ``start_from_base`` of all frames answered so far.
+
+        Stamps are those of the frames; a frame for which ``update`` raised NoAnswer has none. The first pose is the
+        identity.
+        """
+        ...
+
+    def loop_closures(self) -> tuple[LoopClosure, ...]:
+        """Return all candidates so far, in the order of ``stamp_ns``; () for a method that corrects by other means."""
         ...
 
 

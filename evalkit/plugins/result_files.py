@@ -13,6 +13,7 @@ from urllib.parse import parse_qsl
 from evalkit.core.errors import BadData
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
+from evalkit.io.map_server import read_rotated_map
 from evalkit.io.tum import TumFile, read_tum
 from evalkit.plugins import registry
 
@@ -35,10 +36,14 @@ class ResultReader:
 
 @dataclass(frozen=True, slots=True)
 class ResultAddress:
-    """A path, and what is meant in the file: ``topic``, ``tf`` or ``map``; empty for the file itself."""
+    """A path, and what is meant in the file: ``topic``, ``tf`` or ``map``; empty for the file itself.
+
+    ``final``: the address of the corrected poses of the same run, "" for none.
+    """
 
     path: Path
     query: Mapping[str, str] = field(default_factory=dict)
+    final: str = ""
 
     @property
     def is_map(self) -> bool:
@@ -47,19 +52,24 @@ class ResultAddress:
 
 
 def parse_address(text: str) -> ResultAddress:
-    """Parse ``PATH`` or ``PATH?topic=...``, ``PATH?tf=PARENT,CHILD``, ``PATH?map=TOPIC``. Raises BadData."""
+    """Parse ``PATH`` or ``PATH?topic=...``, ``PATH?tf=PARENT,CHILD``, ``PATH?map=TOPIC``. Raises BadData.
+
+    ``PATH?final=ADDRESS``, or ``&final=ADDRESS`` at the end, names the corrected poses of a SLAM. ADDRESS may have a
+    question mark of its own.
+    """
     name, mark, words = text.partition("?")
     if not mark or Path(text).exists():  # a file may have a question mark in its name
         return ResultAddress(Path(text))
+    own, mark, final = ("", "final=", words[6:]) if words.startswith("final=") else words.partition("&final=")
     try:
-        pairs = parse_qsl(words, keep_blank_values=True, strict_parsing=True, max_num_fields=1)
+        pairs = parse_qsl(own, keep_blank_values=True, strict_parsing=True, max_num_fields=1) if own else []
     except ValueError:
         pairs = []
-    if not pairs or pairs[0][0] not in KEYS or not pairs[0][1]:
-        raise BadData(
-            name, "", f"'?{words[:80]}' behind its name", "write ?topic=/pose, ?tf=map,base_link or ?map=/map"
-        )
-    return ResultAddress(Path(name), dict(pairs))
+    valid = (pairs and pairs[0][0] in KEYS and pairs[0][1]) or (not own and final)
+    if not valid or (mark and not final) or (final and "map" in dict(pairs)):
+        remedy = "write ?topic=/pose, ?tf=map,base_link or ?map=/map; ?final=FILE or &final=FILE for corrected poses"
+        raise BadData(name, "", f"'?{words[:80]}' behind its name", remedy)
+    return ResultAddress(Path(name), dict(pairs), final)
 
 
 def read_trajectory(text: str) -> TumFile:
@@ -68,6 +78,9 @@ def read_trajectory(text: str) -> TumFile:
     Raises DataMissing if there is no such file, BadData if it does not hold what is meant.
     """
     address = parse_address(text)
+    if address.final:
+        what = f"'final={address.final[:80]}' behind its name"
+        raise BadData(str(address.path), "", what, "name corrected poses for a method only: file:ONLINE?final=FINAL")
     reader = find_reader(address.path)
     if reader is None and not address.query:
         return read_tum(address.path)
@@ -78,6 +91,20 @@ def read_grid(text: str) -> tuple[OccupancyGrid, Pose]:
     """Read the map at an address ``PATH?map=TOPIC``: the grid with its corner at its origin, and ``map_from_grid``."""
     address = parse_address(text)
     return _require_reader(address, find_reader(address.path)).grid(address.path, address.query.get("map", ""))
+
+
+def read_map(text: str) -> tuple[OccupancyGrid, Pose]:
+    """Read the map at an address: a map_server YAML file, or ``BAG?map=TOPIC``; see ``read_grid``.
+
+    Raises BadData or DataMissing.
+    """
+    address = parse_address(text)
+    if address.is_map:
+        return read_grid(text)
+    if address.query or address.final:
+        what = f"no map is meant by '{text[-80:]}'"
+        raise BadData(str(address.path), "", what, "give a map_server file (.yaml), or a bag: run.mcap?map=/map")
+    return read_rotated_map(address.path)
 
 
 def find_reader(path: Path) -> ResultReader | None:

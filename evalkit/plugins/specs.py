@@ -11,16 +11,16 @@ from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from evalkit.plugins.parameters import EXCERPT, NUISANCE, Parameter, Value, declared_parameters
+from evalkit.plugins.parameters import EXCERPT, NUISANCE, RESERVED, Parameter, Value, declared_parameters
 
 if TYPE_CHECKING:
     from evalkit.core.grid import OccupancyGrid
-    from evalkit.plugins.protocols import Mapper, Odometry, Registration, Sequence
+    from evalkit.plugins.protocols import Mapper, Odometry, Registration, Sequence, Slam
 
 GUESS_NOT_REPORTED = "not reported"
 NOT_STATED = "not stated"
 
-Kind = Literal["registration", "odometry", "map"]
+Kind = Literal["registration", "odometry", "slam", "map"]
 
 Role = Literal["", "reference", "baseline", "peer"]
 """Role of a back end in a comparison.
@@ -113,8 +113,24 @@ class OdometrySpec(BackendSpec):
 
 
 @dataclass(frozen=True)
+class SlamSpec(OdometrySpec):
+    """A back end that is an odometry itself and corrects poses it has given."""
+
+    make: Callable[..., Slam]
+
+    kind: ClassVar[Kind] = "slam"
+
+
+@dataclass(frozen=True)
 class RecordedOdometrySpec(OdometrySpec):
     """An odometry that returns poses computed elsewhere."""
+
+    recorded: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class RecordedSlamSpec(SlamSpec):
+    """A SLAM that returns poses computed elsewhere."""
 
     recorded: ClassVar[bool] = True
 
@@ -132,6 +148,8 @@ class MapSpec(BackendSpec):
 def spec_of_class(made: type) -> BackendSpec | None:
     """Return the spec of a class that is itself a registration (``register``) or an odometry (``update``), else None.
 
+    An odometry with ``trajectory`` and ``loop_closures`` is a SLAM.
+
     The summary is the first line of its docstring; its parameters are the fields that it declares with ``parameter``.
     """
     make: Callable[..., Any] = made
@@ -139,6 +157,8 @@ def spec_of_class(made: type) -> BackendSpec | None:
     parameters = declared_parameters(made) if is_dataclass(made) else ()
     if hasattr(made, "register"):
         return RegistrationSpec(make, summary, NOT_STATED, NOT_STATED, parameters=parameters)
+    if hasattr(made, "update") and hasattr(made, "trajectory") and hasattr(made, "loop_closures"):
+        return SlamSpec(make, summary, NOT_STATED, NOT_STATED, parameters=parameters)
     if hasattr(made, "update"):
         return OdometrySpec(make, summary, NOT_STATED, NOT_STATED, parameters=parameters)
     return None
@@ -224,7 +244,7 @@ class DatasetSpec:
 
     def open(self, parameters: Mapping[str, Value]) -> Sequence:
         """Make the sequence of a run, perturbed if the parameters contain the reserved ones of a perturbation."""
-        own = {name: value for name, value in parameters.items() if name not in (NUISANCE, EXCERPT)}
+        own = {name: value for name, value in parameters.items() if name not in RESERVED}
         sequence = self.make(**own)
         if NUISANCE not in parameters:
             return sequence

@@ -17,7 +17,7 @@ from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.arrays import Ints
 from evalkit.core.errors import StoreError, brief
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import DISTURBED, RunConditions
+from evalkit.core.run_result import DISTURBED, RunConditions, RunResult
 from evalkit.core.se2 import Floats
 from evalkit.io import untrusted_io
 from evalkit.plugins.parameters import EXCERPT, NUISANCE
@@ -28,7 +28,7 @@ from evalkit.results.store import ERRORS, RESULT, SCORES, STEPS, Store, whole_re
 REPETITION = ("seed", NUISANCE, EXCERPT)
 """Parameters of a sequence that belong to one repetition."""
 
-RESULTS_NAME, RESULTS_VERSION = "evalkit-results", 3
+RESULTS_NAME, RESULTS_VERSION = "evalkit-results", 4
 """Name and schema version of results.json."""
 
 _KEY = re.compile(r"(?!\.)[\w.=+-]{1,200}")
@@ -138,10 +138,18 @@ def load_run(folder: Path, entry: Mapping[str, Any], truth: Truth) -> RunRecord:
     Raises StoreError if its files hold less than results.json states.
     """
     store = Store.existing(folder)
-    result, scores = store.load_result(entry["key"]), store.load_scores(entry["key"])
+    try:
+        result: RunResult | None = store.read_result(entry["key"])
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        result, damage = None, f" ({error})"
+    else:
+        damage = ""
+    scores = store.load_scores(entry["key"])
     answered, expected = 0 if result is None else len(result.steps), entry["scans_answered"]
     if result is None or scores is None or answered != expected:
-        missing = "its alignment and map are missing" if answered == expected else f"{answered} of {expected} poses"
+        missing = (
+            "its alignment and map are missing" if answered == expected else f"{answered} of {expected} poses{damage}"
+        )
         raise StoreError(str(store.run_folder(entry["key"])), f"incomplete: {missing}", "write the report again")
     parameters = {name: value for name, value in entry["dataset_parameters"].items() if name not in REPETITION}
     method = Method(entry["method"], entry["backend"], entry["backend_parameters"])

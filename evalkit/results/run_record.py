@@ -57,7 +57,7 @@ def load_records(store: Store, experiment: Experiment, results: Mapping[str, Run
         scores = store.load_scores(spec.key) if result.is_scorable else Scores()
         if scores is None:
             raise StoreError(str(store.run_folder(spec.key)), "was written but cannot be read back", REMEDY)
-        sequence = spec.sequence.label, spec.seed
+        sequence = spec.sequence.label, None if spec.sequence.perturbed else spec.seed  # perturbed: one truth for all
         if sequence not in truths:
             truths[sequence] = _load_truth(spec)
         records.append(RunRecord(spec, result, scores, truths[sequence], experiment.command(spec)))

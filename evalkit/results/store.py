@@ -1,9 +1,10 @@
 """The results folder of an experiment: one folder per run, found by the key of its RunSpec.
 
 runs/<key>/  request.json  started.json  steps.bin  outcome.json  output.txt    written by the process of the run
+             final.npy  loop_closures.json                     of a SLAM: corrected poses at the stamps of steps.bin
              result.json                                       how the run went: cause, cost, provenance
-             scores.json  grid.npz  errors.npy                 its evaluation
-trajectories/<key>.tum   maps/<key>.pgm  maps/<key>.yaml       for other tools
+             scores.json  grid.npz  errors.npy  final_errors.npy  fit.npy  its evaluation
+trajectories/<key>.tum   maps/<key>.pgm  maps/<key>.yaml       for other tools; <key>.final.tum: corrected poses
 attempts/<key>.json      processes that started the run and did not reach its end
 
 result.json and scores.json hold checksums of their values and of the binary files beside them, checked on every read.
@@ -30,20 +31,33 @@ from numpy.typing import NDArray
 from evalkit.config.experiment import RunSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
+from evalkit.core.map_start import MapStart
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import DISTURBED, STEP, Cause, LostTrack, RunConditions, RunResult, Score, Scores
+from evalkit.core.run_result import (
+    DISTURBED,
+    STEP,
+    Cause,
+    FinalAlignment,
+    LostTrack,
+    RunConditions,
+    RunResult,
+    Score,
+    Scores,
+)
 from evalkit.io import map_server, untrusted_io
 from evalkit.io.output_files import as_store_error, create_folder, write_bytes
 from evalkit.io.tum import format_tum
+from evalkit.results.final_files import CLOSURES, FINAL, format_final, parse_final
 from evalkit.results.seal import FILES, read_sealed, read_vouched, seal
 
 LOCK = ".writer.lock"
 STEPS = "steps.bin"
 RESULT = "result.json"
 SCORES = "scores.json"
-GRID, ERRORS = "grid.npz", "errors.npy"
+GRID, ERRORS, FINAL_ERRORS, FIT = "grid.npz", "errors.npy", "final_errors.npy", "fit.npy"
 
-_RESULT_FIELDS = tuple(field.name for field in fields(RunResult) if field.name != "steps")
+_IN_FILES = ("steps", "final", "loop_closures")
+_RESULT_FIELDS = tuple(field.name for field in fields(RunResult) if field.name not in _IN_FILES)
 
 
 class Store:
@@ -136,8 +150,15 @@ class Store:
         folder = self.run_folder(spec.key)
         steps = result.steps.tobytes()
         self.write(folder / STEPS, steps)  # again: durable, and without times where they do not count
+        files = {STEPS: steps}
         text = format_tum(result.estimate, f"evalkit: {spec.method.label} on {spec.sequence.label}")
         self.write(self.folder / "trajectories" / f"{spec.key}.tum", text)
+        if result.final is not None:
+            files |= format_final(result.final, result.loop_closures)
+            text = format_tum(result.final, f"evalkit: {spec.method.label} on {spec.sequence.label}, corrected poses")
+            self.write(self.folder / "trajectories" / f"{spec.key}.final.tum", text)
+        for name in files.keys() - {STEPS}:
+            self.write(folder / name, files[name])
         record: dict[str, Any] = {
             "method": spec.method.label, "sequence": spec.sequence.label, "seed": spec.seed, "status": result.status,
             "dataset_parameters": spec.dataset_parameters, "answered": len(result.steps),
@@ -145,21 +166,36 @@ class Store:
         }  # fmt: skip
         if result.conditions is not None:
             record["conditions"] = result.conditions.as_dict()
-        self.write(folder / RESULT, seal(record, {STEPS: steps}))
+        if result.start is not None:
+            record["start"] = result.start.as_dict()
+        self.write(folder / RESULT, seal(record, files))
         self.clear_attempts(spec.key)
 
     def load_result(self, key: str) -> RunResult | None:
         """The stored result of a run; None where it is absent or damaged."""
-        folder = self.run_folder(key)
         try:
-            record = read_sealed(folder / RESULT)
-            values: dict[str, Any] = {name: record[name] for name in _RESULT_FIELDS}
-            values["cause"] = Cause(record["cause"])
-            if (conditions := values["conditions"]) is not None:
-                values["conditions"] = RunConditions(**{k: v for k, v in conditions.items() if k != DISTURBED})
-            return RunResult(whole_records(read_vouched(folder / STEPS, record)), **values)
+            return self.read_result(key)
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             return None
+
+    def read_result(self, key: str) -> RunResult:
+        """The stored result of a run.
+
+        Raises OSError, ValueError (with the name of a damaged file), TypeError, KeyError or AttributeError.
+        """
+        folder = self.run_folder(key)
+        record = read_sealed(folder / RESULT)
+        values: dict[str, Any] = {name: record[name] for name in _RESULT_FIELDS}
+        values["cause"] = Cause(record["cause"])
+        if (conditions := values["conditions"]) is not None:
+            values["conditions"] = RunConditions(**{k: v for k, v in conditions.items() if k != DISTURBED})
+        if values["start"] is not None:
+            values["start"] = MapStart.of(values["start"])
+        steps = whole_records(read_vouched(folder / STEPS, record))
+        if FINAL in record[FILES]:
+            files = {name: read_vouched(folder / name, record) for name in (FINAL, CLOSURES)}
+            values["final"], values["loop_closures"] = parse_final(files, steps["stamp_ns"])
+        return RunResult(steps, **values)
 
     def save_scores(self, key: str, scores: Scores, fingerprint: str) -> None:
         """Write the scores of a run, and its map for map_server. ``fingerprint``: the scoring code and the mapper.
@@ -171,7 +207,7 @@ class Store:
         create_folder(folder, self.folder)  # raises where it is a link: nothing elsewhere is removed
         with as_store_error(folder):
             of_map = (self.folder / "maps" / f"{key}{ending}" for ending in (".pgm", ".yaml"))
-            for path in (folder / SCORES, folder / GRID, folder / ERRORS, *of_map):
+            for path in (*(folder / name for name in (SCORES, GRID, ERRORS, FINAL_ERRORS, FIT)), *of_map):
                 path.unlink(missing_ok=True)
         files: dict[str, bytes] = {}
         if grid is not None:
@@ -179,10 +215,13 @@ class Store:
             np.savez_compressed(body, log_odds=grid.log_odds, observed=grid.observed, frame=frame)
             files[GRID] = body.getvalue()
             map_server.write_map(self.folder / "maps" / key, grid, self.folder)
-        if scores.errors_m is not None:
-            body = BytesIO()
-            np.save(body, scores.errors_m)
-            files[ERRORS] = body.getvalue()
+        final = scores.final
+        final_errors = final.errors_m if final else None
+        for name, array in ((ERRORS, scores.errors_m), (FINAL_ERRORS, final_errors), (FIT, scores.fit)):
+            if array is not None:
+                body = BytesIO()
+                np.save(body, array)
+                files[name] = body.getvalue()
         for name, raw in files.items():
             self.write(folder / name, raw)
         content = {
@@ -191,6 +230,9 @@ class Store:
             "alignment": scores.alignment,
             "lost_at_s": scores.lost.at_s if scores.lost else None,
             "lost_reason": scores.lost.reason if scores.lost else "",
+            "recovered_at_s": scores.lost.recovered_at_s if scores.lost else None,
+            "final_world_from_start": final.world_from_start.row.tolist() if final else None,
+            "final_alignment": final.alignment if final else "",
             "scores": {name: asdict(score) for name, score in scores.by_metric.items()},
         }
         self.write(folder / SCORES, seal(content, files))
@@ -202,14 +244,17 @@ class Store:
             content = read_sealed(folder / SCORES)
             if fingerprint and content["fingerprint"] != fingerprint:
                 return None
-            files = {name: read_vouched(folder / name, content) for name in (GRID, ERRORS) if name in content[FILES]}
+            names = (GRID, ERRORS, FINAL_ERRORS, FIT)
+            files = {name: read_vouched(folder / name, content) for name in names if name in content[FILES]}
             return Scores(
                 {name: Score(**score) for name, score in content["scores"].items()},
                 Pose.of(content["world_from_start"]),
                 content["alignment"],
                 _parse_grid(files[GRID]) if GRID in files else None,
                 untrusted_io.parse_array(files[ERRORS]) if ERRORS in files else None,
-                LostTrack(content["lost_at_s"], content["lost_reason"]) if content["lost_at_s"] is not None else None,
+                _parse_lost(content) if content["lost_at_s"] is not None else None,
+                _parse_alignment(content, files) if content["final_world_from_start"] is not None else None,
+                untrusted_io.parse_array(files[FIT]) if FIT in files else None,
             )
         except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError):
             return None
@@ -247,6 +292,15 @@ def hash_answers(result: RunResult) -> str:
     for name in ("x", "y", "theta"):
         hashed.update(result.steps[name].astype("<f8").tobytes())
     return hashed.hexdigest()
+
+
+def _parse_lost(content: dict[str, Any]) -> LostTrack:
+    return LostTrack(content["lost_at_s"], content["lost_reason"], content["recovered_at_s"])
+
+
+def _parse_alignment(content: dict[str, Any], files: dict[str, bytes]) -> FinalAlignment:
+    errors = untrusted_io.parse_array(files[FINAL_ERRORS]) if FINAL_ERRORS in files else None
+    return FinalAlignment(Pose.of(content["final_world_from_start"]), content["final_alignment"], errors)
 
 
 def _parse_grid(raw: bytes) -> OccupancyGrid:

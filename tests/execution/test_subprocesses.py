@@ -14,6 +14,22 @@ from evalkit.core.errors import NotInstalled
 from evalkit.execution import subprocesses
 
 
+@pytest.mark.parametrize(
+    ("wall_s", "cpu_s", "exceeded"),
+    [
+        (9.0, 9.0, False),
+        (11.0, 10.0, True),  # had its time
+        (11.0, 0.1, True),  # waits
+        (11.0, 3.0, False),  # on a busy machine
+        (31.0, 3.0, True),
+    ],
+)
+def test_a_child_that_gets_too_little_cpu_time_has_three_times_its_limit(wall_s, cpu_s, exceeded):
+    assert subprocesses.Usage(wall_s, cpu_s, 0).exceeds(10.0) is exceeded
+    begin = subprocesses.Usage(100.0, 50.0, 0)
+    assert subprocesses.Usage(100.0 + wall_s, 50.0 + cpu_s, 0).exceeds(10.0, begin) is exceeded
+
+
 def test_nothing_starts_on_a_system_without_process_groups(tmp_path, monkeypatch):
     subprocesses._require_process_groups()  # supported here
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("something was started"))

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,12 @@ def give_up():
     raise TimeoutError("no answer")
 
 
+def place():
+    time.sleep(0.05)
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
+    return {"pid": os.getpid(), "cores": cores}
+
+
 def doze(number, log):
     time.sleep(0.3)
     return square(number, log)
@@ -70,6 +77,18 @@ def test_results_are_by_name_in_the_order_of_the_tasks(squares, tmp_path):
     assert list(found) == ["three", "two"]
     assert found["three"]["square"] == 9
     assert found["three"]["row"].tolist() == [0, 1, 2]
+
+
+def test_tasks_that_start_their_own_process_need_no_other_and_each_has_a_core(squares, tmp_path):
+    usable = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else {0}
+    tasks = [replace(squares(f"n{n}", "place"), own_process=True) for n in range(3)]
+    found = run_tasks(TaskStore(tmp_path), tasks, workers=2)
+    assert {one["pid"] for one in found.values()} == {os.getpid()}
+    assert all(len(one["cores"]) == 1 for one in found.values())
+    assert len({one["cores"][0] for one in found.values()}) == min(2, len(usable))
+    assert not hasattr(os, "sched_getaffinity") or os.sched_getaffinity(0) == usable  # of this thread
+    mixed = run_tasks(TaskStore(tmp_path / "mixed"), [tasks[0], squares("other", "place")])
+    assert os.getpid() not in {one["pid"] for one in mixed.values()}
 
 
 def test_stored_results_are_not_computed_again(squares, tmp_path):

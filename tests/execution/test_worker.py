@@ -4,6 +4,8 @@ import errno
 import io
 import json
 import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +23,7 @@ from evalkit.metrics.table import Evidence
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.specs import OdometrySpec
+from evalkit.results.final_files import CLOSURES, FINAL, parse_final
 from evalkit.results.store import read_steps, whole_records
 
 pytestmark = pytest.mark.usefixtures("strangers")
@@ -41,6 +44,21 @@ def test_the_warm_up_is_another_instance_so_the_first_answer_is_the_identity(tmp
     assert steps[["x", "y", "theta"]][0].tolist() == (0.0, 0.0, 0.0)
     assert steps["x"].tolist() == pytest.approx([0.1 * k for k in range(12)])
     assert json.loads((tmp_path / "started.json").read_text()) == {"expected": 12, "every": 1, "warm_up_scans": 5}
+
+
+def test_a_run_loads_no_library_that_it_does_not_use(tmp_path):
+    parameters = {one.name: one.default for one in registry.dataset("room").parameters} | ROOM
+    program = (
+        "import json, sys\nfrom pathlib import Path\nfrom evalkit.execution import worker\n"
+        f"request = worker.Request('wheel-odometry', {{}}, 'room', {parameters!r})\n"
+        "result = worker.execute_request(request, Path(sys.argv[1]))\n"
+        "print(json.dumps([result.reason, *sys.modules]))"
+    )
+    ended = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True)
+    reason, *loaded = json.loads(ended.stdout)
+    assert reason == ""
+    heavy = {"scipy", "pandas", "matplotlib", "numpy.ma", "evalkit.odometry.map_localisation", "evalkit.metrics"}
+    assert heavy & set(loaded) == set()
 
 
 def test_a_sequence_shorter_than_the_warm_up_is_all_warm_up_and_all_run(tmp_path):
@@ -119,6 +137,34 @@ def test_an_odometry_can_report_its_stages(tmp_path, monkeypatch):
     assert set(steps["s2m_error"].tolist()) == {0.05}
 
 
+def test_a_slam_leaves_its_corrected_poses_and_loop_closures_beside_its_steps(tmp_path):
+    outcome, steps = execute_request(tmp_path, "faulty-slam", {"fault": "none"})
+    assert (outcome.status, outcome.reason, len(steps)) == ("complete", "", 12)
+    assert steps["y"].tolist() == [0.0] * 12
+    assert steps["corrected"].tolist() == [0] * 7 + [1] + [0] * 4
+    files = {name: (tmp_path / name).read_bytes() for name in (FINAL, CLOSURES)}
+    final, closures = parse_final(files, steps["stamp_ns"])
+    assert final.poses[:, 1].tolist() == [0.0, *[0.01] * 11]
+    assert [(one.accepted, one.reason) for one in closures] == [(False, "score 0.2 < 0.6"), (True, "score 0.9")]
+    assert outcome.final_cpu_ns > 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("missing", "ValueError: trajectory() returned 11 poses for 12 answered frames"),
+        ("nan", "ValueError: trajectory() returned a pose that is not finite"),
+        ("list", "TypeError: trajectory() returned a list, expected an evalkit.Trajectory"),
+        ("raise", "RuntimeError: the graph is torn"),
+        ("stranger", "ValueError: loop_closures() refers at index 1 to -1 ns, where no frame was answered"),
+    ],
+)
+def test_a_slam_with_a_wrong_end_has_failed_and_keeps_its_answers(tmp_path, fault, reason):
+    outcome, steps = execute_request(tmp_path, "faulty-slam", {"fault": fault})
+    assert (outcome.status, outcome.reason, len(steps)) == ("failed", reason, 12)
+    assert not (tmp_path / FINAL).exists()
+
+
 def test_the_notes_of_the_sequence_are_stored(tmp_path):
     outcome, _ = execute_request(tmp_path, dataset="room", sequence=ROOM)
     assert outcome.notes["invalid ranges"] > 0
@@ -162,3 +208,15 @@ def test_a_full_disk_is_a_fault_of_the_machine_and_no_record_begins_inside_anoth
     assert worker.cause_of(raised.value)[0] == "machine fault"
     assert len(whole_records(disk.content)) == 3
     assert worker.cause_of(OSError(errno.ENOSPC, "in the back end's own code"))[0] == "exception"
+
+
+def test_a_perturbed_recording_changes_the_lengths_of_the_back_end_and_no_other_parameter():
+    values = frontend.complete_parameters("t", registry.backend("paper"), {})
+    request = Request("paper", values, "straight", {"nuisance": 3})
+    changed = worker.find_run_parameters(request)
+    lengths = {one.name for one in frontend.settable_parameters(registry.backend("paper")) if one.unit == "m"}
+    different = {name for name in values if changed[name] != values[name]}
+    assert different
+    assert different <= lengths
+    assert all(changed[name] == pytest.approx(values[name], rel=0.01) for name in different)
+    assert worker.find_run_parameters(replace(request, dataset_parameters={})) == values

@@ -12,6 +12,7 @@ import pytest
 
 from evalkit.config.experiment import Limits
 from evalkit.core.errors import BackendFailed, BadParameter, UnknownName
+from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.execution import run_process
@@ -19,6 +20,7 @@ from evalkit.execution.worker import Request
 from evalkit.external import INCLUDE, elf, library
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
+from evalkit.results.final_files import CLOSURES, FINAL, parse_final
 
 EXAMPLES = INCLUDE / "examples"
 STRICT = ["-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
@@ -279,3 +281,96 @@ def test_the_cache_key_contains_the_content_of_the_library(build_variant):
     build_variant("said;", "said = 0;\nint another_build;")
     assert registry.hash_run_code(name, "room") != before
     assert replace(registry.backend(name), digest="").kind == "odometry"
+
+
+SLAM = """
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include "evalkit_backend.h"
+typedef struct { evalkit_pose pose[1000]; int64_t stamp[1000]; size_t count; } wheels;
+int32_t evalkit_abi(void) { return EVALKIT_ABI; }
+int32_t evalkit_kind(void) { return EVALKIT_SLAM; }
+void *evalkit_create(const char *const *n, const char *const *v, size_t c)
+{ (void)n; (void)v; (void)c; return calloc(1, sizeof(wheels)); }
+int32_t evalkit_update(void *self, const evalkit_frame *frame, evalkit_pose *answer)
+{
+    wheels *w = self;
+    w->stamp[w->count] = frame->stamp_ns;
+    *answer = w->pose[w->count++] = *frame->odom_from_base;
+    return 0;
+}
+int32_t evalkit_trajectory(void *self, evalkit_pose *poses, size_t count)
+{
+    wheels *w = self;
+    memcpy(poses, w->pose, count * sizeof *poses);
+    for (size_t i = 1; i < count; i++) poses[i].y += 0.01;
+    return 0;
+}
+size_t evalkit_loop_closures(void *self, evalkit_loop_closure *closures, size_t room)
+{
+    wheels *w = self;
+    if (room) closures[0] = (evalkit_loop_closure){w->stamp[5], w->stamp[1], {0.1, 0.2, 0.3}, 1, "score 0.9"};
+    return 1;
+}
+int32_t evalkit_corrected(void *self) { return ((wheels *)self)->count == 6; }
+void evalkit_destroy(void *self) { free(self); }
+"""
+
+
+@pytest.fixture
+def build_slam(tmp_path):
+    """Build SLAM with one piece replaced; returns its method name."""
+
+    def build(old="", new=""):
+        assert old in SLAM
+        (tmp_path / "slam.c").write_text(SLAM.replace(old, new) if old else SLAM)
+        words = ("-std=c99", "-shared", "-fPIC", "-Wno-unused", "-I", INCLUDE, tmp_path / "slam.c")
+        return f"lib:{compile_file(tmp_path / 'slam.so', 'cc', *words)}"
+
+    return build
+
+
+def test_a_library_corrects_its_poses_and_reports_its_loop_closures(build_slam, run_backend, tmp_path):
+    name = build_slam()
+    assert registry.backend(name).kind == "slam"
+    outcome, steps = run_backend(name)
+    assert (outcome.status, outcome.reason) == ("complete", "")
+    assert steps["corrected"].tolist() == [int(index == 5) for index in range(len(steps))]
+    (folder,) = (path.parent for path in tmp_path.glob(f"*/{FINAL}"))
+    files = {name: (folder / name).read_bytes() for name in (FINAL, CLOSURES)}
+    final, closures = parse_final(files, steps["stamp_ns"])
+    assert final.poses[1:, 1] == pytest.approx(steps["y"][1:] + 0.01, abs=1e-12)
+    stamps = steps["stamp_ns"].tolist()
+    assert closures == (LoopClosure(stamps[5], stamps[1], Pose(0.1, 0.2, 0.3), True, "score 0.9"),)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("int32_t evalkit_trajectory", "int32_t evalkit_path", "lacks the function evalkit_trajectory"),
+        ("memcpy(poses, w->pose, count * sizeof *poses);", "(void)w; return 4;", "evalkit_trajectory returned error 4"),
+        ("count * sizeof *poses", "3 * sizeof *poses", "evalkit_trajectory set no finite pose at index 3 of 40"),
+        (
+            "    return 1;",
+            "    return (size_t)1 << 40;",
+            "evalkit_loop_closures returned 1099511627776, at most 100000",
+        ),
+        ("w->stamp[5], w->stamp[1]", "w->stamp[1], w->stamp[5]", "other_stamp_ns: expected a time before"),
+        ("w->stamp[5], w->stamp[1]", "w->stamp[5] + 1, w->stamp[1]", "where no frame was answered"),
+    ],
+)
+def test_a_library_with_a_wrong_correction_fails_with_a_reason(build_slam, run_backend, old, new, said):
+    outcome, _ = run_backend(build_slam(old, new))
+    assert outcome.status == "failed"
+    assert said in outcome.reason
+
+
+def test_a_slam_library_needs_neither_loop_closures_nor_reports_of_corrections(build_slam, run_backend):
+    name = build_slam("size_t evalkit_loop_closures", "size_t other_closures").removeprefix("lib:")
+    source = Path(name).with_suffix(".c")
+    source.write_text(source.read_text().replace("evalkit_corrected", "other_corrected"))
+    words = ("-std=c99", "-shared", "-fPIC", "-Wno-unused", "-I", INCLUDE, source)
+    outcome, steps = run_backend(f"lib:{compile_file(Path(name), 'cc', *words)}")
+    assert outcome.status == "complete"
+    assert set(steps["corrected"].tolist()) == {-1}

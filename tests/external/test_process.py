@@ -18,6 +18,7 @@ from evalkit.external import process
 from evalkit.metrics import runtime
 from evalkit.metrics.table import Evidence
 from evalkit.plugins import registry
+from evalkit.results.final_files import CLOSURES, FINAL, parse_final
 
 FOLLOWS = """
 import json, sys, time
@@ -172,6 +173,20 @@ def test_an_invalid_command_line_is_an_error_in_the_experiment():
             registry.backend(f"exec:{rest}")
 
 
+@pytest.mark.parametrize("form", ["--token={}", "--token {}", "-password {}", "--my-api-key={}"])
+def test_a_secret_is_refused_without_being_shown_and_taken_from_the_environment(tmp_path, monkeypatch, form):
+    path = tmp_path / "echo"
+    path.write_text('#!/bin/sh\nread question\necho "$*"\n')  # its first line is no description: it is quoted
+    path.chmod(0o755)
+    with pytest.raises(BadParameter, match=r"found 'a secret.*expected .*\$NAME") as error:
+        registry.backend(f"exec:{path} {form.format('hunter2')}")
+    assert "hunter2" not in str(error.value)
+    with pytest.raises(BadParameter, match="environment variable that is set"):
+        registry.backend(f"exec:{path} {form.format('$ABSENT')}")
+    monkeypatch.setenv("PRESENT", "hunter2")
+    assert "hunter2" in registry.backend(f"exec:{path} {form.format('$PRESENT')}").broken
+
+
 def test_a_program_for_another_machine_is_reported(tmp_path, foreign_elf):
     path = tmp_path / "icp"
     path.write_bytes(foreign_elf)
@@ -240,3 +255,67 @@ def test_a_request_is_one_ascii_line_in_the_order_of_the_protocol(tmp_path):
     assert update.startswith(b'{"ask":"update","stamp_ns":7,"time_increment_ns":0,"range_min_m":0.1,"range_max_m":9.0,')
     assert update.endswith(b'"odom_from_base":null,"start_from_end":null,"angles":[0.25],"ranges":[1.5]}')
     assert json.loads(update)["base_from_sensor"] == [0.0, 0.0, 0.0]
+
+
+SLAM_HELLO = HELLO.replace('"odometry"', '"slam"')
+SLAM = """
+kept = globals().setdefault("kept", [])
+if q["ask"] == "update":
+    kept.append([q["stamp_ns"], q["odom_from_base"][0]])
+    say(pose=[kept[-1][1] - kept[0][1], 0.0, 0.0], corrected=len(kept) == 3)
+elif q["ask"] == "trajectory":
+    part = [[x - kept[0][1], 0.01 * (x != kept[0][1]), 0.0] for _, x in kept][q["from"] : q["from"] + q["count"]]
+    say(poses=[value for pose in part for value in pose])
+else:
+    say(loop_closures=[
+        {"stamp_ns": kept[k][0], "other_stamp_ns": kept[0][0], "pose": [k, 0, 0], "accepted": k > 20, "reason": "k"}
+        for k in range(1, len(kept))
+    ][q["from"] : q["from"] + q["count"]])
+"""
+
+
+def slam_program(program, answer=SLAM):
+    name = program(answer, SLAM_HELLO)
+    path = Path(name.split()[-1])
+    path.write_text(path.read_text().replace('x = q["odom_from_base"][0]', "pass"))
+    return name
+
+
+def test_a_program_corrects_its_poses_in_parts(program, run_backend, monkeypatch, tmp_path):
+    monkeypatch.setattr(process, "PART", 13)
+    outcome, steps = run_backend(slam_program(program))
+    assert (outcome.status, outcome.reason) == ("complete", "")
+    assert np.flatnonzero(steps["corrected"] == 1).tolist() == [2]
+    (folder,) = (path.parent for path in tmp_path.glob(f"*/{FINAL}"))
+    files = {name: (folder / name).read_bytes() for name in (FINAL, CLOSURES)}
+    final, closures = parse_final(files, steps["stamp_ns"])
+    assert final.poses[:, 0] == pytest.approx(steps["x"], abs=1e-12)
+    assert final.poses[:, 1].tolist() == [0.0, *[0.01] * 39]
+    assert [one.other_from_base.x for one in closures] == list(range(1, 40))
+    assert sum(one.accepted for one in closures) == 19
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("say(poses=[", "say(poses=[0.0] + [", "120 finite numbers from pose 0 on"),
+        ("0.01 * (x", "1e999 * (x", "120 finite numbers from pose 0 on"),
+        ('"accepted": k > 20', '"accepted": 1', "objects with stamp_ns, other_stamp_ns, pose, accepted"),
+        ('"stamp_ns": kept[k][0]', '"stamp_ns": -1', "other_stamp_ns: expected a time before -1"),
+        ("corrected=len(kept) == 3", "corrected=3", "the answer has 'corrected': 3, expected true or false"),
+        ('[q["from"] : q["from"] + q["count"]])', "* 40)", "the answer has 'loop_closures': '1560 entries'"),
+        ("part = [[x", "import os; os._exit(3)\n    part = [[x", "ended"),
+    ],
+)
+def test_a_program_with_a_wrong_correction_fails_with_a_reason(program, run_backend, old, new, said):
+    assert old in SLAM
+    outcome, _ = run_backend(slam_program(program, SLAM.replace(old, new)))
+    assert said in reason(outcome)
+
+
+def test_a_program_that_never_stops_to_report_loop_closures_fails(program, run_backend, monkeypatch):
+    monkeypatch.setattr(process, "MAX_CLOSURES", 100)
+    monkeypatch.setattr(process, "PART", 30)
+    endless = SLAM.replace('[q["from"] : q["from"] + q["count"]])', "[:30])")
+    outcome, _ = run_backend(slam_program(program, endless))
+    assert "the answer has 'loop_closures': 120, expected at most 100 in all" in reason(outcome)

@@ -15,6 +15,7 @@ from evalkit.metrics.table import Evidence
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
 from evalkit.plugins.protocols import NoAnswer
+from evalkit.plugins.result_files import parse_address, read_trajectory
 
 STAMPS = np.arange(40) * 100_000_000
 
@@ -152,3 +153,46 @@ def test_the_cache_key_contains_the_content_of_the_file(poses):
     before = registry.hash_run_code(name, "room")
     poses(STAMPS, np.ones((40, 3)))
     assert registry.hash_run_code(name, "room") != before
+
+
+def write_tum(path, stamps_ns, rows):
+    path.write_text(format_tum(Trajectory(stamps_ns, rows)))
+    return path
+
+
+def test_a_second_file_gives_the_corrected_poses_relative_to_the_first(tmp_path, run_backend):
+    online = write_tum(tmp_path / "online.tum", STAMPS, run_backend.truth)
+    corrected = run_backend.truth + np.linspace(0.0, 0.4, 40)[:, None] * [0.0, 1.0, 0.0]
+    moved = Trajectory(STAMPS, corrected).moved(Pose(-7.0, 2.0, 2.0)).poses
+    name = f"file:{online}?final={write_tum(tmp_path / 'final.tum', STAMPS, moved)}"
+    spec = registry.backend(name)
+    assert (spec.kind, spec.recorded, spec.missing()) == ("slam", True, "")
+    slam = make_odometry(name)
+    answers = [slam.update(at(int(stamp))).pose.row for stamp in STAMPS]
+    assert np.array(answers) == pytest.approx(run_backend.truth, abs=1e-8)
+    final = slam.trajectory()
+    expected = Trajectory(STAMPS, corrected).moved(Pose.of(corrected[0]).inverse()).poses
+    assert final.poses == pytest.approx(expected, abs=1e-8)
+    assert (final.poses[0].tolist(), slam.loop_closures()) == ([0.0, 0.0, 0.0], ())
+    outcome, steps = run_backend(name)
+    assert (outcome.status, len(steps)) == ("complete", 40)
+    other = registry.backend(f"file:{online}?final={write_tum(tmp_path / 'final.tum', STAMPS, corrected)}")
+    assert other.digest != spec.digest
+
+
+def test_corrected_poses_that_do_not_cover_the_answers_fail_with_the_place(tmp_path, run_backend):
+    online = write_tum(tmp_path / "online.tum", STAMPS, run_backend.truth)
+    name = f"file:{online}?final={write_tum(tmp_path / 'final.tum', STAMPS[:30], run_backend.truth[:30])}"
+    outcome, steps = run_backend(name)
+    assert (outcome.status, len(steps)) == ("failed", 40)
+    assert "final.tum has no pose near 3.000 s; it reaches from 0.000 s to 2.900 s" in outcome.reason
+    assert "write a corrected pose for every scan" in outcome.reason
+    assert registry.backend(f"file:{online}?final=absent.tum").missing() == (
+        "no such file: absent.tum; correct its path"
+    )
+    for words in ("final=", "topic=/pose&final=", "map=/map&final=x.tum", "final"):
+        with pytest.raises(BadData, match="behind its name; write "):
+            registry.backend(f"file:{online}?{words}")
+    with pytest.raises(BadData, match="name corrected poses for a method only"):
+        read_trajectory(f"{online}?final={online}")
+    assert parse_address("run.mcap?topic=/odom&final=run.mcap?topic=/slam").final == "run.mcap?topic=/slam"

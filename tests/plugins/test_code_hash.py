@@ -26,15 +26,20 @@ def package(tmp_path, monkeypatch):
         (home / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     importlib.invalidate_caches()
-    find_sources.cache_clear()
+    clear_caches()
     yield home
-    find_sources.cache_clear()
+    clear_caches()
     for name in [name for name in sys.modules if name.startswith("stranger_plugin")]:
         del sys.modules[name]
 
 
-def digest():
+def clear_caches():
     find_sources.cache_clear()
+    module._imported.cache_clear()
+
+
+def digest():
+    clear_caches()
     return hash_code(("stranger_plugin.plugin",), ())
 
 
@@ -71,7 +76,28 @@ def test_library_versions_are_part_of_the_hash(monkeypatch):
 def test_harness_code_used_by_the_worker_is_part_of_the_hash():
     reached = {file.name for file in find_sources("evalkit.execution.worker", frozenset({"evalkit"}))}
     assert {"worker.py", "frontend.py", "local_map.py", "scan.py", "se2.py", "timing.py"} <= reached
-    assert not {"cli.py", "progress.py", "charts.py"} & reached
+    assert not {"cli.py", "progress.py", "charts.py", "report_page.py", "plots.py", "functions.py"} & reached
+
+
+@pytest.mark.parametrize("statement", ["from stranger_plugin import far", "import stranger_plugin"])
+def test_a_name_that_a_package_imports_on_first_use_is_followed_and_only_where_it_is_used(package, statement):
+    (package / "__init__.py").write_text(
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from stranger_plugin.deeper import far\n"
+        "else:\n    import stranger_plugin.deep\n"
+    )
+    (package / "plugin.py").write_text("from stranger_plugin import __name__\n")
+    reached = find_sources("stranger_plugin.plugin", frozenset({"stranger_plugin"}))
+    assert {file.name for file in reached} == {"plugin.py", "__init__.py", "deep.py"}
+    (package / "bystander.py").write_text(f"try:\n    {statement}\nexcept ImportError:\n    raise\n")
+    reached = find_sources("stranger_plugin.bystander", frozenset({"stranger_plugin"}))
+    assert {file.name for file in reached} >= {"bystander.py", "__init__.py", "deeper.py"}
+
+
+def test_hashing_imports_no_module_whose_names_are_imported(package):
+    (package / "step.py").write_text("raise AssertionError('imported')\nfrom stranger_plugin.deep import deep\n")
+    assert {"plugin.py", "step.py", "deep.py"} <= {
+        file.name for file in find_sources("stranger_plugin.plugin", frozenset({"stranger_plugin"}))
+    }
 
 
 def test_a_recording_replaced_under_its_name_changes_the_hash(tmp_path):

@@ -136,7 +136,17 @@ def test_a_spec_describes_itself_and_every_parameter(kind, name, of):
 def test_every_shipped_name_is_found():
     assert len(BACKENDS) >= 9
     assert MAPPERS
-    assert set(SYNTHETIC) == {"room", "lab", "loop", "corridor", "office"}
+    assert set(SYNTHETIC) == {
+        "room",
+        "lab",
+        "loop",
+        "corridor",
+        "office",
+        "doors",
+        "wings",
+        "symmetric-office",
+        "long-loop",
+    }
 
 
 # --- mappers

@@ -8,8 +8,11 @@ import pytest
 
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
+from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunConditions, RunResult, Score, Scores
+from evalkit.core.trajectory import Trajectory
+from evalkit.results.final_files import CLOSURES, FINAL
 from evalkit.results.seal import check_seal, seal
 from evalkit.results.store import ERRORS, GRID, RESULT, SCORES, STEPS, Store
 
@@ -24,7 +27,10 @@ def stored(tmp_path):
     store = Store(tmp_path / "out")
     steps = np.zeros(20, dtype=STEP)
     steps["stamp_ns"], steps["x"] = np.arange(20) * 100_000_000, np.linspace(0.0, 1.0, 20)
-    result = RunResult(steps, 20, notes={"gaps": 2}, conditions=RunConditions(load=0.5))
+    final = Trajectory(steps["stamp_ns"], np.random.default_rng(1).normal(size=(20, 3)), "start", "base")
+    closures = (LoopClosure(1_900_000_000, 100_000_000, Pose(0.1, 0.2, 0.3), True, "score 0.8"),)
+    conditions = RunConditions(load=0.5)
+    result = RunResult(steps, 20, notes={"gaps": 2}, conditions=conditions, final=final, loop_closures=closures)
     log_odds = np.random.default_rng(0).normal(size=(12, 10)).astype(np.float32)
     grid = OccupancyGrid(log_odds, log_odds > 0.0, 0.05, -1.0, 2.0)
     scores = Scores({"ate": Score(1.0 / 3.0, 20)}, Pose(0.1, 0.2, 0.3), "first pose", grid, np.linspace(0.0, 0.1, 20))
@@ -38,7 +44,8 @@ def content_of(store):
     """Return everything that is read of a run, None for a part that is not."""
     result, scores = store.load_result(KEY), store.load_scores(KEY, "code")
     return (
-        result and (result.steps.tobytes(), result.status, result.expected, result.notes, result.conditions),
+        result and (result.steps.tobytes(), result.status, result.expected, result.notes, result.conditions,
+                   result.final.poses.tobytes(), result.final.stamps_ns.tobytes(), result.loop_closures),
         scores and (scores.by_metric, scores.world_from_start, scores.grid.log_odds.tobytes(),
                     scores.grid.observed.tobytes(), scores.grid.origin_x, scores.errors_m.tobytes()),
         store.load_score_values(KEY) or None,
@@ -67,7 +74,7 @@ def test_no_random_damage_changes_a_value_that_is_read(stored):
     chance, whole = random.Random(15), content_of(stored)
     assert None not in whole
     folder = stored.run_folder(KEY)
-    files = {name: (folder / name).read_bytes() for name in (RESULT, STEPS, SCORES, GRID, ERRORS)}
+    files = {name: (folder / name).read_bytes() for name in (RESULT, STEPS, FINAL, CLOSURES, SCORES, GRID, ERRORS)}
     noticed = 0
     for _ in range(DAMAGES):
         name = chance.choice(list(files))
@@ -78,6 +85,15 @@ def test_no_random_damage_changes_a_value_that_is_read(stored):
         noticed += content_of(stored) != whole
         (folder / name).write_bytes(files[name])
     assert noticed > 0.8 * DAMAGES  # the rest are spaces in a text, and damages that change nothing
+
+
+@pytest.mark.parametrize("name", [FINAL, CLOSURES])
+def test_a_damaged_file_of_corrected_poses_is_named(stored, name):
+    path = stored.run_folder(KEY) / name
+    path.write_bytes(path.read_bytes()[:-1] + b"?")
+    assert stored.load_result(KEY) is None
+    with pytest.raises(ValueError, match=f"{name} is damaged: its content does not agree with its checksum"):
+        stored.read_result(KEY)
 
 
 def test_a_seal_is_of_the_values_and_not_of_their_order_or_spaces():

@@ -11,6 +11,7 @@ import pytest
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
+from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Cause, LostTrack, RunResult, Score, Scores
 from evalkit.core.trajectory import Trajectory
@@ -78,10 +79,27 @@ def test_a_stored_result_is_loaded_to_the_bit(store, ended):
     assert again is not None
     assert again.steps.tobytes() == kept.steps.tobytes()
     for field in fields(RunResult):
-        if field.name != "steps":
+        if field.name != "steps":  # without corrected poses here
             assert getattr(again, field.name) == getattr(kept, field.name)
     record = json.loads((store.run_folder(KEY) / "result.json").read_text())
     assert (record["method"], record["sequence"], record["status"]) == ("icp", "room <1>", kept.status)
+
+
+def test_corrected_poses_and_loop_closures_are_loaded_to_the_bit(store):
+    kept = saved_run(store)
+    poses = np.random.default_rng(5).uniform(-3.0, 3.0, (5, 3))
+    closure = LoopClosure(
+        int(kept.steps["stamp_ns"][4]), int(kept.steps["stamp_ns"][0]), Pose(0.1, 1 / 3), False, "far"
+    )
+    final = Trajectory(kept.steps["stamp_ns"], poses, "start", "base")
+    store.save_result(SPEC, replace(kept, final=final, loop_closures=(closure,), final_cpu_ns=7))
+    again = Store(store.folder).load_result(KEY)
+    assert again.final.poses.tobytes() == poses.tobytes()
+    assert (again.loop_closures, again.final_cpu_ns) == ((closure,), 7)
+    assert again.with_final_answers.estimate.poses.tobytes() == poses.tobytes()
+    assert again.with_final_answers.steps["cpu_ns"].tolist() == kept.steps["cpu_ns"].tolist()
+    assert np.allclose(read_tum(store.folder / "trajectories" / f"{KEY}.final.tum").trajectory.poses, poses, atol=1e-8)
+    assert kept.with_final_answers is None
 
 
 def test_an_incomplete_record_is_ignored(tmp_path):
