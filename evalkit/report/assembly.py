@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, metadata, packages_distribu
 from evalkit.config.experiment import Experiment, Limits, MapperChoice, Method, SequenceSpec
 from evalkit.execution import environment
 from evalkit.metrics import all_metrics
+from evalkit.metrics.table import Metric
 from evalkit.odometry.frontend import settable_parameters
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter, Value
@@ -28,7 +29,7 @@ def build_comparison(
     finished: datetime,
     ran_on: Mapping[str, str] | None = None,
 ) -> Comparison:
-    """Return the comparison of an experiment's runs, with every registered metric.
+    """Return the comparison of an experiment's runs, with every registered metric that its methods can have.
 
     ``ran_on``: the environment before the first run; without it, the present one.
     """
@@ -39,7 +40,7 @@ def build_comparison(
         title=experiment.title,
         description=experiment.description,
         records=sort_runs(experiment, runs),
-        metrics=all_metrics(),
+        metrics=select_metrics(runs),
         methods={method.label: build_method_card(method) for method in experiment.methods},
         sequences={sequence.label: build_sequence_card(sequence, runs) for sequence in experiment.sequences},
         environment={**where, **environment.versions(libraries)},
@@ -49,6 +50,17 @@ def build_comparison(
         mapper=describe_mapper(experiment.mapper),
         fairness=(*describe_fairness(runs, where), describe_limits(experiment.limits)),
         scans={sequence.label: open_sequence(sequence) for sequence in experiment.sequences if not sequence.missing},
+    )
+
+
+def select_metrics(runs: Sequence[RunRecord]) -> tuple[Metric, ...]:
+    """Return all metrics; without corrected poses or a known map in any run, without those that need them."""
+    corrected = any(run.result.final is not None for run in runs)
+    tracked = any(run.result.start is not None for run in runs)
+    return tuple(
+        metric
+        for metric in all_metrics()
+        if (corrected or not metric.slam_only) and (tracked or metric.group != "localisation")
     )
 
 

@@ -7,10 +7,12 @@ import re
 from collections.abc import Iterable, Sequence
 from statistics import median
 
+from evalkit.core.run_result import LostTrack
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis.pairwise import PairedDifference
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.stats.intervals import Interval
+from evalkit.stats.runs import MIN_RUNS
 
 
 def escape_markdown(text: str) -> str:
@@ -88,9 +90,11 @@ def format_median(metric: Metric, score: MethodScore) -> str:
 def format_difference(metric: Metric, difference: PairedDifference, sign: float = 1.0) -> str:
     """Format a paired difference, one decimal more: "2.10 mm (99 % interval 0.40 to 3.80)".
 
-    ``sign`` below zero: the difference taken the other way round.
+    ``sign`` below zero: the difference taken the other way round. Two pairs of runs have no interval: "2.10 mm".
     """
     interval = difference.interval
+    if interval.support < MIN_RUNS:
+        return format_amount(metric, math.copysign(1.0, sign) * interval.value, 1)
     ends = (interval.low, interval.high) if sign >= 0.0 else (-interval.high, -interval.low)
     (text, low, high), unit = _format_alike(metric, [math.copysign(1.0, sign) * interval.value, *ends], 1)
     value = f"{text}\u00a0{unit}".rstrip()
@@ -107,6 +111,12 @@ def format_gap(metric: Metric, value: float, best: float) -> str:
         return f"{percent:.0f} % more" if percent >= 1.0 else "less than 1 % more"
     direction = "more" if metric.better == "lower" else "less"
     return f"{format_amount(metric, abs(value - best))} {direction}"
+
+
+def format_loss(lost: LostTrack) -> str:
+    """Return when a run lost the track, and when it was found again."""
+    found = "" if lost.recovered_at_s is None else f", found at {lost.recovered_at_s:.0f} s"
+    return f"lost at {lost.at_s:.0f} s{found}"
 
 
 def join_words(words: Iterable[str]) -> str:

@@ -1,4 +1,4 @@
-"""The analysis for programs: results.json, schema version 3.
+"""The analysis for programs: results.json, schema version 4.
 
 results.schema.json beside this module fixes the layout; every report contains a copy. Within a version, keys are only
 added. Numbers are in the unit that ``metrics`` names, times in ISO 8601. A score whose ``value`` is null has a
@@ -7,7 +7,7 @@ added. Numbers are in the unit that ``metrics`` names, times in ISO 8601. A scor
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
@@ -20,7 +20,8 @@ from evalkit.results.reader import RESULTS_NAME, RESULTS_VERSION
 from evalkit.results.run_record import RunRecord
 from evalkit.results.store import hash_answers
 
-METRIC_KEYS = ("name", "label", "unit", "better", "group", "definition", "source", "limitations", "digits", "headline")
+METRIC_KEYS = ("name", "label", "unit", "better", "group", "definition", "source", "limitations", "digits", "headline",
+               "counterpart")  # fmt: skip
 
 
 def build_results(analysis: Analysis) -> dict[str, Any]:
@@ -42,7 +43,7 @@ def build_results(analysis: Analysis) -> dict[str, Any]:
         "overview": list(analysis.overview),
         "answer": _answer(analysis.answer),
         "verdicts": [asdict(verdict) for verdict in analysis.verdicts],
-        "runs": [_run(run) for run in comparison.records],
+        "runs": [_run(run, {metric.name for metric in comparison.metrics}) for run in comparison.records],
         "intervals": [entry for sequence in analysis.sequences for entry in _intervals(sequence)],
         "differences": [entry for sequence in analysis.sequences for entry in _differences(sequence)],
     }
@@ -96,8 +97,8 @@ def _metric(metric: Metric) -> dict[str, Any]:
     return {name: getattr(metric, name) for name in METRIC_KEYS}
 
 
-def _run(run: RunRecord) -> dict[str, Any]:
-    result = run.result
+def _run(run: RunRecord, metrics: Collection[str]) -> dict[str, Any]:
+    result, final = run.result, run.result.with_final_answers
     return {
         "key": run.key,
         "method": run.method,
@@ -112,16 +113,21 @@ def _run(run: RunRecord) -> dict[str, Any]:
         "conditions": result.conditions.as_dict() if result.conditions else None,
         "lost_at_s": run.scores.lost.at_s if run.scores.lost else None,
         "lost_reason": run.scores.lost.reason if run.scores.lost else "",
+        "recovered_at_s": run.scores.lost.recovered_at_s if run.scores.lost else None,
+        "map_start": run.result.start.as_dict() if run.result.start else None,
         "status": result.status,
         "reason": result.reason,
         "scans_answered": len(result.steps),
         "scans_expected": result.expected,
         "answers_sha256": hash_answers(result),
+        "final_sha256": hash_answers(final) if final else "",
+        "final_alignment": run.scores.final.alignment if run.scores.final else "",
         "warm_up_scans": result.warm_up_scans,
         "peak_memory_bytes": result.peak_memory_bytes,
         "notes": {name: int(count) for name, count in result.notes.items()},
         "scores": {
             name: {"value": score.value, "support": int(score.support), "reason": score.reason}
             for name, score in run.scores.by_metric.items()
+            if name in metrics
         },
     }

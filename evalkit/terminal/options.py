@@ -105,7 +105,7 @@ On = Annotated[
 Sequences = Annotated[list[str] | None, typer.Option(help="Only this sequence (repeatable).", show_default="all")]
 Methods = Annotated[list[str] | None, typer.Option(help="Only this method (repeatable).", show_default="all")]
 Seeds = Annotated[list[int] | None, typer.Option(help="Only this seed (repeatable).", show_default="all")]
-Out = Annotated[Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="evalkit-results/NAME")]
+Out = Annotated[Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="./evalkit-results")]
 Jobs = Annotated[
     int | None,
     typer.Option(

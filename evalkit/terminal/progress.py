@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from statistics import fmean
 
+from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -15,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from evalkit.config.experiment import Experiment, RunSpec
-from evalkit.core.run_result import RunResult
+from evalkit.core.run_result import RunResult, RunStatus
 
 WIDE = 10_000
 """Width of a table that is piped, in columns: one line per row."""
@@ -96,9 +97,11 @@ class RunLines(_Display):
         self._done += 1
         self._left.finished(spec.sequence.label, spec.method.label, seconds)
         self.show("", self._time_left())
-        if self.bar.disable:
+        absent = result.status in (RunStatus.NOT_INSTALLED, RunStatus.DATA_MISSING)
+        unavailable = absent and not result.expected  # said before the first run, once for all methods
+        if self.bar.disable and not unavailable:
             self.numbered_line(f"{_format_line(spec, result, seconds)}, {self._time_left()}")
-        elif not result.is_complete:
+        elif not (result.is_complete or unavailable):
             self.line(_format_line(spec, result, seconds))
 
     def _time_left(self) -> str:
@@ -163,9 +166,22 @@ def announce_kept(console: Console, what: str, option: str = "") -> Iterator[Non
 
 
 def print_table(console: Console, table: Table) -> None:
-    """Print a table: fitted to a terminal, one line per row elsewhere. Headings are no mark-up: "[m]" is a unit."""
+    """Print a table: fitted to a terminal, one line per row elsewhere. Headings are no mark-up: "[m]" is a unit.
+
+    On a terminal it has no frame; words stay whole if those of all columns fit beside each other, else they are folded.
+    """
     for column in table.columns:
         column.header = Text(column.header) if isinstance(column.header, str) else column.header
+        column.overflow = "fold"
+    if console.is_terminal:
+        table.box, table.pad_edge, table.collapse_padding = box.SIMPLE_HEAD, False, True
+        longest = [
+            max((len(word) for cell in (column.header, *column.cells) for word in str(cell).split()), default=1)
+            for column in table.columns
+        ]
+        if sum(longest) + 3 * len(longest) <= console.width:
+            for column, size in zip(table.columns, longest, strict=True):
+                column.min_width = size
     (console if console.is_terminal else Console(width=WIDE)).print(table)
 
 

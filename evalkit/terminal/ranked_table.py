@@ -21,7 +21,7 @@ MAX_LINES = 10
 BARS = (18, 8)
 """Widest and narrowest bar, in columns; a table without room for the narrowest has none."""
 
-CPU = "CPU/scan"
+CPU, CORRECTED = "CPU/scan", "corrected"
 LINEAR_RATIO = 8.0
 """Bars are on a logarithmic scale if the largest value exceeds the smallest more than this."""
 
@@ -38,7 +38,10 @@ STYLES = {
 
 @dataclass(frozen=True)
 class RankedRow:
-    """One line of the table; ``value``, ``low`` and ``high`` for the bar, the last two None without an interval."""
+    """One line of the table; ``value``, ``low`` and ``high`` for the bar, the last two None without an interval.
+
+    ``corrected``: the error of the corrected poses of a SLAM, "" of other methods.
+    """
 
     method: str
     error: str
@@ -48,6 +51,7 @@ class RankedRow:
     value: float
     low: float | None = None
     high: float | None = None
+    corrected: str = ""
 
 
 def print_answer(console: Console, analysis: Analysis) -> None:
@@ -72,10 +76,13 @@ def _print(console: Console, text: str, style: str = "") -> None:
 
 
 def build_rows(analysis: Analysis) -> tuple[str, list[RankedRow]]:
-    """Return what the errors are, and the rows: of the one sequence, or over all data sets that count."""
-    if len(analysis.sequences) == 1:
-        return _rows_of_sequence(analysis, analysis.sequences[0])
-    return _rows_of_answer(analysis)
+    """Return what the errors are, and the rows: over the data sets that count if there are several, else of one."""
+    counted = [one.sequence for one in analysis.answer.contests]
+    valued = [sequence for sequence in analysis.sequences if sequence.deciding is not None]
+    if len(counted) > 1 or not valued:
+        return _rows_of_answer(analysis)
+    best = max(valued, key=lambda sequence: (sequence.label in counted, not sequence.card.degenerate))
+    return _rows_of_sequence(analysis, best)
 
 
 def _rows_of_sequence(analysis: Analysis, sequence: SequenceAnalysis) -> tuple[str, list[RankedRow]]:
@@ -93,7 +100,7 @@ def _rows_of_sequence(analysis: Analysis, sequence: SequenceAnalysis) -> tuple[s
             RankedRow(
                 score.method, format_amount(ranking.metric, value), _against(value, base, score.method in baselines),
                 _cost(analysis, score.method), note, value, bounds.low if bounds else None,
-                bounds.high if bounds else None,
+                bounds.high if bounds else None, _corrected(sequence, score.method),
             )
         )  # fmt: skip
     return f"{ranking.metric.label}, {sequence.label}", rows
@@ -111,6 +118,12 @@ def _rows_of_answer(analysis: Analysis) -> tuple[str, list[RankedRow]]:
         against = _against(ratio, base, one.method in baselines)
         rows.append(RankedRow(one.method, f"{ratio:.2f} x", against, _cost(analysis, one.method), note, ratio))
     return f"error by the best one's, geometric mean over {len(answer.contests)} data sets", rows
+
+
+def _corrected(sequence: SequenceAnalysis, method: str) -> str:
+    score = sequence.final.of(method) if sequence.final else None
+    value = None if score is None else score.median
+    return "" if sequence.final is None or value is None else format_amount(sequence.final.metric, value)
 
 
 def _note(analysis: Analysis, ranking: Ranking, method: str) -> str:
@@ -133,25 +146,26 @@ def _cost(analysis: Analysis, method: str) -> str:
 def format_rows(head: str, rows: Sequence[RankedRow], width: int, cost: str = CPU) -> Iterator[Text]:
     """Yield the lines of the table, at most ``MAX_LINES``, each of at most ``width`` columns if the names allow it.
 
-    Columns: method, error, its interval as a bar, error by the baseline's, CPU time a scan, note. ``cost``: heading of
-    the column of the CPU time, "" without one.
+    Columns: method, error, its interval as a bar, error by the baseline's, error of corrected poses, CPU time a scan,
+    note. ``cost``: heading of the column of the CPU time, "" without one.
     """
     shown = rows if len(rows) < MAX_LINES else rows[: MAX_LINES - 2]
-    cells = [(row.method, row.error, row.against, row.cost, row.note) for row in shown]
+    cells = [(row.method, row.error, row.against, row.corrected, row.cost, row.note) for row in shown]
     sizes = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    sizes[3] = max(sizes[3], len(cost)) if sizes[3] else 0
+    sizes[3:5] = (max(size, len(head)) if size else 0 for size, head in zip(sizes[3:5], (CORRECTED, cost), strict=True))
     room = width - sum(size + 2 for size in sizes if size) - 2
     bar = min(room, BARS[0]) if room >= BARS[1] else 0
     scale = _Scale([value for row in shown for value in (row.low, row.value, row.high) if value is not None], bar)
     left = sum(size + 2 for size in (*sizes[:2], bar, sizes[2]) if size)
-    over = f"{f'  {head}':<{left}}  {cost:>{sizes[3]}}" if sizes[3] and len(head) + 2 <= left else f"  {head}"
+    heads = [f"{text:>{size}}" for text, size in ((CORRECTED, sizes[3]), (cost, sizes[4])) if size]
+    over = "  ".join([f"{f'  {head}':<{left}}", *heads]) if len(head) + 2 <= left else f"  {head}"
     yield Text(over.rstrip(), style="dim")
     for row, own in zip(shown, cells, strict=True):
-        method, error, against, spent, note = (
-            text.ljust(size) if at in (0, 4) else text.rjust(size)
+        method, error, against, corrected, spent, note = (
+            text.ljust(size) if at in (0, 5) else text.rjust(size)
             for at, (text, size) in enumerate(zip(own, sizes, strict=True))
         )
-        parts = (method, error, scale.draw(row) if bar else "", against, spent, note)
+        parts = (method, error, scale.draw(row) if bar else "", against, corrected, spent, note)
         style = next((style for word, style in STYLES.items() if row.note.startswith(word)), "")
         line = f"  {'  '.join(part for part in parts if part)}".rstrip()
         yield Text(line.replace("\u00a0", " "), style=style)

@@ -15,7 +15,7 @@ from evalkit.results.store import Store
 from evalkit.terminal import options
 from evalkit.terminal.options import out
 
-MAX_NAMED = 50
+MAX_NAMED = 4
 """Maximum number of missing runs that are listed by name."""
 
 Run = tuple[RunSpec, RunResult]

@@ -130,6 +130,10 @@ def test_a_data_set_on_which_settings_were_chosen_does_not_count_for_that_method
     assert [one.left_out for one in found.contests] == [("a",), (), ("a",)]
     assert "settings of a were chosen on room and hall: not counted there" in [pill.text for pill in found.pills]
     assert "chosen" not in " ".join(pills(comparison))
+    chosen = {"a": ("room",), "b": ("hall",), "c": ("room", "hall")}
+    many = {name: replace(card, tuned_on=chosen[name]) for name, card in comparison.methods.items()}
+    told = [text for text in pills(replace(comparison, methods=many)) if "chosen" in text]
+    assert told == ["settings of 3 methods were chosen on data sets shown here: not counted there"]
 
 
 def test_degenerate_data_do_not_count_and_are_compared_with_the_baseline(build, runs, three):

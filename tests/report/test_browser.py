@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +15,6 @@ from evalkit.report.html.array_encoding import unpack_array
 from evalkit.report.html.blocks import Document, Section, Table, Text, render
 from evalkit.report.html.player import load_beams, place_hits
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
-
-BROWSERS = ("chromium", "google-chrome", "google-chrome-stable", "chromium-browser")
 SCRIPT = "<script>alert(1)</script>"
 PLAYER = "#sequence-1 .player"
 
@@ -53,17 +49,6 @@ def page_file(demo, tmp_path_factory):
         demo, records=(*demo.records, *same), sequences={**demo.sequences, SCRIPT: card}, scans={"room": Room}
     )
     return write_report(made, tmp_path_factory.mktemp("browser"))
-
-
-@pytest.fixture(scope="module")
-def browser():
-    program = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if program is None:
-        pytest.skip(f"no browser found, none of: {', '.join(BROWSERS)}")
-    with playwright.sync_playwright() as running:
-        started = running.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
-        yield started
-        started.close()
 
 
 @pytest.fixture

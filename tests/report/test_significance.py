@@ -12,7 +12,7 @@ from evalkit.metrics.series import SERIES
 from evalkit.report import results_json as record
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.analysis.bootstrap import RecordBootstrap
-from evalkit.report.analysis.pairwise import compute_difference
+from evalkit.report.analysis.pairwise import compute_difference, separation
 from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.stats.bootstrap import Series, bootstrap_score
 from evalkit.stats.ranks import FriedmanTest, NotTested
@@ -104,6 +104,21 @@ def test_runs_are_compared_by_students_t_on_their_ratios(record, build):
     expected = [0.5 * (math.exp(logs.mean() + side) - 1.0) for side in (-half, half)]
     assert [found.interval.low, found.interval.high] == pytest.approx(expected, abs=1e-4)
     assert (found.resampled, found.runs, found.within) == ("runs", 3, None)
+
+
+@pytest.mark.parametrize(
+    ("better", "worse", "expected"), [(0.4, 0.42076, "clear"), (0.4, 0.41959, "within the margin")]
+)
+def test_a_difference_at_the_margin_has_one_size_from_both_sides(record, build, better, worse, expected):
+    """2.08 cm and 1.96 cm around the margin of 5 % of 0.4 m, 2 cm; divided by the worse value both are below 5 %."""
+    values = {"a": better, "b": worse}
+    comparison = build([
+        record(who, "room", {ATE: v * factor}, seed=seed)
+        for who, v in values.items() for seed, factor in enumerate((0.9, 1.0, 1.1))
+    ])  # fmt: skip
+    a, b = _of(comparison, "a"), _of(comparison, "b")
+    metric = next(one for one in comparison.metrics if one.name == ATE)
+    assert separation(metric, a, b) == separation(metric, b, a) == expected
 
 
 def test_the_same_results_give_the_same_numbers(demo):

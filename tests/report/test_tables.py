@@ -56,7 +56,7 @@ def test_summary_csv_has_medians_over_complete_runs_only(folder):
 
 def test_results_json_contains_the_same_scores(folder, demo):
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-    assert results["schema"] == {"name": "evalkit-results", "version": 3}
+    assert results["schema"] == {"name": "evalkit-results", "version": 4}
     for row, record in zip(results["runs"], demo.records, strict=True):
         assert row["scores"] == {
             name: {"value": score.value, "support": score.support, "reason": score.reason}

@@ -116,3 +116,14 @@ def test_a_unit_in_the_heading_of_a_table_is_no_markup():
     )
     assert "reach [m]" in printed.getvalue()
     assert "A50 [deg]" in printed.getvalue()
+
+
+def test_a_table_on_a_terminal_cuts_no_word():
+    printed = io.StringIO()
+    table = Table("back end", *(f"A{n} [m]" for n in range(5)), "remark")
+    table.add_row("embedded-map-line", *(["25 (5 to 70)"] * 5), "")
+    print_table(Console(file=printed, force_terminal=True, color_system=None, width=80), table)
+    text = printed.getvalue()
+    assert "…" not in text
+    assert "embedded-map-line" in text
+    assert max(map(len, text.splitlines())) <= 80

@@ -41,15 +41,39 @@ def test_a_long_ranking_is_cut_to_ten_lines_that_count_the_rest():
     assert len(list(format_rows("", [make_row(f"m{n}", float(n)) for n in range(1, 10)], 80))) == 10
 
 
-def test_several_data_sets_are_ranked_by_the_mean_ratio_of_errors(demo):
+def test_several_data_sets_are_ranked_by_the_mean_ratio_of_errors(record, build):
+    errors = {"wheel": 0.5, "paper": 0.1, "plane": 0.05}
+    runs = [
+        record(name, where, {"ate_rmse_m": error * scale * (1.0 + 0.01 * seed)}, seed=seed)
+        for name, error in errors.items()
+        for where, scale in (("room", 1.0), ("hall", 3.0))
+        for seed in range(4)
+    ]
+    head, rows = build_rows(analyse(build(runs)))
+    assert head == "error by the best one's, geometric mean over 2 data sets"
+    assert [(row.method, round(row.value, 6)) for row in rows] == [("plane", 1.0), ("paper", 2.0), ("wheel", 10.0)]
+    assert [row.against for row in rows] == ["0.10 x", "0.20 x", "baseline"]
+
+
+def test_one_data_set_that_counts_is_ranked_by_its_own_errors(demo):
     analysis = analyse(demo)
+    assert [one.sequence for one in analysis.answer.contests] == ["room"]
     head, rows = build_rows(analysis)
-    assert head == f"error by the best one's, geometric mean over {len(analysis.answer.contests)} data sets"
-    assert [row.method for row in rows] == [one.method for one in analysis.answer.standings if one.ratio is not None]
-    (baseline,) = (row for row in rows if row.against == "baseline")
-    for row in rows:
-        if row is not baseline:
-            assert row.against == f"{row.value / baseline.value:.2f} x"
+    assert head == "ATE RMSE, room"
+    assert rows[0].method == analysis.answer.contests[0].ranked[0].method
+
+
+def test_without_a_verdict_the_methods_are_still_listed(record, build):
+    """Two methods with the same spread of four runs, and a data set that is not here."""
+    runs = [
+        record(name, "room", {"ate_rmse_m": error * factor}, seed=seed)
+        for name, error in (("a", 0.100), ("b", 0.108))
+        for seed, factor in enumerate((0.6, 1.0, 1.4, 1.1))
+    ]
+    absent = [record(n, "hall", {}, seed=None, status="data-missing", reason="no", answered=0) for n in ("a", "b")]
+    analysis = analyse(build([*runs, *absent]))
+    head, rows = build_rows(analysis)
+    assert (head, [row.method for row in rows]) == ("ATE RMSE, room", ["a", "b"])
 
 
 def test_every_line_of_the_table_fits_80_columns_and_the_title_is_the_one_of_the_page(demo):

@@ -229,8 +229,9 @@ def _format_title(
         return _format_single(names, len(winners) > 1, contests[0], by_maps)
     counted = first.counted if len(winners) == 1 else len(contests)
     best = f"{'each ' * (len(winners) > 1)}{'the best map' if by_maps else 'best or tied'}"
-    rest = f"; next best {runner_up.led} of {runner_up.counted}" if runner_up is not None else ""
-    return f"Take {names}: {best} on {first.led} of {counted} {'recordings' if by_maps else 'data sets'}{rest}."
+    rest = "" if runner_up is None else f"; next best {runner_up.led} of {runner_up.counted}"
+    kind = f"{'recording' if by_maps else 'data set'}{'s' if counted != 1 else ''}"
+    return f"Take {names}: {best} on {first.led} of {counted} {kind}{rest}."
 
 
 def _format_single(names: str, tied: bool, contest: Contest, by_maps: bool) -> str:
@@ -257,6 +258,7 @@ def _explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequenc
             outcomes <= {"degenerate", "unranked"},
             f"No method is ranked: the geometry of {degenerate} does not determine the pose.",
         ),
+        (bool(outcomes & set(LED)), "No method is ahead: too few runs to tell the methods apart."),
         (True, "No method is ahead: a verdict takes repeated runs."),
     )
     return next(text for holds, text in reasons if holds)

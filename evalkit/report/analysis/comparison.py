@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 
+from evalkit.core.run_result import RunStatus
 from evalkit.metrics.table import Metric
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.protocols import Sequence
@@ -112,6 +113,17 @@ class Comparison:
         present = {run.sequence for run in self.records}
         return tuple(label for label in self.sequences if label in present)
 
+    @property
+    def missing_sequences(self) -> tuple[str, ...]:
+        """The labels of the sequences whose data are not on this machine."""
+        return tuple(find_missing_sequences(self.records))
+
+    @property
+    def missing_methods(self) -> tuple[str, ...]:
+        """The labels of the methods that are not installed on this machine."""
+        absent = {run.method for run in self.records if run.result.status == RunStatus.NOT_INSTALLED}
+        return tuple(label for label in self.method_labels if label in absent)
+
     def methods_with_role(self, role: Role) -> tuple[str, ...]:
         """Return the labels of the methods with this role, in order."""
         return tuple(label for label in self.method_labels if self.methods[label].role == role)
@@ -124,3 +136,10 @@ class Comparison:
         )
         grouped = {label: tuple(run for run in runs if run.method == label) for label in self.methods}
         return {label: group for label, group in grouped.items() if group}
+
+
+def find_missing_sequences(runs: Iterable[RunRecord]) -> dict[str, None]:
+    """Return the sequences whose data are not on this machine, in order: no installed method has its input there."""
+    installed = [run for run in runs if run.result.status != RunStatus.NOT_INSTALLED]
+    there = {run.sequence for run in installed if run.result.status != RunStatus.DATA_MISSING}
+    return dict.fromkeys(run.sequence for run in installed if run.sequence not in there)

@@ -10,7 +10,7 @@ from evalkit.metrics.table import Metric
 from evalkit.report.analysis.scores import MethodScore, median_over_runs
 from evalkit.stats.bootstrap import expanded_percentile_interval
 from evalkit.stats.intervals import Interval
-from evalkit.stats.runs import PairedRuns, paired_runs
+from evalkit.stats.runs import FEW_RUNS, PairedRuns, paired_runs
 
 RELATIONS_FLOOR = {"m": 0.03, "deg": 0.4, "°": 0.4}
 """Accuracy of the published relations themselves, by unit."""
@@ -59,7 +59,7 @@ def compute_difference(one: MethodScore, other: MethodScore) -> PairedDifference
     if not first:
         return None
     within = _resample_blocks(one, other)
-    found = paired_runs(first, second)
+    found = paired_runs(first, second, one.perturbed)
     if found is not None:
         return PairedDifference(found.interval, "runs", within, len(first), found)
     return None if within is None else PairedDifference(within, "blocks", within, 1)
@@ -68,18 +68,23 @@ def compute_difference(one: MethodScore, other: MethodScore) -> PairedDifference
 def separation(metric: Metric, one: MethodScore, other: MethodScore) -> Separation:
     """Return whether two scores with values differ clearly, compared run by run.
 
-    Clear: the interval of the paired difference over at least two runs excludes zero, and the difference is at
-    least the margin.
+    Clear: the interval of the paired difference over at least two runs excludes zero, the difference is at least the
+    margin, and the medians of both differ in the same direction. Perturbations of a recording need at least six runs.
+    The same for both orders: the better score is always the reference of the difference.
     """
-    difference = paired_runs(*_pair_runs(one, other))
+    if (median(one.values) < median(other.values)) == (metric.better != "higher"):
+        one, other = other, one
+    difference = paired_runs(*_pair_runs(one, other), one.perturbed)
     if difference is None:
         return "one run"
     size = abs(difference.interval.value)
     if size < noise_floor(metric):
         return "within the noise floor"
-    if not difference.interval.excludes(0.0):
-        return "not shown"
     medians = (median(one.values), median(other.values))
+    if one.perturbed and difference.interval.support < FEW_RUNS:
+        return "not shown"
+    if not difference.interval.excludes(0.0) or difference.interval.value * (medians[0] - medians[1]) <= 0.0:
+        return "not shown"
     better = max(medians) if metric.better == "higher" else min(medians)
     return "within the margin" if size < margin(metric, better) else "clear"
 

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from evalkit.core.run_result import BROKEN, RunStatus
+from evalkit.core.run_result import BROKEN
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.pairwise import is_clearly_worse
 from evalkit.report.analysis.scores import STATUS_LABELS
@@ -20,6 +20,9 @@ MAX_NAMED = 4
 
 MAX_OF_A_KIND = 2
 """Methods with a pill of their own for one kind of failure."""
+
+MAX_GROUPS = 2
+"""More groups of methods, by the data sets that their settings were chosen on, are counted in one pill."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +48,7 @@ def compute_pills(
         _describe_load(runs),
         *_describe_tuned(comparison, sequences),
         _describe_not_counted(sequences, verdicts, counted),
-        _describe_missing(runs),
+        _describe_missing(comparison),
         _count_runs(runs),
     ]
     return tuple(pill for pill in pills if pill is not None)
@@ -57,9 +60,9 @@ def find_dataset(sequence: SequenceAnalysis) -> str:
 
 
 def find_left_out(comparison: Comparison, sequence: SequenceAnalysis) -> tuple[str, ...]:
-    """Return the methods whose settings were chosen on the data set of a sequence."""
+    """Return the methods whose settings were chosen on the data set of a sequence, whether they ran there or not."""
     dataset = find_dataset(sequence)
-    return tuple(method for method in sequence.methods if dataset in comparison.methods[method].tuned_on)
+    return tuple(method for method in comparison.method_labels if dataset in comparison.methods[method].tuned_on)
 
 
 def _describe_degenerate(comparison: Comparison, sequence: SequenceAnalysis) -> Pill | None:
@@ -117,7 +120,7 @@ def _describe_load(runs: Sequence[RunRecord]) -> Pill | None:
 
 
 def _describe_tuned(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> list[Pill]:
-    """Return one pill for each group of methods whose settings were chosen on the same sequences."""
+    """Return one pill for each group of methods whose settings were chosen on the same sequences, or one for many."""
     chosen: dict[str, list[str]] = {}
     for sequence in sequences:
         for method in find_left_out(comparison, sequence):
@@ -125,10 +128,16 @@ def _describe_tuned(comparison: Comparison, sequences: Sequence[SequenceAnalysis
     groups: dict[tuple[str, ...], list[str]] = {}
     for method, where in chosen.items():
         groups.setdefault(tuple(where), []).append(method)
+    if len(groups) > MAX_GROUPS:
+        return [Pill(f"settings of {len(chosen)} methods were chosen on data sets shown here: not counted there")]
     return [
-        Pill(f"settings of {join_words(methods)} were chosen on {join_words(where)}: not counted there")
+        Pill(f"settings of {_name_or_count(methods)} were chosen on {join_words(where)}: not counted there")
         for where, methods in groups.items()
     ]
+
+
+def _name_or_count(methods: Sequence[str]) -> str:
+    return join_words(methods) if len(methods) <= MAX_OF_A_KIND else f"{len(methods)} methods"
 
 
 def _describe_not_counted(
@@ -142,13 +151,10 @@ def _describe_not_counted(
     return Pill(f"no verdict on {join_words(left)}", "") if left and counted else None
 
 
-def _describe_missing(runs: Sequence[RunRecord]) -> Pill | None:
+def _describe_missing(comparison: Comparison) -> Pill | None:
     """Return the data sets and methods that are not on this machine."""
-    data = dict.fromkeys(run.sequence for run in runs if run.result.status == RunStatus.DATA_MISSING)
-    for sequence in {run.sequence for run in runs if run.result.status != RunStatus.DATA_MISSING}:
-        data.pop(sequence, None)  # a method without its input there; the recording itself exists
-    methods = dict.fromkeys(run.method for run in runs if run.result.status == RunStatus.NOT_INSTALLED)
-    return Pill(f"missing here: {join_words([*data, *methods])}", "") if data or methods else None
+    missing = (*comparison.missing_sequences, *comparison.missing_methods)
+    return Pill(f"missing here: {join_words(missing)}", "") if missing else None
 
 
 def _count_runs(runs: Sequence[RunRecord]) -> Pill:

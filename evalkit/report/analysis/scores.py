@@ -128,7 +128,9 @@ def compute_score(
         guessed_percent(complete),
         draws,
         runs_interval(values) if len(values) > 1 else _compute_interval(values, draws, support),
-        None if metric.group == "runtime" or (perturbed and 2 * lost_runs < len(runs)) else find_loss(runs),
+        None
+        if metric.group == "runtime" or metric.slam_only or (perturbed and 2 * lost_runs < len(runs))
+        else find_loss(runs),
         tuned and metric.group != "runtime",
         perturbed,
         lost_runs,

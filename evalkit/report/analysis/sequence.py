@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from evalkit.metrics.table import Metric
@@ -50,6 +51,22 @@ class SequenceAnalysis:
         return tuple(ranking.metric for ranking in self.rankings.values())
 
     @property
+    def final(self) -> Ranking | None:
+        """The ranking of the methods with corrected poses by these, in the metric that decides.
+
+        None without any, and where no correction changes a value.
+        """
+        answers = self.deciding
+        if answers is None:
+            return None
+        found = next((one for one in self.rankings.values() if one.metric.counterpart == answers.metric.name), None)
+        if found is None:
+            return None
+        pairs = [(score, answers.of(score.method)) for score in found.scores if score.values or score.partial]
+        same = (other is not None and _is_close(one.values, other.values) for one, other in pairs)
+        return None if all(same) else found
+
+    @property
     def none_finished(self) -> bool:
         """Whether no run completed."""
         return len(unfinished(self.all_runs)) == len(self.all_runs)
@@ -57,6 +74,11 @@ class SequenceAnalysis:
     def is_behind(self, method: str) -> bool:
         """Return whether a method is clearly worse than a baseline."""
         return any(score.method == method for scores in self.behind.values() for score in scores)
+
+
+def _is_close(first: Sequence[float], second: Sequence[float]) -> bool:
+    """Return whether two series differ by rounding at most."""
+    return len(first) == len(second) and all(map(math.isclose, first, second))
 
 
 def analyse_sequence(comparison: Comparison, label: str) -> SequenceAnalysis:

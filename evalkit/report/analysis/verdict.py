@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Literal
 
-from evalkit.core.run_result import NOT_EXECUTED
+from evalkit.core.run_result import NOT_EXECUTED, RunStatus
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis import warnings
-from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.comparison import Comparison, find_missing_sequences
 from evalkit.report.analysis.map_agreement import MEASURES, MapAgreement, decided_by_maps
 from evalkit.report.analysis.pairwise import (
     MARGIN_SHARE,
@@ -34,7 +34,7 @@ from evalkit.report.formatting import (
     strip_full_stop,
 )
 from evalkit.results.run_record import RunRecord
-from evalkit.stats.runs import MAX_RUNS, MIN_RUNS
+from evalkit.stats.runs import FEW_RUNS, MAX_RUNS, MIN_RUNS
 
 Outcome = Literal["winner", "tied", "one run", "single", "lost", "disagreement", "degenerate", "unranked"]
 LED: tuple[Outcome, ...] = ("winner", "tied")
@@ -71,7 +71,10 @@ def compute_verdict(comparison: Comparison, sequence: SequenceAnalysis) -> Seque
         if outcome in (*LED, "one run"):
             sentences.append(_describe_reference(comparison.methods_with_role("reference"), ranking))
         sentences += [_describe_tuned(ranking), _describe_lost(ranking) if outcome != "lost" else ""]
-        sentences += [_describe_baseline(sequence, ranking), *warnings.warn_of_evidence(ranking)]
+        sentences += [
+            _describe_baseline(sequence, ranking),
+            *warnings.warn_of_evidence(ranking, runs[0].spec.sequence.excerpt_scans),
+        ]
     sentences += [_describe_cost(sequence), warnings.warn_of_processors(runs)]
     leads = ranking is not None and outcome in LED
     return SequenceVerdict(
@@ -95,8 +98,16 @@ def describe_success(runs: Sequence[RunRecord]) -> str:
     if broken:
         sentences.append(f"Did not finish: {_count_statuses(broken, expected)}.")
     if absent:
-        sentences.append(f"Could not start: {_count_statuses(absent, expected)}.")
+        sentences.append(f"Could not start: {_count_absent(absent, runs, expected)}.")
     return " ".join(sentences)
+
+
+def _count_absent(absent: Sequence[RunRecord], runs: Sequence[RunRecord], expected: Mapping[str, int]) -> str:
+    """Return the runs that did not start: sequences without data by their name, the others by method."""
+    missing = find_missing_sequences(runs)
+    rest = [run for run in absent if run.sequence not in missing or run.result.status != RunStatus.DATA_MISSING]
+    parts = [f"all runs on {name} (data missing)" for name in missing]
+    return join_words([*parts, *([_count_statuses(rest, expected)] if rest else [])])
 
 
 def _count_statuses(runs: Sequence[RunRecord], expected: Mapping[str, int]) -> str:
@@ -197,18 +208,25 @@ def _describe_pairs(difference: PairedDifference) -> str:
 
 def _describe_tie(ranking: Ranking) -> str:
     metric, first, second = ranking.metric, *ranking.tied[:2]
-    if ranking.why_tied == "within the noise floor":
-        return (
-            f"they differ by less than the accuracy of the ground truth ({format_amount(metric, noise_floor(metric))})"
-        )
-    if ranking.why_tied == "within the margin":
-        return f"they are less than {100 * MARGIN_SHARE:.0f} % {'or 2 mm ' if is_position(metric) else ''}apart"
+    floor = format_amount(metric, noise_floor(metric))
+    small = {
+        "within the noise floor": f"they differ by less than the accuracy of the ground truth ({floor})",
+        "within the margin": f"they are less than {100 * MARGIN_SHARE:.0f} % "
+        f"{'or 2 mm ' if is_position(metric) else ''}apart",
+    }
+    if ranking.why_tied in small:
+        return small[ranking.why_tied]
     difference = compute_difference(second, first)
     if ranking.why_tied == "one run" or difference is None or difference.detectable is None:
         return f"{second.method} has no second run in common with {first.method}"
     bounds = difference.interval
+    if (bounds.low, bounds.high) != (0.0, 0.0) and first.perturbed and difference.runs < FEW_RUNS:
+        return f"they have {difference.runs} pairs of perturbed runs, and a verdict takes {FEW_RUNS}"
     if bounds.low == bounds.high == 0.0 or difference.detectable < 0.05 * 10.0**-metric.digits:
         return "they are equal to every printed digit"
+    if _sign(metric) * bounds.value < 0.0:
+        amount = format_difference(metric, difference, -_sign(metric))
+        return f"{first.method} is better by the medians, {second.method} {_describe_pairs(difference)}, by {amount}"
     amount = format_difference(metric, difference, _sign(metric))
     shown = f"{_describe_pairs(difference)}, {second.method} is worse by {amount}, which may be chance"
     return f"{shown}; {_describe_need(metric, difference, min(median(first.values), median(second.values)))}"

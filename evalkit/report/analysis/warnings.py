@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.map_agreement import decided_by_maps
 from evalkit.report.analysis.ranking import Ranking
-from evalkit.report.analysis.scores import MAX_GUESSED, guessed_percent
+from evalkit.report.analysis.scores import MAX_GUESSED, MethodScore, guessed_percent
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import format_bounds, join_words, strip_full_stop
 from evalkit.results.run_record import RunRecord
@@ -22,8 +22,8 @@ MIN_NAMED_GUESSED = 10.0
 """From this share of scans (%) that keep the initial guess, a method is named."""
 
 
-def warn_of_evidence(ranking: Ranking) -> list[str]:
-    """Return sentences on the limits of the deciding metric."""
+def warn_of_evidence(ranking: Ranking, excerpt_scans: int = 0) -> list[str]:
+    """Return sentences on the limits of the deciding metric; ``excerpt_scans``: length of excerpts of a recording."""
     warnings = []
     if decided_by_maps(ranking):
         limitations = strip_full_stop(ranking.metric.limitations)
@@ -35,20 +35,30 @@ def warn_of_evidence(ranking: Ranking) -> list[str]:
                 f"Over {correlation.support} maps with a known error, its Spearman correlation with that error was "
                 f"{correlation.value:.2f} (95\u00a0% interval {format_bounds(correlation, 2)})."
             )
-    band = next((score.band for score in ranking.ranked if score.band is not None), None)
-    if band is not None:
+    banded = next((score for score in ranking.ranked if score.band is not None), None)
+    if banded is not None:
         warnings.append(
-            f"The spread is that of {band.runs} runs of this recording under small perturbations (a later start, fewer "
-            "beams, noise at the resolution of the ranges, lengths of the methods changed by at most 1\u00a0%), the "
-            "same for all methods; another recording may differ by more."
+            f"The spread is that of {_describe_repetitions(banded, excerpt_scans)} under small perturbations (a later "
+            "start, fewer beams, noise at the resolution of the ranges, lengths of the methods changed by at most "
+            "1\u00a0%), the same for all methods; another recording may differ by more."
         )
     return warnings
 
 
+def _describe_repetitions(score: MethodScore, excerpt_scans: int) -> str:
+    count = len(score.values)
+    if excerpt_scans:
+        return f"{count} excerpts of {excerpt_scans:,} scans of this recording"
+    return f"{count} runs of this recording, {'one as it is and the others' if None in score.seeds else 'all'}"
+
+
 def warn_of_data(runs: Sequence[RunRecord]) -> str:
-    """Return a sentence on scans damaged or left out, if they are more than 1 % of a run's scans; else ""."""
+    """Return a sentence on scans damaged or left out, if they are more than 1 % of a run's scans; else "".
+
+    The notes of an excerpt count scans of the whole recording, so its share is unknown.
+    """
     worst: dict[str, tuple[int, float]] = {}
-    for run in runs:
+    for run in (one for one in runs if not one.spec.sequence.excerpt_scans):
         for name, count in run.result.notes.items():
             percent = 100.0 * count / max(run.result.expected, 1)
             if LOST_SCANS.search(name) and percent > worst.get(name, (0, MAX_LOST_PERCENT))[1]:

@@ -14,13 +14,19 @@ from evalkit.report.analysis.answer import Contest
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, find_loss
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.formatting import format_amount, format_tick
+from evalkit.report.formatting import format_amount, format_loss, format_tick
 from evalkit.report.html.palette import Stroke
 from evalkit.report.html.svg import Scale, element, join, log_scale
 
 Strokes = Mapping[str, Stroke]
 ROW = 22
 """Height of a row of the dot plot (px)."""
+
+TICKS_PX, LETTER_PX = 560.0, 6.6
+"""Width of all columns on a usual screen, and of a letter of their labels."""
+
+USED = 0.86
+"""Share of the width of a column between the smallest and the largest value."""
 
 SHAPES = {"tuned": "M0 -5.5L5.5 0L0 5.5L-5.5 0Z", "lost": "M-4 -4L4 4M-4 4L4 -4"}
 """Marks that are no circles: settings chosen there, track lost."""
@@ -33,13 +39,14 @@ def draw_dots(analysis: Analysis, strokes: Strokes) -> Markup | None:
     shown = [s for s in analysis.sequences if s.deciding is not None and not s.card.degenerate]
     if not shown:
         return None
-    panels = [_panel(sequence, contests.get(sequence.label)) for sequence in shown]
-    last = len(answer.standings) + 2
+    panels = [_panel(sequence, contests.get(sequence.label), TICKS_PX / len(shown)) for sequence in shown]
+    standings = [one for one in answer.standings if one.method not in analysis.comparison.missing_methods]
+    last = len(standings) + 2
     heads = [_cell("columnheader", 0, 1, element("span", "Method", class_="unseen"), "corner")]
     heads += [_cell("columnheader", at, 1, _head(one), "head") for at, one in enumerate(panels, 1)]
     heads.append(_cell("columnheader", len(panels) + 1, 1, "best or tied" if contests else "", "count"))
     rows = [element("div", join(heads), role="row", class_="dots-row")]
-    for place, standing in enumerate(answer.standings, start=2):
+    for place, standing in enumerate(standings, start=2):
         own = [_cell("rowheader", 0, place, standing.method, "who")]
         own += [_cell("cell", at, place, _dot(panel, standing.method), "panel") for at, panel in enumerate(panels, 1)]
         led = f"{standing.led}/{standing.counted}" if standing.counted else "–"
@@ -65,21 +72,31 @@ class _Panel:
     contest: Contest | None
     scale: Scale
     runs: SequenceAnalysis
+    width_px: float
 
     @property
     def ticks(self) -> tuple[float, ...]:
-        """At most two round values, far enough apart for their labels."""
+        """Two round values if their labels fit beside each other, else the one nearest to the middle."""
         found = self.scale.ticks(2)
-        near = len(found) > 1 and self.scale.share(found[-1]) - self.scale.share(found[0]) < 0.36
-        return found[:1] if near else found
+        if not found:
+            return found
+        widths = [LETTER_PX * len(self.label(tick)) for tick in found]
+        apart = (self.scale.share(found[-1]) - self.scale.share(found[0])) * USED * self.width_px
+        fits = len(found) > 1 and apart > widths[0] + widths[-1]  # also where both are moved to stay within the column
+        return found if fits else (min(found, key=lambda tick: abs(self.scale.share(tick) - 0.5)),)
+
+    def label(self, tick: float) -> str:
+        """Return a round value with its unit."""
+        unit = self.ranking.metric.unit
+        return format_tick(tick) if unit == "m" else f"{tick:g} {unit}".strip()
 
 
-def _panel(sequence: SequenceAnalysis, contest: Contest | None) -> _Panel:
+def _panel(sequence: SequenceAnalysis, contest: Contest | None, width_px: float) -> _Panel:
     ranking = sequence.deciding
     if ranking is None:
         raise ValueError(f"{sequence.label}: no metric has a value")
     values = [median(score.values) for score in ranking.scores if score.values]
-    return _Panel(sequence.label, ranking, contest, log_scale(values), sequence)
+    return _Panel(sequence.label, ranking, contest, log_scale(values), sequence, width_px)
 
 
 def _head(panel: _Panel) -> Markup:
@@ -141,7 +158,7 @@ def _explain(panel: _Panel, method: str) -> str:
     runs = panel.runs.runs.get(method, ())
     lost = find_loss(runs)
     if lost is not None:
-        return f"lost at {lost.at_s:.0f} s"
+        return format_loss(lost)
     broken = [run for run in runs if not run.result.is_complete]
     if broken and broken[0].result.status == RunStatus.DATA_MISSING:
         return "no input"  # the sequence exists for others
@@ -149,17 +166,23 @@ def _explain(panel: _Panel, method: str) -> str:
 
 
 def _ticks(panel: _Panel) -> Markup:
-    unit = panel.ranking.metric.unit
-    texts = [format_tick(tick) if unit == "m" else f"{tick:g} {unit}".strip() for tick in panel.ticks]
     spans = [
-        element("span", text, class_="tick", style=f"left:{_percent(panel.scale.share(tick))}")
-        for tick, text in zip(panel.ticks, texts, strict=True)
-    ]
+        element("span", panel.label(tick), class_=f"tick {_anchor(panel, tick)}".strip(),
+                style=f"left:{_percent(panel.scale.share(tick))}")
+        for tick in panel.ticks
+    ]  # fmt: skip
     return element("span", join(spans), class_="ticks")
 
 
+def _anchor(panel: _Panel, tick: float) -> str:
+    """Return on which side of its tick a label begins or ends, so that it stays within its column."""
+    half = 0.5 * LETTER_PX * len(panel.label(tick)) / panel.width_px
+    share = 0.5 - 0.5 * USED + USED * panel.scale.share(tick)
+    return "first" if share < half else "last" if share > 1.0 - half else ""
+
+
 def _percent(share: float) -> str:
-    return f"{7.0 + 86.0 * share:.1f}%"
+    return f"{100.0 * (0.5 - 0.5 * USED + USED * share):.1f}%"
 
 
 def _describe_dots(analysis: Analysis) -> str:

@@ -11,7 +11,7 @@ from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.answer import COST
 from evalkit.report.analysis.pills import find_left_out
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.formatting import format_amount, format_milliseconds
+from evalkit.report.formatting import format_amount, format_loss, format_milliseconds
 from evalkit.report.html.blocks import Figure
 from evalkit.report.html.maps import find_window, measure_image, render_map
 from evalkit.report.html.palette import Stroke
@@ -89,7 +89,10 @@ def build_tiles(analysis: Analysis, number: int, strokes: Strokes) -> list[Tile]
         value = format_amount(ranking.metric, median(score.values)) if ranking and score and score.values else ""
         cost = sequence.rankings[COST].of(method) if COST in sequence.rankings else None
         times = format_milliseconds(cost.median) if cost is not None and cost.median is not None else ""
-        lost = f"lost at {score.lost.at_s:.0f} s" if score is not None and score.lost is not None else ""
+        lost = format_loss(score.lost) if score is not None and score.lost is not None else ""
+        corrected = sequence.final.of(method) if sequence.final else None
+        if ranking and corrected is not None and corrected.values:
+            value += f", corrected {format_amount(ranking.metric, median(corrected.values))}"
         caption = " · ".join(filter(None, (value, lost or times)))
         has_player = any(len(run.result.steps) for run in sequence.runs[method])
         anchor = f"sequence-{number + 1}"

@@ -22,6 +22,7 @@ from evalkit.metrics.consistency import CLEARED, look_up_cells
 from evalkit.metrics.maps import nearest_distances_m
 from evalkit.plugins.protocols import Sequence
 from evalkit.report.html.array_encoding import NONE, Steps, dequantise, pack_array, quantise
+from evalkit.report.html.corrected_runs import SUFFIX
 from evalkit.report.html.maps import Window, pixel_m
 from evalkit.report.html.palette import Stroke
 from evalkit.results.run_record import RunRecord
@@ -30,8 +31,8 @@ METRE, RADIAN, RESIDUAL, MILLISECOND = 1e-3, 1e-5, 1e-4, 1_000_000
 """Steps of positions and ranges (m), of angles (rad), of residuals and errors (m), of times (ns)."""
 MAX_SCANS = 2000
 MAX_RANGES = 300_000
-MAX_ON_PAGE = 3_000_000
-"""Ranges in a sequence and on the page: at about 1.5 bytes each the page stays below 8 MB."""
+MAX_ON_PAGE = 2_300_000
+"""Ranges in a sequence and on the page: at about 1.5 bytes each a page of fourteen methods stays below 8 MB."""
 MAX_CELLS = 3000
 QUANTITIES = (("error", "error"), ("s2s", "S2S residual"), ("s2m", "S2M residual"))
 FARTHEST_M = 1e6
@@ -282,6 +283,7 @@ def _run(record: RunRecord, stamps: Stamps, beams: Beams | None, lines: Mapping[
     stroke = lines[record.method]
     return {
         "label": record.method,
+        "map": record.method.removesuffix(SUFFIX),
         "colour": stroke.css,
         "dash": list(stroke.dash),
         "poses": pack_array(steps),

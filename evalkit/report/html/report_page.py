@@ -15,7 +15,17 @@ from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.verdict import SequenceVerdict
 from evalkit.report.formatting import capitalise, format_amount
-from evalkit.report.html import appendix, cost_plot, dot_plot, map_strip, report_tables, run_charts
+from evalkit.report.html import (
+    appendix,
+    corrected_runs,
+    corrected_tables,
+    cost_plot,
+    dot_plot,
+    known_map,
+    map_strip,
+    report_tables,
+    run_charts,
+)
 from evalkit.report.html.blocks import (
     Block,
     Bullets,
@@ -68,6 +78,7 @@ def render_report(analysis: Analysis) -> str:
         title=title.partition(emphasis) if emphasis else ("", "", title),
         lead_stroke=strokes[analysis.answer.winners[0]] if len(analysis.answer.winners) == 1 else None,
         answer=analysis.answer,
+        corrects=any(sequence.final is not None for sequence in analysis.sequences),
         tiles=tiles,
         hardest="" if hardest is None else analysis.sequences[hardest].label,
         dots=dot_plot.draw_dots(analysis, strokes),
@@ -110,11 +121,18 @@ def build_sequence(
         blocks.append(Fold("Paths, CPU times and residuals", [Html(chart) for chart in charts[1:]], f"{anchor}-more"))
     facts = (*sequence.drive, ("Ground truth", sequence.card.truth.rstrip(".")), ("Sensor", sequence.card.sensor))
     blocks.append(Facts((("The data set", sequence.card.summary), *facts)))
-    seeds = sorted({run.seed for run in first if run.seed is not None})
-    blocks.append(
-        Text(f"Figures show {f'seed {seeds[0]} only' if seeds else 'the single run of each method'}.", "note")
-    )
+    blocks.append(Text(f"Figures show {_describe_shown(sequence)}.", "note"))
     return Fold(sequence.label, blocks, anchor, _badge(verdict), heading=True, lazy=True, is_open=is_open)
+
+
+def _describe_shown(sequence: SequenceAnalysis) -> str:
+    """Return which run of each method the figures show: the first one."""
+    if all(len(own) == 1 for own in sequence.runs.values()):
+        return "the single run of each method"
+    first = next(iter(sequence.runs.values()))[0]
+    if not first.spec.sequence.perturbed:
+        return f"seed {first.seed} only"
+    return "the run without perturbation only" if first.seed is None else f"perturbation {first.seed} only"
 
 
 def _badge(verdict: SequenceVerdict) -> str:
@@ -128,9 +146,10 @@ def _draw_charts(
 ) -> list[Markup]:  # fmt: skip
     """Return the charts of a sequence that have content, the error over time first."""
     leader = report_tables.by_rank(sequence)[0]
+    both, every = corrected_runs.with_corrected(first), corrected_runs.add_strokes(strokes)
     charts = [
-        run_charts.error_chart(first, strokes, leader),
-        run_charts.path_chart(first, strokes, leader),
+        run_charts.error_chart(both, every, leader),
+        run_charts.path_chart(both, every, leader),
         run_charts.cost_chart(first, strokes, leader),
     ]
     return [chart for chart in charts if chart is not None] + run_charts.residual_charts(first, strokes, leader)
@@ -144,11 +163,12 @@ def _build_player(
     preferred = next(iter(comparison.methods_with_role("reference")), "")
     most = ranges_per_sequence(len(comparison.sequences))
     scans, leader = comparison.scans.get(sequence.label), report_tables.by_rank(sequence)[0]
-    player = build_player(first, scans, shown, strokes, most, preferred, leader)
+    both, every = corrected_runs.with_corrected(first), corrected_runs.add_strokes(strokes)
+    player = build_player(both, scans, shown, every, most, preferred, leader)
     if player is None:
         return []
     template = load_template("player.html.j2", sentence=capitalise)
-    return [Html(Markup(template.render(player=player, anchor=anchor, label=sequence.label, strokes=strokes)))]
+    return [Html(Markup(template.render(player=player, anchor=anchor, label=sequence.label, strokes=every)))]
 
 
 def _build_tables(analysis: Analysis, number: int, strokes: Mapping[str, Stroke]) -> list[Block]:
@@ -156,8 +176,12 @@ def _build_tables(analysis: Analysis, number: int, strokes: Mapping[str, Stroke]
     table = report_tables.headline_table(analysis, sequence, number + 1, strokes)
     headline = [sequence.rankings[metric.name] for metric in report_tables.headline_metrics(sequence)]
     blocks: list[Block] = [
-        Heading("Results", f"{anchor}-results"), table, *report_tables.absent_note(headline),
+        Heading("Results", f"{anchor}-results"), table,
+        Text("Below a number: its 95 % interval, or the lowest and highest of few runs.", "note"),
+        *report_tables.absent_note(headline),
         *(Text(text, "note") for text in sequence.alignments),
+        *known_map.build_known_map(analysis, sequence, number + 1, strokes, anchor),
+        *corrected_tables.build_corrected(analysis, sequence, number + 1, strokes, anchor),
     ]  # fmt: skip
     if failures := report_tables.failure_texts(sequence.all_runs):
         blocks.append(Fold("Runs that did not complete", [Bullets(failures)], f"{anchor}-failures", is_open=True))

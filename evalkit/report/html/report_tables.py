@@ -13,11 +13,12 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.formatting import capitalise, format_amount, format_number
+from evalkit.report.formatting import capitalise, format_amount, format_loss, format_number
 from evalkit.report.html.blocks import Block, Cell, Chips, Column, Table, Text, Tone
 from evalkit.report.html.palette import Stroke
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.intervals import wilson_interval
+from evalkit.stats.runs import MIN_RUNS
 
 Strokes = Mapping[str, Stroke]
 DASH = Cell("–", "")
@@ -53,14 +54,17 @@ TONES: Mapping[Mark, Tone] = {
 }
 
 
-def score_cell(ranking: Ranking, score: MethodScore | None, link: str = "") -> Cell:
-    """Return a score: the median with its interval or range, or a dash with the reason."""
+def score_cell(ranking: Ranking, score: MethodScore | None, link: str = "", says_loss: bool = True) -> Cell:
+    """Return a score: the median with its interval or range, or a dash with the reason.
+
+    ``says_loss``: state when the track was lost.
+    """
     metric = ranking.metric
     if score is None:
         return Cell("–", "", tip="not run here")
     partial = ", ".join(_format(metric, value) for value in score.partial)
     early = f"ended early: {partial}" if partial else ""
-    lost = f"lost at {score.lost.at_s:.0f} s" if score.lost is not None else ""
+    lost = format_loss(score.lost) if score.lost is not None and says_loss else ""
     if not score.values:
         return Cell("–", "", tip=score.reason, link=link, extent=early or lost)
     runs = f"median of {len(score.values)} of {score.expected} runs" if score.expected > 1 else ""
@@ -73,22 +77,28 @@ def score_cell(ranking: Ranking, score: MethodScore | None, link: str = "") -> C
 
 
 def headline_metrics(sequence: SequenceAnalysis) -> list[Metric]:
-    """Return the deciding metric, the cost, then the other headline metrics.
+    """Return the deciding metric, that of corrected poses, the cost, then the other headline metrics.
 
     With a true map, map consistency appears only in the table of all metrics.
     """
     first = sequence.deciding.metric.name if sequence.deciding else ""
+    corrected = [sequence.final.metric] if sequence.final else []
     mapped = any(record.truth.grid is not None for record in sequence.all_runs)
     shown = [m for m in sequence.metrics if m.headline and not (mapped and m.group == "map consistency")]
-    return sorted(shown, key=lambda metric: (metric.name != first, metric.group != "runtime"))
+    order = sorted(shown, key=lambda metric: (metric.name != first, metric.group != "runtime"))
+    return [*order[:1], *corrected, *order[1:]]
 
 
 def by_rank(sequence: SequenceAnalysis) -> list[str]:
-    """Return the methods of a sequence: ranked ones first, best first, then those with values, then the rest."""
+    """Return the methods of a sequence, each group best first: ranked ones, others with values, lost ones, the rest."""
     ranking = sequence.deciding
-    ranked = [score.method for score in ranking.ranked] if ranking else []
-    valued = [score.method for score in ranking.scores if score.values] if ranking else []
-    return list(dict.fromkeys([*ranked, *valued, *sequence.methods]))
+    if ranking is None:
+        return list(sequence.methods)
+    sign = -1.0 if ranking.metric.better == "higher" else 1.0
+    valued = [score for score in ranking.scores if score.values]
+    valued.sort(key=lambda score: (score.lost is not None, sign * median(score.values)))
+    ranked = [score.method for score in ranking.ranked]
+    return list(dict.fromkeys([*ranked, *(score.method for score in valued), *sequence.methods]))
 
 
 def headline_table(analysis: Analysis, sequence: SequenceAnalysis, number: int, strokes: Strokes) -> Table:
@@ -96,18 +106,31 @@ def headline_table(analysis: Analysis, sequence: SequenceAnalysis, number: int, 
     comparison = analysis.comparison
     rankings = [sequence.rankings[metric.name] for metric in headline_metrics(sequence)]
     present = [one for one in rankings if one.has_values]
-    repeated = any(len(own) != 1 or not own[0].result.is_complete for own in sequence.runs.values())
+    repeated = any(len(own) > 1 for own in sequence.runs.values())
     places = {label: place for place, label in enumerate(comparison.methods, start=1)}
     rows = []
     for label in by_rank(sequence):
-        behind: list[tuple[str, Tone]] = [("worse than the baseline", "warn")] if sequence.is_behind(label) else []
         link = f"#{runs_anchor(number, places[label])}"
-        cells = [score_cell(one, one.of(label), link) for one in present]
+        cells = [score_cell(one, one.of(label), link, says_loss=False) for one in present]
         success = [success_cell(sequence.runs[label])] if repeated else []
-        rows.append([method_cell(comparison, strokes, label, link, *behind), *success, *cells])
+        chips = _describe_state(sequence, label, repeated)
+        rows.append([method_cell(comparison, strokes, label, link, *chips), *success, *cells])
     runs = [Column("Runs complete", "", True, better="higher")] if repeated else []
     columns = [Column("Method"), *runs, *(metric_column(one.metric) for one in present)]
     return Table(columns, rows, label=f"Results on {sequence.label}")
+
+
+def _describe_state(sequence: SequenceAnalysis, label: str, repeated: bool) -> list[tuple[str, Tone]]:
+    """Return what a reader must know of a method beside its numbers; of a single run also how it ended."""
+    score = sequence.deciding.of(label) if sequence.deciding else None
+    chips: list[tuple[str, Tone]] = []
+    if score is not None and score.lost is not None:
+        chips.append((format_loss(score.lost), "bad"))
+    if sequence.is_behind(label):
+        chips.append(("worse than the baseline", "warn"))
+    if not repeated and (broken := unfinished(sequence.runs[label])):
+        chips.append((STATUS_LABELS[broken[0].result.status], "bad"))
+    return chips
 
 
 def success_cell(records: Sequence[RunRecord]) -> Cell:
@@ -115,7 +138,7 @@ def success_cell(records: Sequence[RunRecord]) -> Cell:
     complete, count = len(records) - len(unfinished(records)), len(records)
     started = [record for record in records if record.result.status not in NOT_EXECUTED]
     share = wilson_interval(len(started) - len(unfinished(started)), len(started)) if started else None
-    extent = f"95 %: {100.0 * share.low:.0f}–{100.0 * share.high:.0f} %" if share and count > 1 else ""
+    extent = f"{100.0 * share.low:.0f}–{100.0 * share.high:.0f} %" if share and count > 1 else ""
     return Cell(f"{complete} of {count}", complete / count, "" if complete == count else "bad", extent=extent)
 
 
@@ -131,23 +154,34 @@ def absent_text(rankings: Sequence[Ranking]) -> str:
 
 
 def numbers_table(analysis: Analysis, strokes: Strokes) -> Table:
-    """Return every method, best first, over every sequence in its deciding metric, with the cost."""
+    """Return every method, best first, over every sequence in its deciding metric, with the cost; nothing missing."""
     comparison, answer = analysis.comparison, analysis.answer
     places = {label: place for place, label in enumerate(comparison.methods, start=1)}
     columns = [Column("Method"), Column("Best or tied", "", True, better="higher")]
-    for sequence in analysis.sequences:
+    shown = [
+        (number, sequence)
+        for number, sequence in enumerate(analysis.sequences, start=1)
+        if sequence.label not in comparison.missing_sequences
+    ]
+    for _, sequence in shown:
         found = sequence.deciding.metric if sequence.deciding else None
         column = metric_column(found) if found else Column("", "", True)
         told = f"{found.label}, {found.unit}" if found and column.unit else found.label if found else ""
         columns.append(Column(sequence.label, told, True, column.tip, column.better))
+        if sequence.final is not None:
+            columns.append(
+                Column(f"{sequence.label}, corrected", told, True, sequence.final.metric.definition, "lower")
+            )
     columns.append(Column("CPU a scan", "ms", True, "median over the sequences", "lower"))
     rows = []
-    for standing in answer.standings:
+    for standing in (one for one in answer.standings if one.method not in comparison.missing_methods):
         cells = []
-        for number, sequence in enumerate(analysis.sequences, start=1):
+        for number, sequence in shown:
             link = f"#{runs_anchor(number, places[standing.method])}" if standing.method in sequence.runs else ""
             ranking = sequence.deciding
             cells.append(score_cell(ranking, ranking.of(standing.method), link) if ranking else DASH)
+            if sequence.final is not None:
+                cells.append(score_cell(sequence.final, sequence.final.of(standing.method), link))
         led = Cell(f"{standing.led}/{standing.counted}", standing.led) if standing.counted else DASH
         cost = DASH if standing.cpu_ms is None else Cell(format_number(standing.cpu_ms, 2), standing.cpu_ms)
         link = f"#method-{places[standing.method]}"
@@ -190,6 +224,7 @@ def pairs_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes
                 continue
             bounds, metric = one.difference.interval, pairs.metric
             extent = f"{100 * bounds.confidence:.0f} %: {_bounds(metric, bounds.low, bounds.high)}"
+            extent = extent if one.difference.runs != MIN_RUNS - 1 else ""  # two pairs have no interval
             value = Cell(_format(metric, bounds.value), bounds.value, extent=extent)
             detectable = one.difference.detectable
             cells += [value, Cell(one.verdict), DASH if detectable is None else Cell(_format(metric, detectable))]
@@ -248,7 +283,7 @@ def _extent(metric: Metric, score: MethodScore) -> str:
     if score.band is not None:
         parts.append(f"perturbed: {_bounds(metric, score.band.low, score.band.high)}")
     elif score.interval is not None:
-        parts.append(f"95 %: {_bounds(metric, score.interval.low, score.interval.high)}")
+        parts.append(_bounds(metric, score.interval.low, score.interval.high))
     elif len(score.values) > 1:
         parts.append(_bounds(metric, min(score.values), max(score.values)))
     return ", ".join(parts)

@@ -95,10 +95,12 @@ def place_labels(
     placed: dict[str, tuple[float, float, str]] = {}
     for x, y, text in points:
         wide = letter * len(text)
-        for left, base, anchor in (
-            (x - 9.0 - wide, y + 4.0, "end"), (x + 9.0, y + 4.0, "start"),
-            (x - wide / 2.0, y + 8.0 + height, "middle"), (x - wide / 2.0, y - 9.0, "middle"),
-        ):  # fmt: skip
+        beside = [(x - 9.0 - wide, y + 4.0, "end"), (x + 9.0, y + 4.0, "start"),
+                  (x - wide / 2.0, y + 8.0 + height, "middle"), (x - wide / 2.0, y - 9.0, "middle")]  # fmt: skip
+        if not placed:  # the most important one may be further away, its colour shows its point
+            for base in (y - 9.0, y - 9.0 - height, y + 8.0 + height, y + 8.0 + 2.0 * height):
+                beside += [(x + 3.0 - wide, base, "end"), (x - 3.0, base, "start")]
+        for left, base, anchor in beside:
             box = (left, base - height, left + wide, base + 3.0)
             inside = box[0] >= 0.0 and box[2] <= size[0] and box[1] >= 0.0 and box[3] <= size[1]
             if inside and not any(_overlap(box, other) for other in taken):

@@ -3,7 +3,8 @@ const chosen = { only: new Set(), find: "" };
 const finder = document.getElementById("find");
 const chips = [...document.querySelectorAll("button.pick")];
 
-function isShown(label) {
+function isShown(of) {
+  const label = of.replace(/, corrected$/, "");
   const words = chosen.find.toLowerCase().split(/[\s,]+/).filter(Boolean);
   return (!chosen.only.size || chosen.only.has(label)) && (!words.length || words.some((word) => label.toLowerCase().includes(word)));
 }

@@ -112,7 +112,7 @@ class Player {
     const layers = Object.fromEntries(this.all("input[data-layer]").map((box) => [box.dataset.layer, box.checked]));
     const picked = Object.fromEntries(this.all("select[data-picks]").map((select) => [select.dataset.picks, select.value]));
     const placer = picked.first === "truth" ? "" : picked.first;
-    const own = { own: placer, true: "" }[picked.map] ?? this.find("select[data-picks=map]").selectedOptions[0].dataset.map;
+    const own = { own: this.recording.runs.find((run) => run.label === placer)?.map ?? placer, true: "" }[picked.map] ?? this.find("select[data-picks=map]").selectedOptions[0].dataset.map;
     const runs = this.recording.runs.filter((run) => ticked.has(run.label));
     Object.assign(this.state, { layers, runs, map: own, first: picked.first, second: picked.second, quantity: picked.quantity });
     const names = JSON.stringify([...runs.map((run) => run.label), ...this.all(".worst select").map((select) => select.value)]);

@@ -1,0 +1,88 @@
+"""The table of methods that tracked the robot in a known map, and the predicted beside the true error of each scan."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from evalkit.core.se2 import Floats
+from evalkit.metrics.localisation import WITHIN
+from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.formatting import format_length, format_loss
+from evalkit.report.html import charts
+from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Table, Text
+from evalkit.report.html.charts import Axis, Points
+from evalkit.report.html.palette import TRUTH
+from evalkit.report.html.report_tables import (
+    DASH,
+    Strokes,
+    by_rank,
+    method_cell,
+    metric_column,
+    runs_anchor,
+    score_cell,
+)
+
+COLUMNS = ("map_fit_m", "map_fit_ratio", "map_fit_within_percent", "map_fit_percent", "map_misfit_percent")
+"""Metrics of the table after the error, in order; those without a value are left out."""
+
+NOTE = (
+    "Every method starts at the same place of the known map, and nothing is aligned. The pose error by map fit needs "
+    "no ground truth: it is what the scans say about the pose. A ratio of 1 and 95 % within mean that it is calibrated."
+)
+
+
+def build_known_map(
+    analysis: Analysis, sequence: SequenceAnalysis, number: int, strokes: Strokes, anchor: str
+) -> list[Block]:
+    """Return heading, note, table and figure of the runs in a known map; [] without any."""
+    first = {label: own[0] for label, own in sequence.runs.items() if own[0].result.start is not None}
+    if not first:
+        return []
+    found = [sequence.rankings.get(name) for name in COLUMNS]
+    shown = [one for one in (sequence.deciding, *found) if one is not None and one.has_values]
+    places = {label: place for place, label in enumerate(analysis.comparison.methods, start=1)}
+    rows = []
+    for label in (label for label in by_rank(sequence) if label in first):
+        link, record = f"#{runs_anchor(number, places[label])}", first[label]
+        start = record.result.start
+        after = DASH if start is None or not start.searched else Cell(f"{start.after_s:.1f} s", start.after_s,
+                     tip=f"scan {start.scans}, score {start.score:.2f}")  # fmt: skip
+        lost = record.scores.lost
+        track = Cell("held", "") if lost is None else Cell(format_loss(lost), lost.at_s, "bad", lost.reason)
+        cells = [score_cell(one, one.of(label), link, says_loss=False) for one in shown]
+        rows.append([method_cell(analysis.comparison, strokes, label, link), after, track, *cells])
+    columns = [
+        Column("Method"), Column("Localised after", "", True, "the search of the start, the same for all methods"),
+        Column("Track"), *(metric_column(one.metric) for one in shown),
+    ]  # fmt: skip
+    blocks: list[Block] = [
+        Heading("In the known map", f"{anchor}-known-map"), Text(NOTE, "note"),
+        Table(columns, rows, label=f"In the known map, {sequence.label}"),
+    ]  # fmt: skip
+    pairs = {label: known for label, record in first.items() if len(known := _known(record.scores.fit))}
+    return [*blocks, *([Figures([draw_calibration(pairs, strokes)])] if pairs else [])]
+
+
+def draw_calibration(pairs: dict[str, Floats], strokes: Strokes) -> Figure:
+    """Draw the true error of each scan against the predicted one, both axes logarithmic; ``pairs``: (K, 2) in m."""
+    every = np.maximum(np.concatenate(list(pairs.values())), 1e-4)
+    ends = np.array([every.min(), every.max()])
+    layers = [
+        *(Points(label, np.maximum(own, 1e-4), strokes[label].colour, alpha=0.5) for label, own in pairs.items()),
+        Points("as predicted", np.column_stack([ends, ends]), TRUTH, 1.2, joined=True),
+        Points(f"{WITHIN:g} times", np.column_stack([ends, WITHIN * ends]), TRUTH, 0.6, joined=True),
+    ]
+    ticks = charts.compute_log_ticks(float(every.min()), float(every.max()))
+    x, y = (Axis(f"{name} error of the position [m]", "log", ticks=ticks) for name in ("predicted", "true"))
+    ratios = {label: float(np.sqrt(np.mean(own[:, 1] ** 2) / np.mean(own[:, 0] ** 2))) for label, own in pairs.items()}
+    worst = max(ratios, key=ratios.__getitem__)
+    size = format_length(float(np.sqrt(np.mean(pairs[worst][:, 1] ** 2))))
+    finding = f"{worst} has the largest ratio of true to predicted error, {ratios[worst]:.2f}, at {size}"
+    caption = f"One point a scan that fits the map. {finding}."
+    return Figure(charts.scatter(layers, x, y, equal=False), "Predicted and true error", caption, alt=caption)
+
+
+def _known(fit: Floats | None) -> Floats:
+    """Return the pairs (K, 2) of which both errors are known."""
+    return np.zeros((0, 2)) if fit is None else fit[np.isfinite(fit).all(axis=1)]

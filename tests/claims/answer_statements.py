@@ -1,0 +1,245 @@
+"""The title, the subtitle and the pills of a report, each with the check of its names and numbers."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from statistics import median
+
+from amounts import AMOUNT, NUMBER, check_amount, list_of
+from facts import Facts
+from statements import BROKEN, Check, kind, same
+
+END = r"\.(?= [A-Z]|$)"
+
+IN_ANSWER: list[tuple[str, Check]] = []
+IN_PILLS: list[tuple[str, Check]] = []
+
+
+def standings(facts: Facts) -> dict[str, tuple[int, int]]:
+    """Return on how many of the data sets that count each method leads, and on how many it takes part."""
+    over = list(facts.content["answer"]["counted"])
+    table = {}
+    for method in facts.methods:
+        part = [
+            one for one in over
+            if method in facts.runs[one] and not facts.find(one, facts.deciding(one) or "")[method].tuned
+        ]  # fmt: skip
+        table[method] = sum(method in leaders(facts, one) for one in part), len(part)
+    return table
+
+
+def leaders(facts: Facts, where: str) -> Sequence[str]:
+    """Return the best method of a sequence and those tied with it."""
+    if facts.by_maps(where) and len(facts.led(where)[0]) > 1:
+        return facts.agreed(where)
+    return facts.led(where)[1]
+
+
+@kind(
+    IN_ANSWER,
+    r"Take (?P<names>.+?): (?:each )?(?:the best map|best or tied) on (?P<led>\d+) of (?P<of>\d+) "
+    r"(?:data sets?|recordings?)"
+    r"(?:; next best (?P<next>\d+) of (?P<its>\d+))?\.",
+)
+def take(facts: Facts, names: str, **said: str) -> Iterator[str]:
+    table, winners = standings(facts), names.split(" or ")
+    yield from same("winners", set(winners), set(facts.content["answer"]["winners"]))
+    for name in winners:
+        yield from same(f"{name} leads", int(said["led"]), table[name][0])
+    yield from same("most", int(said["led"]), max(led for led, _ in table.values()))
+    yield from same("of", int(said["of"]) in (table[winners[0]][1], len(facts.content["answer"]["counted"])), True)
+    if said["next"]:
+        others = {one: row for one, row in table.items() if one not in winners and row[1]}
+        yield from same("next best", int(said["next"]), max(led for led, _ in others.values()))
+        yield from same("its share", (int(said["next"]), int(said["its"])) in others.values(), True)
+
+
+@kind(
+    IN_ANSWER,
+    r"Take (?P<names>.+?): (?P<how>tied for the best|best|the best map) o[nf] (?P<where>.+?)(?:, which has .+)?\.",
+)
+def take_one(facts: Facts, names: str, how: str, where: str) -> Iterator[str]:
+    yield from same("counted", facts.content["answer"]["counted"], [where])
+    yield from same("winners", set(names.split(" or ")), set(leaders(facts, where)))
+    yield from same("by maps", how == "the best map", facts.by_maps(where))
+    yield from same("tied", how == "tied for the best", len(names.split(" or ")) > 1 and not facts.by_maps(where))
+
+
+@kind(
+    IN_ANSWER,
+    r"No method is ahead: (?:all )?(?P<count>\d+) methods are (?:each )?(?:tied|best or tied) on "
+    r"(?:(?P<led>\d+) of (?P<of>\d+) data sets|(?P<where>.+?))\.$",
+)
+def all_tied(facts: Facts, count: str, led: str | None, of: str | None, where: str | None) -> Iterator[str]:
+    own, most = facts.content["answer"]["counted"], max(one for one, _ in standings(facts).values())
+    yield from same("methods", int(count), sum(one == most for one, _ in standings(facts).values()))
+    yield from same("data sets", (int(led or 1), int(of or 1)), (most, len(own)))
+    yield from same("data set", [where] if where else own, own)
+    yield from no_answer(facts)
+
+
+@kind(
+    IN_ANSWER,
+    r"(?:No run finished|No method held the track|Only .+? is ranked|No method is (?:ranked|ahead)): .+?\.(?= |$)",
+)
+def no_answer(facts: Facts) -> Iterator[str]:
+    yield from same("winners", facts.content["answer"]["winners"], [])
+
+
+def _cost(facts: Facts, method: str) -> float:
+    found = [facts.find(where, "cpu_median_ms").get(method) for where in facts.runs]
+    return median([one.median for one in found if one is not None and one.values] or [math.inf])
+
+
+@kind(IN_ANSWER, rf"(?P<ms>{NUMBER} ms) a scan here\.")
+def costs(facts: Facts, ms: str) -> Iterator[str]:
+    yield from check_amount("cost", ms, _cost(facts, facts.content["answer"]["winners"][0]))
+
+
+@kind(IN_ANSWER, rf"A scan takes (?P<listed>.+?){END}")
+def cost_of_each(facts: Facts, listed: str) -> Iterator[str]:
+    for ms, name in re.findall(rf"({NUMBER} ms) with (.+?)(?=, [\d.]+ ms| and [\d.]+ ms|$)", listed):
+        yield from check_amount(name, ms, _cost(facts, name))
+
+
+@kind(IN_ANSWER, rf"(?P<best>{AMOUNT}) against (?P<its>{AMOUNT}) of (?P<other>.+?){END}")
+def against(facts: Facts, best: str, its: str, other: str) -> Iterator[str]:
+    (where,) = facts.content["answer"]["counted"]
+    metric = facts.deciding(where) or ""
+    found, ranked = facts.find(where, metric), facts.ranked(where, metric)
+    yield from same("second", other, ranked[1])
+    yield from check_amount("best", best, found[ranked[0]].median)
+    yield from check_amount("second", its, found[other].median)
+
+
+@kind(IN_ANSWER, rf"It loses (?P<words>.+?\)){END}")
+def losses(facts: Facts, words: str) -> Iterator[str]:
+    winner = facts.content["answer"]["winners"][0]
+    true = [
+        one for one in facts.content["answer"]["counted"]
+        if winner in facts.ranked(one, facts.deciding(one) or "") and winner not in leaders(facts, one)
+    ]  # fmt: skip
+    named = re.findall(rf"(?:^|only | and |, most of all )([^ ]+) \(({AMOUNT}) against ({AMOUNT})\)", words)
+    count = re.match(r"(\d+), most of all", words)
+    yield from same("losses", int(count[1]) if count else len(named), len(true))
+    for where, own, best in named:
+        metric = facts.deciding(where) or ""
+        yield from same("lost", where in true and facts.standing(where, winner) == "worse", True)
+        yield from check_amount(where, own, facts.find(where, metric)[winner].median)
+        yield from check_amount(where, best, facts.find(where, metric)[facts.ranked(where, metric)[0]].median)
+
+
+@kind(IN_ANSWER, r"It is also the cheapest\.")
+@kind(IN_ANSWER, r"Cheapest of them: (?P<name>.+?)\.$")
+@kind(IN_ANSWER, rf"Cheapest: (?P<name>.+?), (?P<ms>{NUMBER} ms)(?:, (?P<times>{NUMBER}) times the error)?\.")
+def cheapest(facts: Facts, name: str = "", ms: str = "", times: str | None = None) -> Iterator[str]:
+    answer = facts.content["answer"]
+    others = [one for one in facts.methods if one not in facts.with_role("baseline")]
+    timed = {one: _cost(facts, one) for one in (answer["winners"] if len(answer["winners"]) > 1 else others)}
+    yield from same("cheapest", name or answer["winners"][0], min(timed, key=lambda one: timed[one]))
+    if ms:
+        yield from check_amount("cost", ms, timed[name])
+    if times:
+        logs = []
+        for where in answer["counted"]:
+            metric = facts.deciding(where) or ""
+            found, ranked = facts.find(where, metric), facts.ranked(where, metric)
+            sign = 1.0 if facts.metrics[metric]["better"] == "lower" else -1.0
+            if {name, answer["winners"][0]} <= set(ranked):
+                logs.append(sign * math.log(found[name].median / found[answer["winners"][0]].median))
+        yield from check_amount("times the error", times, math.exp(sum(logs) / len(logs)))
+
+
+@kind(IN_PILLS, r"(?P<where>.+?) is degenerate: (?P<how>not counted|no method beats .+)$")
+def degenerate_pill(facts: Facts, where: str, how: str) -> Iterator[str]:
+    yield from same("outcome", facts.outcome(where), "degenerate")
+    if how.startswith("no method beats"):
+        metric, base = facts.deciding(where) or "", how.removeprefix("no method beats ")
+        ranked = facts.ranked(where, metric)
+        yield from same("beats", [one for one in ranked if facts.is_worse(where, metric, base, one)], [])
+
+
+def _lost(facts: Facts) -> dict[str, dict[str, float]]:
+    table: dict[str, dict[str, float]] = {}
+    for where in facts.runs:
+        metric = facts.deciding(where)
+        if metric is None or facts.content["sequences"][where]["degenerate"]:
+            continue
+        for method, one in facts.find(where, metric).items():
+            if one.lost_s is not None:
+                table.setdefault(method, {})[where] = one.lost_s
+    return table
+
+
+@kind(IN_PILLS, r"(?P<count>\d+) methods (?P<what>lost the track on|did not finish) a sequence(?:: (?P<listed>.+))?$")
+@kind(IN_PILLS, r"(?P<method>.+?) (?P<what>lost the track on|did not finish) (?P<where>.+)$")
+def lost_pill(
+    facts: Facts, what: str, count: str = "", listed: str = "", method: str = "", where: str = ""
+) -> Iterator[str]:
+    table = _lost(facts) if what.startswith("lost") else {}
+    for run in facts.content["runs"] if not what.startswith("lost") else ():
+        if run["status"] in BROKEN:
+            table.setdefault(run["method"], {})[run["sequence"]] = 0.0
+    if count:
+        yield from same(what, int(count), len(table))
+    for name in filter(None, (method, *(listed or "").split(", "))):
+        yield from same(f"{name} {what}", name in table, True)
+    for name, seconds in re.findall(r"(?:^|, | and )(\S+) \(at (\d+) s\)", where):
+        yield from same(f"{method} on {name}", seconds, f"{table[method][name]:.0f}")
+    if what.startswith("did") and where and not re.fullmatch(r"\d+ sequences", where):
+        yield from same(f"{method} on", set(re.findall(r"(?:^|, | and )(.+?) \(", where)), set(table[method]))
+    if match := re.fullmatch(r"(\d+) sequences", where):
+        yield from same("sequences", int(match[1]), len(table[method]))
+
+
+@kind(
+    IN_PILLS, r"times from a busy machine \((?P<count>\d+) of (?P<all>\d+) runs disturbed, load up to (?P<load>\d+)\)$"
+)
+def busy(facts: Facts, count: str, load: str, **said: str) -> Iterator[str]:
+    known = [run["conditions"] for run in facts.content["runs"] if run["conditions"] is not None]
+    yield from same("runs", int(said["all"]), len(known))
+    yield from same("disturbed", int(count), sum(bool(one["disturbed"]) for one in known))
+    yield from check_amount("load", load, max(one["load"] or 0.0 for one in known))
+
+
+def _tuned_on(facts: Facts, method: str) -> list[str]:
+    chosen = facts.content["methods"][method]["tuned_on"]
+    return [one for one, own in facts.runs.items() if next(iter(own.values()))[0]["dataset"] in chosen]
+
+
+@kind(IN_PILLS, r"settings of (?P<count>\d+) methods were chosen on data sets shown here: not counted there$")
+def many_tuned_pill(facts: Facts, count: str) -> Iterator[str]:
+    chosen = [_tuned_on(facts, method) for method in facts.methods if _tuned_on(facts, method)]
+    yield from same("tuned", int(count), len(chosen))
+    yield from same("more than two groups", len({tuple(one) for one in chosen}) > 2, True)
+
+
+@kind(IN_PILLS, r"settings of (?P<methods>.+?) were chosen on (?P<where>.+?): not counted there$")
+def tuned_pill(facts: Facts, methods: str, where: str) -> Iterator[str]:
+    true = [one for one in facts.methods if _tuned_on(facts, one) == list_of(where)]
+    count = re.fullmatch(r"(\d+) methods", methods)
+    yield from same("tuned", int(count[1]) if count else list_of(methods), len(true) if count else true)
+
+
+@kind(IN_PILLS, r"no verdict on (?P<where>.+)$")
+def no_verdict_pill(facts: Facts, where: str) -> Iterator[str]:
+    for one in list_of(where):
+        without = one in facts.runs and one not in facts.content["answer"]["counted"]
+        yield from same(f"{one} without a verdict", without, True)
+
+
+@kind(IN_PILLS, r"missing here: (?P<listed>.+)$")
+def missing_pill(facts: Facts, listed: str) -> Iterator[str]:
+    for name in list_of(listed):
+        runs = [run for run in facts.content["runs"] if name in (run["sequence"], run["method"])]
+        absent = bool(runs) and {run["status"] for run in runs} <= {"data-missing", "not-installed"}
+        yield from same(name, absent, True)
+
+
+@kind(IN_PILLS, r"(?:(?P<done>\d+) of )?(?P<all>\d+) runs?$")
+def runs_pill(facts: Facts, done: str | None, **said: str) -> Iterator[str]:
+    runs = facts.content["runs"]
+    yield from same("runs", int(said["all"]), len(runs))
+    yield from same("finished", int(done or said["all"]), sum(run["status"] == "complete" for run in runs))

@@ -1,0 +1,269 @@
+"""What follows from the runs of a results.json, recomputed with arithmetic of its own."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any
+
+from scipy import stats
+
+GROUPS = ("relations", "drift", "map against truth", "map consistency")
+OF_METHODS = "one|other|winner|second|last|base|method|m"
+MEASURES = {
+    "split_distance_m": "the smallest distance between the halves of the run",
+    "mom_cm2": "the least scatter across orthogonal walls",
+    "cleared_percent": "the fewest hits in cleared space",
+    "s2m_m": "the lowest S2M residual",
+}
+
+
+@dataclass
+class Found:
+    """One metric of one method over one sequence."""
+
+    values: dict[int | None, float] = field(default_factory=dict)
+    complete: int = 0
+    expected: int = 0
+    lost_s: float | None = None
+    lost_runs: int = 0
+    tuned: bool = False
+    perturbed: bool = False
+    guessed: float = 0.0
+
+    @property
+    def median(self) -> float:
+        """The median over the runs."""
+        return median(self.values.values())
+
+    @property
+    def ranks(self) -> bool:
+        """Whether the method is ranked."""
+        whole = self.complete == self.expected == len(self.values) and self.guessed <= 50.0
+        return whole and self.lost_s is None and not self.tuned
+
+
+class Facts:
+    """What follows from the runs of a results.json."""
+
+    def __init__(self, content: Mapping[str, Any]) -> None:
+        self.content = content
+        self.metrics = {one["name"]: one for one in content["metrics"]}
+        self.labels = {one["label"]: one["name"] for one in content["metrics"]}
+        self.runs: dict[str, dict[str, list[Mapping[str, Any]]]] = defaultdict(lambda: defaultdict(list))
+        for run in content["runs"]:
+            self.runs[run["sequence"]][run["method"]].append(run)
+        self.methods = [name for name in content["methods"] if any(name in own for own in self.runs.values())]
+        self.found_before: dict[tuple[str, str], dict[str, Found]] = {}
+
+    def fill(self, pattern: str) -> str:
+        """Return a pattern whose groups of methods and metrics match their names only."""
+        methods, labels = (
+            "|".join(map(re.escape, sorted(names, key=len, reverse=True)))
+            for names in (self.methods, [*self.labels, *(one[:1].upper() + one[1:] for one in self.labels)])
+        )
+        pattern = re.sub(rf"\(\?P<({OF_METHODS})>\.\+\?\)", lambda group: f"(?P<{group[1]}>{methods})", pattern)
+        return re.sub(r"\(\?P<label>[^)]+?\)", lambda group: f"(?P<label>{labels})", pattern)
+
+    def with_role(self, role: str) -> list[str]:
+        """Return the methods with a role."""
+        return [name for name in self.methods if self.content["methods"][name]["role"] == role]
+
+    def find(self, sequence: str, metric: str) -> dict[str, Found]:
+        """Return the scores of all methods."""
+        if (sequence, metric) not in self.found_before:
+            self.found_before[sequence, metric] = {
+                method: self._find(method, runs, metric) for method, runs in self.runs[sequence].items()
+            }
+        return self.found_before[sequence, metric]
+
+    def _find(self, method: str, runs: Sequence[Mapping[str, Any]], metric: str) -> Found:
+        runtime = self.metrics[metric]["group"] == "runtime"
+        tuned = runs[0]["dataset"] in self.content["methods"][method]["tuned_on"] and not runtime
+        found = Found(expected=len(runs), tuned=tuned, perturbed="nuisance" in runs[-1]["dataset_parameters"])
+        guessed = []
+        for run in runs:
+            if run["status"] != "complete":
+                continue
+            found.complete += 1
+            value = run["scores"].get(metric, {}).get("value")
+            kept = run["scores"].get("guess_kept_percent", {}).get("value")
+            guessed += [] if kept is None else [kept]
+            if value is not None:
+                found.values[run["seed"]] = value
+        found.guessed = median(guessed) if guessed else 0.0
+        lost = [run["lost_at_s"] for run in runs if run["lost_at_s"] is not None]
+        found.lost_runs = len(lost)
+        if lost and not runtime and not (found.perturbed and 2 * len(lost) < len(runs)):
+            found.lost_s = min(lost)
+        return found
+
+    def ranked(self, sequence: str, metric: str) -> list[str]:
+        """Return the ranked methods, best first."""
+        if not self.metrics[metric]["better"]:
+            return []
+        sign = 1.0 if self.metrics[metric]["better"] == "lower" else -1.0
+        found = self.find(sequence, metric)
+        baselines = self.with_role("baseline") if self.metrics[metric]["group"] in ("residuals", "runtime") else []
+        own = [method for method, one in found.items() if one.ranks and method not in baselines]
+        return sorted(own, key=lambda method: sign * found[method].median)
+
+    def deciding(self, sequence: str) -> str | None:
+        """Return the metric that decides a sequence."""
+        names = [name for name, one in self.metrics.items() if one["headline"] and one["better"]]
+        long = self.find(sequence, "relations_long_mean_m") if "relations_long_mean_m" in self.metrics else {}
+        medians = [one.median for one in long.values() if one.values]
+        if medians and min(medians) > 1.0:
+            names.sort(key=lambda name: "_short_" not in name)
+        for group in GROUPS:
+            for name in names:
+                valued = any(one.values for one in self.find(sequence, name).values())
+                if self.metrics[name]["group"] == group and valued:
+                    return name
+        return None
+
+    def difference(self, sequence: str, metric: str, one: str, other: str) -> tuple[float, float, float, int] | None:
+        """Return ``one - other`` over common runs with the bounds of its interval and the number of pairs."""
+        first, second = (self.find(sequence, metric)[name].values for name in (one, other))
+        seeds = [seed for seed in first if seed in second]
+        if len(seeds) < 2:
+            return None
+        a, b = [first[seed] for seed in seeds], [second[seed] for seed in seeds]
+        logs = min(a + b) > 0.0
+        apart = [math.log(x / y) if logs else x - y for x, y in zip(a, b, strict=True)]
+        count, mean = len(apart), sum(apart) / len(apart)
+        error = math.sqrt(sum((x - mean) ** 2 for x in apart) / (count - 1) / count)
+        error = 0.0 if error < 1e-11 else error
+        perturbed = self.find(sequence, metric)[one].perturbed
+        half = stats.t.ppf(0.5 + 0.5 * self.confidence(count, perturbed), count - 1) * error
+        scale = median(b)
+        low, middle, high = (scale * math.expm1(min(x, 50.0)) if logs else x for x in (mean - half, mean, mean + half))
+        return middle, low, high, count
+
+    @staticmethod
+    def confidence(pairs: int, perturbed: bool) -> float:
+        """Return the confidence of a difference."""
+        return 0.99 if perturbed or pairs < 6 else 0.97
+
+    def shows(self, sequence: str, metric: str, method: str, apart: tuple[float, float, float, int]) -> bool:
+        """Return whether a difference excludes zero, over enough pairs."""
+        enough = apart[3] >= 6 or not self.find(sequence, metric)[method].perturbed
+        return enough and (apart[1] > 0.0 or apart[2] < 0.0)
+
+    def margin(self, metric: str, better: float) -> float:
+        """Return the smallest difference that matters."""
+        one = self.metrics[metric]
+        position = one["unit"] == "m" and one["group"] in ("drift", "relations")
+        return max(0.05 * abs(better), 10.0 ** -one["digits"], 0.002 if position else 0.0)
+
+    def floor(self, metric: str) -> float:
+        """Return the accuracy of the ground truth."""
+        one = self.metrics[metric]
+        return {"m": 0.03, "deg": 0.4, "°": 0.4}.get(one["unit"], 0.0) if one["group"] == "relations" else 0.0
+
+    def is_worse(self, sequence: str, metric: str, one: str, other: str) -> bool:
+        """Return whether one method is clearly worse than another."""
+        found, sign = self.find(sequence, metric), 1.0 if self.metrics[metric]["better"] == "lower" else -1.0
+        if one not in found or other not in found or not found[one].values or not found[other].values:
+            return False
+        apart = self.difference(sequence, metric, one, other)
+        medians = found[one].median, found[other].median
+        if apart is None or sign * (medians[0] - medians[1]) <= 0.0 or sign * apart[0] <= 0.0:
+            return False
+        better = min(medians) if sign > 0.0 else max(medians)
+        least = max(self.margin(metric, better), self.floor(metric))
+        return abs(apart[0]) >= least * (1.0 - 1e-9) and self.shows(sequence, metric, one, apart)
+
+    def led(self, sequence: str, metric: str | None = None) -> tuple[list[str], list[str]]:
+        """Return the methods from which the first is not clearly apart (itself first), and those of them near to it.
+
+        In the deciding metric, or in another one.
+        """
+        metric = metric or self.deciding(sequence)
+        if metric is None or not (ranked := self.ranked(sequence, metric)):
+            return [], []
+        found, first = self.find(sequence, metric), ranked[0]
+        tied = [first, *(one for one in ranked[1:] if not self.is_worse(sequence, metric, one, first))]
+
+        def near(one: str) -> bool:
+            apart = self.difference(sequence, metric, one, first)
+            size = abs(found[one].median - found[first].median)
+            if apart is None:
+                return False
+            least = max(self.margin(metric, found[first].median), self.floor(metric))
+            shown = self.shows(sequence, metric, one, apart)
+            close = abs(apart[0]) < self.floor(metric) or (shown and abs(apart[0]) < least)
+            return close or size <= max(0.25 * abs(found[first].median), self.margin(metric, found[first].median))
+
+        return tied, [one for one in tied if one == first or near(one)]
+
+    def standing(self, where: str, method: str, metric: str | None = None) -> str:
+        """Return how a method stands on a sequence, in the deciding metric or in another one."""
+        decides = metric in (None, self.deciding(where))
+        metric = metric or self.deciding(where) or ""
+        found, (tied, near) = self.find(where, metric), self.led(where, metric)
+        if method in found and found[method].lost_s is not None:
+            return "lost"
+        ranked = self.ranked(where, metric)
+        repeated = sum(len(found[one].values) > 1 for one in ranked) > 1
+        barred = ("degenerate", "disagreement") if decides else ("degenerate",)
+        if method not in ranked or not repeated or self.outcome(where) in barred:
+            return "not comparable"
+        if method in near:
+            return "best" if len(tied) == 1 and len(ranked) > 1 else "tied"
+        if method in tied:
+            return "not comparable" if self.difference(where, metric, ranked[0], method) is None else "undecided"
+        return "worse"
+
+    def outcome(self, sequence: str) -> str:
+        """Return the outcome of a sequence in the words of results.json."""
+        metric = self.deciding(sequence)
+        if self.content["sequences"][sequence]["degenerate"]:
+            return "degenerate"
+        if metric is None:
+            return "unranked"
+        ranked, found = self.ranked(sequence, metric), self.find(sequence, metric)
+        behind = {one for base in self.with_role("baseline") for one in self.behind(sequence, base)}
+        if set(ranked) <= behind and any(one.lost_s is not None for one in found.values()):
+            return "lost"
+        if len(ranked) < 2:
+            return "single" if ranked else "unranked"
+        if sum(len(found[one].values) > 1 for one in ranked) < 2:
+            return "one run"
+        if self.by_maps(sequence) and not self.agreed(sequence):
+            return "disagreement"
+        return "winner" if len(self.led(sequence)[0]) == 1 else "tied"
+
+    def by_maps(self, sequence: str) -> bool:
+        """Return whether maps alone decide."""
+        metric = self.deciding(sequence)
+        return metric is not None and self.metrics[metric]["group"] == "map consistency"
+
+    def agreed(self, sequence: str) -> list[str]:
+        """Return the methods best or not clearly worse in every map metric."""
+        left = list(self.methods)
+        for name in MEASURES:
+            found = self.find(sequence, name) if name in self.metrics else {}
+            sign = 1.0 if name in self.metrics and self.metrics[name]["better"] == "lower" else -1.0
+            ranked = sorted((one for one in found if found[one].ranks), key=lambda one: sign * found[one].median)
+            if not ranked:
+                return []
+            left = [one for one in left if one in ranked and not self.is_worse(sequence, name, one, ranked[0])]
+        return left
+
+    def behind(self, sequence: str, baseline: str) -> list[str]:
+        """Return the methods clearly worse than a baseline; by maps, in every map metric."""
+        metric = self.deciding(sequence)
+        if metric is None:
+            return []
+        names = [*MEASURES] if self.by_maps(sequence) else [metric]
+        if any(name not in self.metrics for name in names):
+            return []
+        return [
+            one for one in self.runs[sequence]
+            if all(self.is_worse(sequence, name, one, baseline) for name in names)
+        ]  # fmt: skip

@@ -1,0 +1,182 @@
+"""No report states what its runs do not support, and the checker of statements finds planted lies."""
+
+import json
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).parent))
+
+from facts import Facts
+from run import TABLES, check_report, read_statements
+from statements import check_sentences
+
+from evalkit.config.experiment import SequenceSpec
+from evalkit.core.run_result import LostTrack
+from evalkit.report.analysis.analysis import analyse
+from evalkit.report.html.report_page import render_report
+from evalkit.report.results_json import build_results
+
+MAPS = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m")
+UNREAD = re.compile(r"about \d+|detect a difference of [\d.]+|more than 200|Over \d+ maps.+|S2M|<script>.+?</script>")
+"""Numbers that are not recomputed: runs that would settle a difference, and the validation of metrics."""
+
+
+def _seeds(record, name, values, metric="ate_rmse_m", room="room", **more):
+    return [
+        record(name, room, {metric: value, "cpu_median_ms": 1.0 + len(name)} | more, seed=seed)
+        for seed, value in enumerate(values)
+    ]
+
+
+def _perturbed(records, scans=0):
+    """The same runs as perturbations of a recording, or of excerpts of it."""
+    return [
+        replace(one, spec=replace(one.spec, sequence=SequenceSpec(
+            one.sequence, one.sequence, {}, (one.seed,), perturbed=True, excerpt_scans=scans)))
+        for one in records
+    ]  # fmt: skip
+
+
+def _lost(records, at_s):
+    return [replace(one, scores=replace(one.scores, lost=LostTrack(at_s, "a jump of 4 m"))) for one in records]
+
+
+def _maps(record, **measures):
+    scaled = {
+        name: [dict(zip(MAPS, (m * (1.0 + 0.01 * seed) for m in own), strict=True)) for seed in range(6)]
+        for name, own in measures.items()
+    }
+    found = [
+        record(name, "hall", one, seed=seed, truth=False)
+        for name, own in scaled.items()
+        for seed, one in enumerate(own)
+    ]
+    return _perturbed(found)
+
+
+def _cases(record, build):
+    """Comparisons that bring about each kind of sentence."""
+
+    def pair(a, b, *others, metric="ate_rmse_m", **more):
+        return build([*_seeds(record, "a", a, metric, **more), *_seeds(record, "b", b, metric, **more), *others])
+
+    clear = [0.010, 0.011, 0.012], [0.020, 0.022, 0.024]
+    wheel = _seeds(record, "wheel", [0.4, 0.41, 0.4])
+    winner = pair(*clear, *wheel, *_seeds(record, "paper", [0.9, 0.91, 0.93]))
+    yield winner
+    yield pair([0.010, 0.011, 0.025], [0.019, 0.022, 0.024], *_seeds(record, "c", [0.013, 0.3, 0.2]))
+    yield pair([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], [0.5, 1.0, 1.5, 4.2, 4.3, 5.0, 5.8])
+    yield pair([0.0100, 0.0110], [0.0115, 0.01265])
+    yield pair([1.0, 1.1], [1.0, 1.1], *_seeds(record, "c", [1.01, 1.1]))
+    yield pair([0.051] * 3, [0.08] * 3, metric="relations_mean_m")
+    yield pair([0.05, 0.04], [0.09, 0.3], metric="relations_mean_m")
+    yield pair([0.90, 0.92, 0.91], [0.70, 0.72, 0.73], metric="map_f1")
+    yield pair([0.05], [0.08], *_seeds(record, "paper", [0.02]))
+    yield pair([0.05, 0.06], [None, 0.08])
+    yield pair(*clear, guess_kept_percent=60.0)
+    yield build([*_lost(_seeds(record, "a", [1.0, 2.0, 2.1]), 12.0), *_seeds(record, "b", [1.0, 1.2, 1.1])])
+    yield build(_lost([*_seeds(record, "a", [1.0, 2.0, 2.1]), *_seeds(record, "b", [1.0, 1.2, 1.1])], 7.0))
+    cards = {"room": replace(winner.sequences["room"], degenerate="A corridor without ends.")}
+    yield replace(winner, sequences=cards)
+    yield replace(winner, methods={**winner.methods, "a": replace(winner.methods["a"], tuned_on=("room",))})
+    runs = [
+        record(name, where, {"ate_rmse_m": error * (1.0 + 0.01 * seed)}, seed=seed)
+        for name, error in (("a", 0.1), ("b", 0.2), ("c", 0.3)) for where in ("room", "hall") for seed in range(3)
+    ]  # fmt: skip
+    three, chosen = build(runs), {"a": ("room",), "b": ("hall",), "c": ("room", "hall")}
+    yield replace(three, methods={name: replace(card, tuned_on=chosen[name]) for name, card in three.methods.items()})
+    twice = 2 * clear[0], 2 * clear[1]  # perturbations of a recording need six runs for a verdict
+    yield build(_perturbed([*_seeds(record, "a", twice[0]), *_seeds(record, "b", twice[1])], scans=400))
+    yield build(_perturbed([*_seeds(record, "a", clear[0]), *_seeds(record, "b", clear[1])], scans=400))
+    whole = [one for name in "ab" for one in (record(name, "hall", {"ate_rmse_m": 0.1}, seed=s) for s in (None, 1, 2))]
+    yield build(_perturbed(whole))
+    partly = _perturbed(_seeds(record, "a", clear[0]))
+    yield build([*_lost(partly[:1], 5.0), *partly[1:], *_perturbed(_seeds(record, "b", clear[1]))])
+    yield build(_maps(record, a=(0.1, 20.0, 5.0, 0.02), b=(0.2, 60.0, 9.0, 0.05), wheel=(0.4, 90.0, 20.0, 0.09)))
+    yield build(_maps(record, a=(0.1, 90.0, 5.0, 0.02), b=(0.2, 60.0, 9.0, 0.05)))
+    rooms = [_seeds(record, name, own, room=room) for room, scale in (("room", 1.0), ("yard", 2.0), ("hall", 0.5))
+             for name, own in (("a", [scale * v for v in clear[0]]), ("b", [v / scale for v in clear[1]]))]  # fmt: skip
+    yield build([one for own in rooms for one in own])
+
+
+def _content(comparison):
+    return json.loads(json.dumps(build_results(analyse(comparison))))
+
+
+@pytest.fixture(scope="module")
+def contents(record, build, demo):
+    return [_content(demo), *map(_content, _cases(record, build))]
+
+
+def test_every_statement_of_many_reports_is_true_and_every_kind_occurs(contents):
+    seen = set()
+    faults = [fault for content in contents for fault in check_report(content, seen=seen)]
+    assert faults == []
+    rare = {
+        "no_headline", "none_ranked", "no_leader", "processors", "no_baseline", "damaged", "busy", "take_one",
+        "cost_of_each", "without_baseline",
+    }  # fmt: skip
+    assert {check.__name__ for table in TABLES for _, check in table} - seen - rare == set()
+
+
+@pytest.fixture(scope="module")
+def rendered(demo):
+    analysis = analyse(demo)
+    return build_results(analysis), render_report(analysis)
+
+
+def test_every_cell_of_a_page_is_the_median_of_its_runs(rendered):
+    assert list(check_report(*rendered)) == []
+
+
+def test_a_changed_cell_is_found(rendered):
+    content, page = rendered
+    changed = page.replace("11\u00a0mm", "13\u00a0mm")
+    assert any("printed 13 mm, recomputed 0.011" in fault for fault in check_report(content, changed))
+
+
+def test_every_changed_number_in_any_sentence_is_found(contents):
+    """A checker that accepts any number would prove nothing."""
+    missed = []
+    for content in contents:
+        facts = Facts(content)
+        for table, text, where in read_statements(content):
+            for match in re.finditer(r"\d[\d.]*\d|\d", text):
+                if any(one.start() <= match.start() < one.end() for one in UNREAD.finditer(text)):
+                    continue
+                changed = f"{text[: match.start()]}{_change(match[0])}{text[match.end() :]}"
+                if not any(check_sentences(facts, table, changed, *where)):
+                    missed.append((text, match[0]))
+    assert missed == []
+
+
+def _change(number):
+    return f"{3.0 * float(number) + 7.0:.{len(number.partition('.')[2])}f}"
+
+
+def test_every_kind_of_sentence_is_refused_where_it_is_not_true(contents):
+    """A sentence is moved to other reports until one refuses it; texts of several kinds prove nothing of each."""
+    everywhere = [Facts(content) for content in contents]
+    refused, seen = set(), set()
+    for own, content in zip(everywhere, contents, strict=True):
+        for table, text, place in read_statements(content):
+            kinds = set()
+            list(check_sentences(own, table, text, *place, seen=kinds))
+            if len(kinds) == 1 and not kinds <= refused:
+                seen |= kinds
+                places = ((facts, [where]) for facts in everywhere for where in (facts.runs if place else [None]))
+                if any(_is_refused(facts, table, text, where if place else []) for facts, where in places):
+                    refused |= kinds
+    assert seen - refused == {"speed"}  # the made-up runs have no score of lateness to recompute it from
+    assert len(refused) > 30
+
+
+def _is_refused(facts, table, text, where):
+    try:
+        return any(check_sentences(facts, table, text, *where))
+    except (KeyError, IndexError, ValueError, RuntimeError):
+        return True  # it names what is not there
