@@ -11,7 +11,7 @@ from evalkit.plugins import registry
 from evalkit_docs.markup import code, page, table, text
 
 REPORTS = Path(__file__).resolve().parents[2] / "reports"
-EXPERIMENTS = ("quick.toml", "default.toml", "peers.toml")
+EXPERIMENTS = ("quick.toml", "default.toml", "peers.toml", "matchers.toml")
 """The comparisons that are shipped."""
 
 

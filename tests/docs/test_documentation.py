@@ -3,6 +3,7 @@
 import ast
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from ruamel.yaml import YAML
 
 site = pytest.importorskip("evalkit_docs.site", reason="the documentation is not part of a wheel")
 
+from evalkit import cli  # noqa: E402 - as above
 from evalkit.metrics import all_metrics  # noqa: E402 - as above
 from evalkit.plugins import registry  # noqa: E402 - only where there is a documentation
 from evalkit_docs import blocks as code  # noqa: E402 - as above
@@ -26,6 +28,13 @@ if not (site.ROOT / "pyproject.toml").exists():
 AFTER = re.compile(r"\A---\n.*?^after: (\S+)$.*?^---$", re.DOTALL | re.MULTILINE)
 NEEDS = re.compile(r"\A---\n.*?^needs: (.+?)$.*?^---$", re.DOTALL | re.MULTILINE)
 ELSEWHERE = re.compile(r"\A---\n.*?^tested-by: (\S+)$.*?^---$", re.DOTALL | re.MULTILINE)
+SLOW_PAGES = frozenset(
+    f"{name}.md"
+    for name in ("back-end", "basins", "c-port", "cluster", "diff", "experiment", "exports", "paper", "python",
+                 "real-recording", "realtime", "slam", "slam-results", "studies", "validate")
+)  # fmt: skip
+"""Pages whose commands take 4 s to 25 s of CPU time: followed in the thorough run."""
+
 WRITTEN = {path.relative_to(site.PAGES).as_posix(): path for path in sorted(site.PAGES.rglob("*.md"))}
 
 
@@ -107,7 +116,10 @@ def follow_page(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(filter(consoles, WRITTEN)))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.thorough] * (name in SLOW_PAGES)) for name in filter(consoles, WRITTEN)],
+)
 def test_every_command_of_the_page_runs_and_prints_the_shown_output(follow_page, name):
     if own := ELSEWHERE.match(WRITTEN[name].read_text(encoding="utf-8")):
         assert Path(__file__).with_name(own[1]).exists()  # which follows the page
@@ -147,6 +159,53 @@ def test_every_command_of_the_program_is_on_a_page_and_every_command_on_a_page_e
         assert words[0].startswith("-") or words[0] in known or " ".join(words[:2]) in known, command
 
 
+@pytest.mark.parametrize("name", list(filter(consoles, WRITTEN)))
+def test_every_command_of_evalkit_on_the_page_is_understood(name, tmp_path, monkeypatch):
+    """Its options, their values and its arguments: parsed as the program does, without running the command."""
+    monkeypatch.chdir(tmp_path)
+    for block in consoles(name):
+        for command, _ in code.find_commands(block.content):
+            for words in evalkit_words(command):
+                if not words[0].startswith("-"):
+                    parse(cli.load_command(words[0]), words)
+
+
+def parse(command, words):
+    """Parse the words of a command without running it; raises where the program would refuse them."""
+    command.make_context(words[0], words[1:])
+    if hasattr(command, "commands"):
+        parse(command.commands[words[1]], words[1:])
+
+
+@pytest.mark.parametrize(
+    ("command", "why"),
+    [
+        ("cd x && evalkit compare drive --outt results", "No such option: --outt"),
+        ("evalkit datasets exampel drive", "exampel"),
+        ("evalkit compare drive --jobs many | cat", "valid integer"),
+    ],
+)
+def test_a_command_that_the_program_refuses_is_found(command, why):
+    (words,) = evalkit_words(command)
+    with pytest.raises(Exception, match="(?i)" + re.escape(why)):
+        parse(cli.load_command(words[0]), words)
+
+
+def evalkit_words(command):
+    """Return the words after each "evalkit" of a shell command."""
+    words = shlex.shlex(command.replace("\\\n", " "), posix=True, punctuation_chars=True)
+    words.whitespace_split = True
+    found, own = [], None
+    for word in words:
+        if set(word) <= set("();<>|&"):
+            own = None
+        elif own is not None:
+            own.append(word)
+        elif word == "evalkit":
+            found.append(own := [])
+    return [words for words in found if words]
+
+
 def test_options_on_written_pages_exist():
     known = {
         name: " ".join(one.written for one in command_reference.find_options(function))
@@ -170,7 +229,7 @@ def test_the_reference_pages_are_complete():
     compare = made["reference/commands.md"].split("{ #compare }")[1].split("\n## ")[0]
     assert "<code>--ground-truth</code></td><td>a path</td><td></td><td>Ground-truth trajectory (TUM).</td>" in compare
     assert "<code>SOURCE</code></td><td>a path</td><td>required</td>" in compare
-    assert "<code>--out, -o</code></td><td>a path</td><td>evalkit-results/NAME</td>" in compare
+    assert "<code>--out, -o</code></td><td>a path</td><td>./evalkit-results</td>" in compare
     assert "<code>--json</code></td><td></td><td></td>" in compare
 
 
@@ -185,11 +244,11 @@ def built(follow_page, tmp_path_factory):
     pytest.importorskip("mkdocs", reason="mkdocs is not installed: pip install 'evalkit[docs]'")
     pytest.importorskip("material", reason="mkdocs-material is not installed: pip install 'evalkit[docs]'")
     folder = tmp_path_factory.mktemp("site").resolve()
-    words = ("build", "--strict", "--config-file", str(site.PAGES.parent / "mkdocs.yml"), "--site-dir", str(folder))
-    shown = str(follow_page("tutorial.md") / "results")
+    pytest.importorskip("mkdocstrings", reason="mkdocstrings is not installed: pip install 'evalkit[docs]'")
+    words = ("--site", str(folder), "--example", str(follow_page("tutorial.md") / "results"))
     ended = subprocess.run(
-        [sys.executable, "-m", "mkdocs", *words], capture_output=True, text=True, check=False,
-        env={**os.environ, "EVALKIT_DOCUMENTATION_EXAMPLE": shown, "NO_MKDOCS_2_WARNING": "1"},
+        [sys.executable, "-m", "evalkit_docs.build", *words], capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": str(site.PAGES.parent)},
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr
     return folder

@@ -82,7 +82,7 @@ def maps(node, path=""):
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory):
+def small(tmp_path_factory, scoring_in_threads):
     """Return the results of the example of the page."""
     folder = tmp_path_factory.mktemp("results")
     with contextlib.chdir(folder):
