@@ -6,8 +6,9 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHON
+unexport PYTHONDONTWRITEBYTECODE  # each run starts processes; without bytecode every one compiles evalkit again
 
-.PHONY: help install report report-quick system test check bench faults paper paper-quick metric-validation calibrate tune docs fuzz clean distclean
+.PHONY: help install report report-quick system test test-all check bench faults soak planted paper paper-quick metric-validation calibrate tune schema docs fuzz clean distclean
 
 help:  ## print this list
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -25,9 +26,15 @@ report-quick: $(VENV)/evalkit system  ## run a small comparison in under 60 s: r
 system:  ## install the system libraries that Open3D needs, where that is possible
 	@.ci/system-packages open3d
 
-test: $(VENV)/test  ## run the tests
+# Two more than there are cores: some tests wait for a limit or a browser.
+WORKERS ?= $$($(PYTHON) -c 'import os; print(min(os.cpu_count() + 2, 6))')
+test: $(VENV)/test  ## run the tests, and print the ten slowest
 	@.ci/system-packages open3d browser
-	$(BIN)/pytest -n auto --maxprocesses 4 --dist loadfile
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations=10
+
+test-all: $(VENV)/test  ## run the tests with every case of the exhaustive ones, and all commands of the documentation
+	@.ci/system-packages open3d browser
+	EVALKIT_DOCUMENTATION_LONG=1 $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations=30 -m ''
 
 check: $(VENV)/dev  ## check style, formatting, types and import layers
 	$(BIN)/ruff check
@@ -42,7 +49,10 @@ bench: $(VENV)/evalkit  ## run every benchmark and print each figure beside its 
 faults: $(VENV)/test  ## inject faults of back ends and check how each run ends
 	$(BIN)/python tests/bench/faults.py
 
-planted: $(VENV)/test  ## validate a C library with each of 95 planted faults: found, named, time
+soak: $(VENV)/test  ## run 2,000 short runs under random kills, full disks and damage: lost, wrong, left
+	$(BIN)/python tests/bench/soak.py
+
+planted: $(VENV)/test  ## validate five implementations with planted faults: found, named, time (continues)
 	$(BIN)/python tests/planted/run.py
 
 fuzz: $(VENV)/test  ## fuzz every reader for a minute (options: tests/fuzz/run.py --help)
@@ -64,8 +74,11 @@ calibrate: $(VENV)/evalkit  ## measure how honest intervals and verdicts are: re
 tune: $(VENV)/evalkit  ## tune back ends with equal budgets: reports/build/tune/index.html
 	$(BIN)/evalkit tune reports/tune.toml --out reports/build/tune
 
+schema: $(VENV)/evalkit  ## write the JSON Schemas that the files in reports/ name, for editors: reports/build/*.schema.json
+	for kind in experiment study tuning; do $(BIN)/evalkit schema $$kind --out reports/build/$$kind.schema.json; done
+
 docs: $(VENV)/docs  ## build the documentation: reports/build/site/index.html
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --config-file docs/mkdocs.yml
+	PYTHONPATH=docs $(BIN)/python -m evalkit_docs.build
 
 clean:  ## remove all results
 	rm -rf reports/build

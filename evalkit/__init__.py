@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from evalkit.api.results import ComparisonResults
     from evalkit.config.experiment import Experiment
     from evalkit.core.grid import OccupancyGrid
+    from evalkit.core.loop_closure import LoopClosure
     from evalkit.core.match import Iteration, Match
     from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
     from evalkit.core.pose import Pose
@@ -23,6 +24,7 @@ _MODULES = {
     "api.results": ("ComparisonResults",),
     "config.experiment": ("Experiment",),
     "core.grid": ("OccupancyGrid",),
+    "core.loop_closure": ("LoopClosure",),
     "core.match": ("Iteration", "Match"),
     "core.odometry_estimate": ("OdometryEstimate", "StageEstimate"),
     "core.pose": ("Pose",),
@@ -39,6 +41,7 @@ __all__ = [
     "Experiment",
     "Frame",
     "Iteration",
+    "LoopClosure",
     "Match",
     "OccupancyGrid",
     "OdometryEstimate",

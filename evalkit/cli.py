@@ -31,6 +31,7 @@ _SUMMARIES: Mapping[str, tuple[str, str]] = {
     "tune": (QUESTIONS, "Tune back ends with equal budgets and compare them on held-out sequences."),
     "diff": (RESULTS, "Compare two results folders, or two sets of benchmarks."),
     "export": (RESULTS, "Export a finished comparison to other file formats."),
+    "schema": (REFERENCE, "Print the JSON Schema of experiment, study and tuning files, for editors."),
     "list": (REFERENCE, "List back ends, mappers, data sets and metrics, or print the card of a metric."),
 }
 

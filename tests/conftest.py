@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import platform
 import signal
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,6 +25,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Cause, RunResult, RunStatus, Score, Scores
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
+from evalkit.execution import subprocesses
 from evalkit.execution.worker import Request, execute_request
 from evalkit.metrics.table import Group, Metric
 from evalkit.odometry import frontend
@@ -38,6 +41,19 @@ pytest_plugins = ["pytester"]
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in a background job; processes started by tests inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the files with slow tests first: no worker begins one when the others have ended."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
+def pytest_collection_finish() -> None:
+    """Exempt what collection has made from garbage collection, which would visit it in every test that collects."""
+    gc.collect()
+    gc.freeze()
+
 
 UNITS: tuple[tuple[str, str, str, str, Group, int, bool], ...] = (
     ("ate_rmse_m", "ATE RMSE", "m", "lower", "drift", 3, True),
@@ -155,13 +171,13 @@ def make_comparison(records: Sequence[RunRecord], **changes: object) -> Comparis
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def record() -> Callable[..., RunRecord]:
     """Return ``record(method, sequence, scores, ...)``."""
     return make_record
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def build() -> Build:
     """Return ``build(records, ...)``, which makes a comparison."""
     return make_comparison
@@ -265,6 +281,17 @@ def strangers() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
         patch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH", "")])))
+        yield
+
+
+@pytest.fixture(scope="module")
+def scoring_in_threads() -> Iterator[None]:
+    """Score runs and compute tasks in threads of this process, where a test does not concern the processes of pools.
+
+    A run still has a process of its own.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(subprocesses, "start_process", lambda _core: ThreadPoolExecutor(1))
         yield
 
 

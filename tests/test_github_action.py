@@ -1,6 +1,7 @@
 """The GitHub Action: its summary of a validation, and the options of evalkit that it uses."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 from typer.testing import CliRunner
@@ -38,3 +39,14 @@ def test_the_commands_of_the_action_have_the_options_it_uses():
         for option in options:
             assert option in told
             assert option in action
+
+
+def test_every_action_is_pinned_by_the_hash_of_its_commit():
+    used = [
+        line.strip()
+        for path in sorted(ACTION.parents[1].rglob("*.yml"))
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if "uses:" in line
+    ]
+    assert len(used) > 10
+    assert [line for line in used if not re.fullmatch(r"(- )?uses: [\w./-]+@[0-9a-f]{40} # v[\d.]+.*", line)] == []

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from evalkit.core.errors import StoreError, UnknownName
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
+from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.trajectory import Trajectory
 from evalkit.results.reader import REMEDY, load_results_json, load_run
 from evalkit.results.run_record import RunRecord
@@ -66,16 +67,28 @@ class ComparisonResults:
         return self._table("runs")
 
     def trajectory(
-        self, method: str, sequence: str | None = None, seed: int | None = None, aligned: bool = False
-    ) -> Trajectory:
+        self, method: str, sequence: str | None = None, seed: int | None = None, aligned: bool = False,
+        final: bool = False,
+    ) -> Trajectory:  # fmt: skip
         """Return the estimated trajectory of a run: ``start_from_base``, m and rad.
 
         ``sequence``, ``seed``: needed only where there are several; the lowest seed if not given. ``aligned``: in the
-        frame of the ground truth instead, by the alignment of the report. Raises UnknownName or StoreError.
+        frame of the ground truth instead, by the alignment of the report. ``final``: the corrected poses of a SLAM
+        instead of its answers. Raises UnknownName, or StoreError where the run has none.
         """
         run = self._load(method, sequence, seed)
-        estimate = run.result.estimate
-        return estimate.moved(run.scores.world_from_start, "world") if aligned else estimate
+        if not final:
+            return run.result.estimate.moved(run.scores.world_from_start, "world") if aligned else run.result.estimate
+        if run.result.final is None or run.scores.final is None:
+            raise StoreError(run.key, "this run has no corrected poses", "only a complete run of a SLAM has them")
+        corrected = run.result.final
+        return corrected.moved(run.scores.final.world_from_start, "world") if aligned else corrected
+
+    def loop_closures(
+        self, method: str, sequence: str | None = None, seed: int | None = None
+    ) -> tuple[LoopClosure, ...]:
+        """Return the loop closures of a run, rejected candidates included; () for a method without any."""
+        return self._load(method, sequence, seed).result.loop_closures
 
     def map(self, method: str, sequence: str | None = None, seed: int | None = None) -> OccupancyGrid:
         """Return the map drawn from a run's trajectory, see ``trajectory``. Raises StoreError if it has none."""

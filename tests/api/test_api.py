@@ -16,7 +16,7 @@ from evalkit.plugins.specs import spec_of_class
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory):
+def results(tmp_path_factory, scoring_in_threads):
     """Two methods on two seeds of a short drive."""
     table = {
         "title": "two <methods>",
@@ -128,6 +128,13 @@ def test_a_class_of_a_module_is_a_method_and_one_of_a_notebook_is_refused():
     match = evalkit.register(np.zeros((3, 2)), np.zeros((3, 2)), Shift, guess=(1.0, 0.0, 0.0))
     assert match.target_from_source.row.tolist() == [2.0, 0.0, 0.0]
 
+    class Correcting:
+        update = trajectory = loop_closures = None
+
+    assert [spec.kind for spec in map(spec_of_class, (Correcting, type("One", (), {"update": None}))) if spec] == [
+        "slam", "odometry",
+    ]  # fmt: skip
+
     class Local(Shift):
         pass
 
@@ -184,7 +191,8 @@ def test_the_fixture_runs_the_comparison_of_the_marker(pytester):
         "    evalkit_results.require('ate_rmse_m', 'embedded', below=1.0)\n"  # the log has no ground truth
         "def test_unmarked(evalkit_results): ...\n"
     )
-    outcome = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-p", "no:xdist")
+    # Its own process: in this one, pytester forgets modules that others still hold.
+    outcome = pytester.runpytest_subprocess("-p", "no:cacheprovider", "-p", "no:xdist")
     outcome.assert_outcomes(failed=1, errors=1)
     outcome.stdout.fnmatch_lines(
         ["*evalkit_results needs a marker*", "*expected ate_rmse_m of embedded below 1 m, found*", "*no value (*"]

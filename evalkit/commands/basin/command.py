@@ -110,7 +110,7 @@ def _table(result: BasinResult) -> Any:
     from rich.table import Table  # noqa: PLC0415 - as above
 
     heads = ("back end", "scene", "success [%]", "reach [m]", "reach [deg]", "A50 [m]", "A95 [m]", "remark")
-    table = Table(*map(escape, heads))  # a unit in brackets is no markup
+    table = Table(*heads)  # printed as they are: a unit in brackets is no markup
     for row in result.rows:
         if row.basin is None:
             table.add_row(escape(row.backend), row.scene, "-", "-", "-", "-", "-", escape(row.reason))

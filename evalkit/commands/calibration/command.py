@@ -1,4 +1,4 @@
-"""Measure how often 95 % intervals hold and verdicts are false, from many seeds run once and then resampled."""
+"""Measure how often 95 % intervals hold and verdicts are false, from many runs made once and then resampled."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evalkit.config.experiment import Experiment, load_experiment
+from evalkit.config.experiment import Experiment, SequenceSpec, load_experiment
 from evalkit.core.errors import BadExperiment
 from evalkit.execution import environment
 from evalkit.io.output_files import write_texts
@@ -30,22 +30,24 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Measure intervals and verdicts.", no_args_is_help=True, add_completion=False)
 
-SCHEMA = {"name": "evalkit-calibration", "version": 1}
-MIN_SEEDS = 20
+SCHEMA = {"name": "evalkit-calibration", "version": 2}
+MIN_POPULATION = 20
+"""Fewer seeds or perturbations of a sequence are not resampled."""
 
 
 @app.command()
 def calibrate(
-    file: Annotated[Path, typer.Argument(help="Experiment with methods and simulated worlds (TOML).")],
-    seeds: Annotated[int, typer.Option(min=MIN_SEEDS, help="Seeds of each world.")] = 160,
+    file: Annotated[Path, typer.Argument(help="Experiment with methods, worlds and perturbed recordings (TOML).")],
+    seeds: Annotated[int, typer.Option(min=MIN_POPULATION, help="Seeds of each world.")] = 120,
     subsets: Annotated[int, typer.Option(min=50, help="Random subsets for each number of runs.")] = 400,
     folder: Out = None,
     jobs: options.Jobs = None,
     as_json: Json = False,
 ) -> None:
-    """Run every seed once, then measure intervals and verdicts of 1, 2, 3, 5 and 8 runs on random subsets.
+    """Run every seed of each world and every perturbation of each recording once, then resample the runs.
 
-    The exit code is 1 if a share is outside its limits.
+    Measures intervals and verdicts of 1, 2, 3, 5 and 8 runs on random subsets. A recording that is not on this machine
+    is skipped. The exit code is 1 if a share is outside its limits.
     """
     from evalkit.commands.calibration import page  # noqa: PLC0415 - loads matplotlib
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
@@ -72,77 +74,143 @@ def calibrate(
     else:
         out.print(texts["calibration.md"], markup=False, highlight=False)
         out.print(str((folder / "index.html").resolve()), markup=False, highlight=False)
+    for line in content["skipped"]:
+        err.print(f"evalkit: skipped: {line}", markup=False, highlight=False)
     if content["failures"]:
         err.print(f"evalkit: outside the limits: {'; '.join(content['failures'])}", markup=False, highlight=False)
         raise typer.Exit(1)
 
 
 def measure(experiment: Experiment, seeds: int, subsets: int, folder: Path, jobs: int | None) -> dict[str, Any]:
-    """Run the seeds and resample them: ``coverage``, ``verdicts`` and ``failures`` as JSON."""
+    """Run the seeds and perturbations and resample them: the measured keys of ``calibration.json``."""
+    from evalkit.commands.calibration import coverage  # noqa: PLC0415 - loads NumPy
+
+    sequences, skipped = _select_sequences(experiment)
+    results = _run_all(experiment, sequences, seeds, folder, jobs)
+    labels = [method.label for method in experiment.methods]
+    intervals: list[Coverage] = []
+    verdicts: list[Verdicts] = []
+    for number, sequence in enumerate(sequences):
+        found = measure_sequence(number, sequence, results[sequence.label], labels, subsets)
+        intervals += found.coverage
+        verdicts += found.verdicts
+        skipped += found.skipped
+    if not intervals:
+        raise BadExperiment(experiment.name, "", f"no runs to resample: {'; '.join(skipped)}")
+    recordings = [sequence.label for sequence in sequences if sequence.perturbed]
+    return {
+        "recordings": recordings,
+        "skipped": skipped,
+        "coverage": [asdict(one) for one in intervals],
+        "verdicts": [asdict(one) for one in verdicts],
+        "failures": coverage.find_failures(intervals, verdicts, recordings),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Intervals and verdicts of one sequence, and what of it was skipped, in words."""
+
+    coverage: tuple[Coverage, ...]
+    verdicts: tuple[Verdicts, ...]
+    skipped: tuple[str, ...]
+
+
+def _select_sequences(experiment: Experiment) -> tuple[list[SequenceSpec], list[str]]:
+    """Return the worlds and the recordings on this machine, and in words what is skipped."""
+    sequences, skipped = [], []
+    for sequence in experiment.sequences:
+        if sequence.missing:
+            skipped.append(f"{sequence.label}: {sequence.missing}")
+        elif registry.dataset(sequence.dataset).seeded or len(sequence.seeds) >= MIN_POPULATION:
+            sequences.append(sequence)
+        else:
+            found = f"is a recording with too few runs ({len(sequence.seeds)})"
+            raise BadExperiment(sequence.label, "", f"{found}; write nuisance = {MIN_POPULATION} or more")
+    return sequences, skipped
+
+
+def measure_sequence(
+    number: int, sequence: SequenceSpec, results: Sequence[Mapping[str, Any]], labels: Sequence[str], subsets: int
+) -> Measured:
+    """Resample the runs of one sequence in every metric; a method that failed in any run is left out."""
     import numpy as np  # noqa: PLC0415 - loaded only if something is computed
 
     from evalkit.commands.calibration import coverage, seed_runs  # noqa: PLC0415 - as above
     from evalkit.metrics import METRICS  # noqa: PLC0415 - as above
 
-    results = _run_seeds(experiment, seeds, folder, jobs)
-    labels = [method.label for method in experiment.methods]
-    intervals, verdicts = [], []
+    reasons = {label: seed_runs.read_reasons(label, results) for label in labels}
+    skipped = [
+        f"{sequence.label}: {label} failed in {len(found)} of {len(results)} runs ({found[0]})"
+        for label, found in reasons.items()
+        if found
+    ]
+    able = [label for label in labels if not reasons[label]]
+    rows: list[Coverage | Verdicts] = []
     for metric in (metric for metric in METRICS if metric.name in seed_runs.METRICS):
-        for number, (world, own) in enumerate(results.items()):
+        scored = seed_runs.select_scored(able, metric.name, results) if able else []
+        if len(scored) >= MIN_POPULATION:
             rng = np.random.default_rng([number, *metric.name.encode()])
-            found = [*_measure_world(metric, world, own, labels, subsets, rng)]
-            intervals += [one for one in found if isinstance(one, coverage.Coverage)]
-            verdicts += [one for one in found if isinstance(one, coverage.Verdicts)]
-    return {
-        "coverage": [asdict(one) for one in intervals],
-        "verdicts": [asdict(one) for one in verdicts],
-        "failures": coverage.find_failures(intervals, verdicts),
-    }
+            rows += _resample(metric, sequence, scored, able, subsets, rng)
+        elif scored:
+            skipped.append(
+                f"{sequence.label}: {metric.name}: {len(scored)} runs have a value, {MIN_POPULATION} are needed"
+            )
+    if able and not rows:
+        skipped.append(f"{sequence.label}: too few runs have a value of {', '.join(seed_runs.METRICS)}")
+    return Measured(
+        tuple(one for one in rows if isinstance(one, coverage.Coverage)),
+        tuple(one for one in rows if isinstance(one, coverage.Verdicts)),
+        tuple(skipped),
+    )
 
 
-def _measure_world(
-    metric: Metric, world: str, results: Sequence[Mapping[str, Any]], labels: list[str], subsets: int, rng: Generator
+def _resample(
+    metric: Metric,
+    sequence: SequenceSpec,
+    results: Sequence[Mapping[str, Any]],
+    labels: Sequence[str],
+    subsets: int,
+    rng: Generator,
 ) -> Iterator[Coverage | Verdicts]:
-    """Resample the runs of one world in one metric."""
+    """Resample the runs of one sequence in one metric; verdicts only where the ground truth has no noise floor."""
     from evalkit.commands.calibration import coverage, seed_runs  # noqa: PLC0415 - loads NumPy
+    from evalkit.report.analysis.pairwise import noise_floor  # noqa: PLC0415 - as above
 
-    found = {label: seed_runs.read_runs(world, label, metric.name, results) for label in (*labels, *seed_runs.DRIFTS)}
+    drifts = () if sequence.perturbed else seed_runs.DRIFTS
+    found = {label: seed_runs.read_runs(sequence.label, label, metric.name, results) for label in (*labels, *drifts)}
+    pairs = [] if noise_floor(metric) > 0.0 else [*combinations(labels, 2), *([drifts] if drifts else [])]
     for runs in coverage.RUNS:
-        for label in (*labels, seed_runs.DRIFTS[0]):
+        for label in (*labels, *drifts[:1]):
             yield coverage.measure_coverage(found[label], runs, rng, subsets)
-        for one, other in (*combinations(labels, 2), seed_runs.DRIFTS):
-            yield coverage.measure_verdicts(metric, found[one], found[other], runs, rng, subsets)
+        for one, other in pairs:
+            yield coverage.measure_verdicts(metric, found[one], found[other], runs, rng, subsets, sequence.perturbed)
 
 
-def _run_seeds(
-    experiment: Experiment, seeds: int, folder: Path, jobs: int | None
+def _run_all(
+    experiment: Experiment, sequences: Sequence[SequenceSpec], seeds: int, folder: Path, jobs: int | None
 ) -> dict[str, Sequence[Mapping[str, Any]]]:
-    """Run every seed of every world; results by world, in the order of the seeds."""
+    """Run every seed or perturbation of every sequence; results by sequence, in the order of the seeds."""
     from evalkit.commands.calibration.seed_runs import make_seed_task  # noqa: PLC0415 - loads NumPy
     from evalkit.execution.task_runner import run_tasks  # noqa: PLC0415 - as above
     from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - as above
 
-    for sequence in experiment.sequences:
-        if not registry.dataset(sequence.dataset).seeded:
-            raise BadExperiment(sequence.label, "", "is a recording; give simulated worlds, which have seeds")
     methods = [(method.label, method.backend, method.parameters) for method in experiment.methods]
     backends = [registry.plug_in_of("backends", backend).module for _, backend, _ in methods]
+    repeats = {one.label: one.seeds if one.perturbed else tuple(range(seeds)) for one in sequences}
     tasks = {
         (sequence.label, seed): make_seed_task(
             sequence.label,
             sequence.dataset,
-            replace(sequence, seeds=(seed,)).parameters_with_seed(seed),
+            sequence.parameters_with_seed(seed),
             seed,
             methods,
             [registry.plug_in_of("datasets", sequence.dataset).module, *backends],
         )
-        for sequence in experiment.sequences
-        for seed in range(seeds)
+        for sequence in sequences
+        for seed in repeats[sequence.label]
     }
     at_once = jobs or environment.physical_cores()
     with progress.announce_kept(err, "finished jobs"), progress.show_tasks(err, len(tasks), at_once) as done:
         results = run_tasks(TaskStore(folder / "results"), list(tasks.values()), at_once, done)
-    return {
-        sequence.label: [results[tasks[sequence.label, seed].name] for seed in range(seeds)]
-        for sequence in experiment.sequences
-    }
+    return {label: [results[tasks[label, seed].name] for seed in chosen] for label, chosen in repeats.items()}

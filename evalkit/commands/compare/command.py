@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -19,11 +19,12 @@ from evalkit.execution.environment import describe
 from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.plugins import defaults, registry
+from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, Value
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress, run_summary
 from evalkit.terminal.options import RunOptions, err, out
 
-RECORDING = "Options for a recording"
+RECORDING, KNOWN = "Options for a recording", "Options for a recording in a known map"
 
 
 def compare(
@@ -44,6 +45,20 @@ def compare(
     spans: Annotated[
         Path | None, typer.Option(help="Measured distances (TOML).", show_default=False, rich_help_panel=RECORDING)
     ] = None,
+    known_map: Annotated[
+        Path | None,
+        typer.Option(
+            "--map", help="Track in this map (YAML, or BAG?map=/map).", show_default=False, rich_help_panel=KNOWN
+        ),
+    ] = None,
+    start: Annotated[
+        str,
+        typer.Option(help="x,y,yaw in the map (m, m, deg).", show_default="searched", rich_help_panel=KNOWN),
+    ] = "",
+    align_truth: Annotated[
+        bool,
+        typer.Option("--align-truth", help="Truth is in another frame than the map.", rich_help_panel=KNOWN),
+    ] = False,
     backends: Annotated[
         str,
         typer.Option(
@@ -58,6 +73,10 @@ def compare(
         bool,
         typer.Option("--as-is", help="Choose no topic, truth or code.", rich_help_panel=RECORDING),
     ] = False,
+    reader: Annotated[
+        str,
+        typer.Option(help="Data set that reads it.", show_default="by its content", rich_help_panel=RECORDING),
+    ] = "",
     setting: Annotated[
         list[str] | None,
         typer.Option("--set", help="NAME=VALUE of the reader (repeatable).", rich_help_panel=RECORDING),
@@ -84,13 +103,19 @@ def compare(
     """
     files = {"topic": topic, "relations": relations, "ground_truth": ground_truth, "spans": spans}
     given = {name: str(value) for name, value in files.items() if value}
+    localisation: dict[str, Value] = {MAP: str(known_map or ""), MAP_START: start, ALIGN_TRUTH: align_truth}
+    localisation = {name: value for name, value in localisation.items() if value}
     if source.suffix == ".toml":
-        flags = {"backends": backends, "set": setting, "all": everything, "as-is": as_is}
+        flags: dict[str, object] = {
+            "backends": backends, "set": setting, "all": everything, "as-is": as_is, "reader": reader
+        }  # fmt: skip
+        flags |= {_option(name): value for name, value in localisation.items()}
         for name in [*map(_option, given), *(name for name, value in flags.items() if value)]:
             raise typer.BadParameter(f"--{name}: needs a recording; in an experiment it is a key of the file")
         experiment = load_experiment(source)
     else:
-        experiment = _experiment_of_recording(source, given, _name_backends(backends, everything), setting or [], as_is)
+        named = _name_backends(backends, everything)
+        experiment = _experiment_of_recording(source, given, localisation, named, setting or [], as_is, reader)
     experiment = experiment.untimed() if accuracy_only else experiment
     experiment = experiment.select(sequence or [], method or [], seed or [])
     store = Store(folder or RESULTS / experiment.name)
@@ -99,8 +124,8 @@ def compare(
 
 
 def _option(parameter: str) -> str:
-    """Return the name of the option of a reader's parameter."""
-    return parameter.replace("_", "-")
+    """Return the name of the option of a parameter."""
+    return "start" if parameter == MAP_START else parameter.replace("_", "-")
 
 
 def _name_backends(text: str, everything: bool) -> list[str]:
@@ -118,18 +143,27 @@ def _name_backends(text: str, everything: bool) -> list[str]:
 
 
 def _experiment_of_recording(
-    source: Path, given: dict[str, str], backends: list[str], settings: list[str], as_is: bool
+    source: Path,
+    given: dict[str, str],
+    localisation: dict[str, Value],
+    backends: list[str],
+    settings: list[str],
+    as_is: bool,
+    reader: str,
 ) -> Experiment:
     """Return the experiment of methods on one recording, whose first frame has been read; print what was chosen."""
-    recording = open_recording(source, options.settings(settings) | given)
+    recording = open_recording(source, options.settings(settings) | given, reader)
     choices = () if as_is else recording.choose()
     for choice in choices:
         err.print(choice.reason, markup=False, highlight=False)
     words = ["compare", str(source)]
     words += [word for name, value in given.items() for word in (f"--{_option(name)}", value)]
+    for name, value in localisation.items():
+        words += [f"--{_option(name)}", *([] if value is True else [str(value)])]
     words += ["--backends", ",".join(backends), *(["--as-is"] if as_is else [])]
+    words += ["--reader", reader] if reader else []
     words += [word for item in settings for word in ("--set", item)]
-    experiment = experiment_from_recording(recording, choices, backends, shlex.join(words))
+    experiment = experiment_from_recording(recording, choices, backends, shlex.join(words), localisation)
     read_first_frame(experiment)
     return experiment
 
@@ -137,7 +171,8 @@ def _experiment_of_recording(
 def _run(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -> None:
     with _scheduler(experiment, store, how) as scheduler:
         runs = scheduler.run(experiment, _executor(experiment, how))
-        results = {spec.key: replace(result, steps=NO_STEPS) for spec, result in runs}  # there may be thousands
+        none: dict[str, Any] = {"steps": NO_STEPS, "final": None, "loop_closures": ()}  # there may be thousands of runs
+        results = {spec.key: replace(result, **none) for spec, result in runs}
     run_summary.print_summary(
         [(spec, results[spec.key]) for spec in experiment.runs()], experiment.title, store, None, as_json
     )
@@ -145,11 +180,15 @@ def _run(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -
 
 def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -> None:
     """Run the experiment, load its records, analyse them, render the page, print the summary."""
-    from evalkit.api.pipeline import run_and_report  # noqa: PLC0415 - loads pandas and matplotlib
+    from evalkit.api.pipeline import NothingToCollectError, run_and_report  # noqa: PLC0415 - loads pandas and matplotlib
     from evalkit.terminal.ranked_table import print_answer  # noqa: PLC0415 - as above
 
     with _scheduler(experiment, store, how) as scheduler:
-        analysis, page = run_and_report(scheduler, experiment, _executor(experiment, how))
+        try:
+            analysis, page = run_and_report(scheduler, experiment, _executor(experiment, how))
+        except NothingToCollectError as error:
+            err.print(f"evalkit: {error}", markup=False, highlight=False)
+            raise typer.Exit(3) from None
     records = analysis.comparison.records
     if not as_json and any(record.result.is_complete for record in records):
         print_answer(out, analysis)

@@ -356,7 +356,7 @@ def _notes(old: StoredResults, new: StoredResults, session: float) -> Iterator[s
             yield f"{one.folder}: {one.unfinished} runs did not finish; they are left out"
         missing = sum(run.status in NOT_EXECUTED for run in one.runs.values())
         if missing:
-            yield f"{one.folder}: {missing} runs were not possible there"
+            yield f"{one.folder}: {missing} {'run was' if missing == 1 else 'runs were'} not possible there"
 
 
 def _runs_of(results: StoredResults, pair: tuple[str, str]) -> dict[RunName, StoredRun]:

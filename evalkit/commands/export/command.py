@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
     Writers = dict[str, Callable[[ExportSelection, Path], Iterator[Path]]]
 
-FORMATS = ("csv", "json", "latex", "markdown", "pdf", "svg", "tum", "kitti", "g2o", "map", "mcap", "rerun")
+FORMATS = ("csv", "json", "latex", "markdown", "pdf", "svg", "tum", "evo", "kitti", "g2o", "map", "mcap", "rerun")
 WIDTHS: Mapping[str, Width] = {"column": "column", "text": "text"}
-WITH_SCANS = {"pdf", "svg", "tum", "kitti", "mcap", "rerun"}
+WITH_SCANS = {"pdf", "svg", "tum", "evo", "kitti", "mcap", "rerun"}
 """Formats with ground truth or scans, for which the sequences are opened."""
 
 
@@ -58,7 +58,7 @@ def export(
 ) -> None:
     """Export a finished comparison to other file formats.
 
-    Tables (CSV, JSON, LaTeX, Markdown), figures, trajectories (TUM, KITTI, g2o), maps, ROS 2 bags and rerun files.
+    Tables (CSV, JSON, LaTeX, Markdown), figures, trajectories (TUM, KITTI, g2o, evo), maps, ROS 2 bags and rerun files.
     """
     from evalkit.commands.export.results import load_selection  # noqa: PLC0415 - loaded only to export
 
@@ -100,7 +100,7 @@ def _write_format(
 
 def _make_writers(width: Width, font: str) -> Writers:
     """Return the function that writes each format; ``width`` and ``font``: of tables and figures for a paper."""
-    from evalkit.commands.export import figures, latex, numbers, poses  # noqa: PLC0415 - loads matplotlib
+    from evalkit.commands.export import evo, figures, latex, numbers, poses  # noqa: PLC0415 - loads matplotlib
 
     return {
         "csv": lambda selection, folder: _write_files(numbers.format_csv(selection), folder),
@@ -110,6 +110,7 @@ def _make_writers(width: Width, font: str) -> Writers:
         "pdf": lambda selection, folder: _write_files(figures.draw_figures(selection, "pdf", width, font), folder),
         "svg": lambda selection, folder: _write_files(figures.draw_figures(selection, "svg", width, font), folder),
         "tum": lambda selection, folder: _write_files(poses.format_tum_files(selection), folder),
+        "evo": lambda selection, folder: _write_files(evo.format_evo(selection), folder),
         "kitti": lambda selection, folder: _write_files(poses.format_kitti(selection), folder),
         "g2o": lambda selection, folder: _write_files(poses.format_g2o(selection), folder),
         "map": _write_maps,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from evalkit.commands.export.results import ExportSelection, MetricColumn, SummaryRow
@@ -14,10 +14,13 @@ Width = Literal["column", "text"]
 
 ARROWS = {"lower": r" $\downarrow$", "higher": r" $\uparrow$", "": ""}
 SIGNS = {"lower": " ↓", "higher": " ↑", "": ""}
-SHORT = {"cpu_median_ms": "CPU per scan", "drift_percent": "drift"}
+SHORT = {"cpu_median_ms": "CPU", "drift_percent": "drift"}
 """Headings of columns that are short enough for one column of a page."""
 
-CAPTION = "medians over complete runs, 95 % intervals in brackets; bold: the best, and methods tied with it"
+CAPTION = (
+    "medians over complete runs, CPU time of a scan, 95 % intervals in brackets; "
+    "bold: the best, and methods tied with it"
+)
 _SPECIAL = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
@@ -53,7 +56,8 @@ class PaperTable:
 
     def label(self, column: int) -> str:
         """Return the heading of a column without its unit."""
-        return SHORT.get(self.columns[column].name, self.columns[column].label)
+        label = SHORT.get(self.columns[column].name, self.columns[column].label)
+        return "corrected" if column and label == f"{self.columns[0].label}, corrected poses" else label
 
 
 def build_table(results: ExportSelection, sequence: str) -> PaperTable:
@@ -64,14 +68,32 @@ def build_table(results: ExportSelection, sequence: str) -> PaperTable:
     deciding = results.deciding(sequence)
     ranks = {method: known[method, deciding].rank if (method, deciding) in known else None for method, _ in known}
     methods = sorted(dict.fromkeys(method for method, _ in known), key=lambda label: ranks[label] or len(known))
+    shown = [[known.get((label, one.name)) for label in methods] for one in columns]
+    scaled = [_in_millimetres(one, cells) for one, cells in zip(columns, shown, strict=True)]
     return PaperTable(
-        columns,
+        tuple(column for column, _ in scaled),
         tuple(
-            (label, tuple(known.get((label, one.name)) for one in columns), str(ranks[label] or "--"))
-            for label in methods
+            (label, tuple(cells[row] for _, cells in scaled), str(ranks[label] or "--"))
+            for row, label in enumerate(methods)
         ),
         len(columns) if results.columns else 1,
     )
+
+
+def _in_millimetres(
+    column: MetricColumn, cells: list[SummaryRow | None]
+) -> tuple[MetricColumn, list[SummaryRow | None]]:
+    """Return a column of metres in millimetres if all its values are below a metre, any other column as it is."""
+    values = [abs(cell.median) for cell in cells if cell is not None and cell.median is not None]
+    if column.unit != "m" or max(values) >= 1.0:
+        return column, cells
+    digits = 1 if min(values) < 0.1 else 0
+    return replace(column, unit="mm", digits=digits), [None if cell is None else _scale(cell, 1000.0) for cell in cells]
+
+
+def _scale(cell: SummaryRow, factor: float) -> SummaryRow:
+    median, low, high = (None if one is None else factor * one for one in (cell.median, cell.low, cell.high))
+    return replace(cell, median=median, low=low, high=high)
 
 
 def format_latex(results: ExportSelection, width: Width = "column") -> Files:
@@ -113,12 +135,12 @@ def escape_latex(text: str) -> str:
 
 
 def _latex_table(table: PaperTable, sequence: str, width: Width) -> str:
-    kinds, titles = ["l"], [""]
+    kinds, titles, units = ["l"], [""], [""]
     for at, one in enumerate(table.columns):
         bounds = table.has_bounds(at)
         kinds.append(_number_column(table, at) + (r"@{\;}l" if bounds else ""))
-        title = f"{escape_latex(table.label(at))}{_format_unit(one, escape_latex)}{ARROWS[one.better]}"
-        titles.append(rf"\multicolumn{{2}}{{c}}{{{title}}}" if bounds else f"{{{title}}}")
+        for row, text in ((titles, escape_latex(table.label(at))), (units, _format_head(one))):
+            row.append(rf"\multicolumn{{2}}{{c}}{{{text}}}" if bounds else f"{{{text}}}")
     body = [
         " & ".join([escape_latex(label), *(_latex_cell(table, at, cell) for at, cell in enumerate(cells)), rank])
         for label, cells, rank in table.rows
@@ -129,11 +151,16 @@ def _latex_table(table: PaperTable, sequence: str, width: Width) -> str:
         rf"  \caption{{{escape_latex(f'{sequence}: {CAPTION}.')}}}",
         rf"  \label{{tab:{file_name(sequence)}}}",
         rf"  \begin{{tabular}}{{{' '.join(kinds)} r}}", r"    \toprule",
-        rf"    {' & '.join([*titles, 'Rank'])} \\", r"    \midrule",
+        rf"    {' & '.join([*titles, 'Rank'])} \\", rf"    {' & '.join([*units, ''])} \\", r"    \midrule",
         *(rf"    {line} \\" for line in body),
         r"    \bottomrule", r"  \end{tabular}", rf"\end{{{kind}}}",
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
+
+
+def _format_head(column: MetricColumn) -> str:
+    """Return unit and direction of a column, its second heading: one line of both is wider than the numbers."""
+    return f"{_format_unit(column, escape_latex)}{ARROWS[column.better]}".strip()
 
 
 def _number_column(table: PaperTable, column: int) -> str:

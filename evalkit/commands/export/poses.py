@@ -9,19 +9,22 @@ import numpy as np
 from evalkit.commands.export.latex import Files, file_name
 from evalkit.commands.export.results import ExportSelection
 from evalkit.core import se2
+from evalkit.core.pose_graph import PoseGraph
+from evalkit.core.run_result import RunResult
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
+from evalkit.io import g2o
 from evalkit.io.tum import format_tum
 from evalkit.results.run_record import RunRecord
 
 
 def format_tum_files(results: ExportSelection) -> Files:
-    """Yield ``<run>.tum`` (start_from_base) and ``<sequence>.truth.tum``."""
+    """Yield ``<run>.tum``, of a SLAM ``<run>.final.tum`` (start_from_base), and ``<sequence>.truth.tum``."""
     for run in results.runs:
-        yield (
-            f"{run.key}.tum",
-            format_tum(run.result.estimate, f"evalkit: {run.method} on {run.sequence}").encode(),
-        )
+        text = f"evalkit: {run.method} on {run.sequence}"
+        yield f"{run.key}.tum", format_tum(run.result.estimate, text).encode()
+        if run.result.final is not None:
+            yield f"{run.key}.final.tum", format_tum(run.result.final, f"{text}, corrected poses").encode()
     for name, run, true in _true_trajectories(results):
         yield f"{name}.truth.tum", format_tum(true, f"evalkit: truth on {run.sequence}").encode()
 
@@ -44,10 +47,11 @@ def format_kitti(results: ExportSelection) -> Files:
 def format_g2o(results: ExportSelection) -> Files:
     """Yield ``<run>.g2o``: one VERTEX_SE2 per scan, one EDGE_SE2 from each to the next, the first vertex fixed.
 
-    The edges are the increments of the estimate, with identity information because their errors are unknown.
+    The vertices are the final trajectory of a SLAM, else the estimate. The edges are its increments and, of a SLAM,
+    the accepted loop closures as measured, all with identity information because their errors are unknown.
     """
     for run in results.runs:
-        yield f"{run.key}.g2o", _g2o(run.result.estimate.poses)
+        yield f"{run.key}.g2o", g2o.format_g2o(_make_graph(run.result)).encode()
 
 
 def _true_trajectories(results: ExportSelection) -> Iterator[tuple[str, RunRecord, Trajectory]]:
@@ -73,15 +77,21 @@ def _kitti(poses: Floats) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def _g2o(poses: Floats) -> bytes:
-    lines = [f"VERTEX_SE2 {at} {_format_row(row)}" for at, row in enumerate(poses.tolist())]
-    steps = se2.between(poses[:-1], poses[1:]).tolist()
-    lines += [f"EDGE_SE2 {at} {at + 1} {_format_row(row)} 1 0 0 1 0 1" for at, row in enumerate(steps)]
-    return ("\n".join([*lines[: len(poses)], "FIX 0", *lines[len(poses) :]]) + "\n").encode()
-
-
-def _format_row(row: list[float]) -> str:
-    return " ".join(f"{value:.12g}" for value in row)
+def _make_graph(result: RunResult) -> PoseGraph:
+    path = result.estimate if result.final is None else result.final
+    rows = np.arange(len(path))
+    row_of = dict(zip(path.stamps_ns.tolist(), rows.tolist(), strict=True))
+    loops = [
+        (row_of[loop.other_stamp_ns], row_of[loop.stamp_ns], loop.other_from_base.row)
+        for loop in result.loop_closures
+        if loop.accepted and loop.other_stamp_ns in row_of and loop.stamp_ns in row_of
+    ]
+    first, second = (np.array([each[end] for each in loops], dtype=np.int64) for end in (0, 1))
+    motions = np.concatenate(
+        [se2.between(path.poses[:-1], path.poses[1:]), np.array([each[2] for each in loops]).reshape(-1, 3)]
+    )
+    information = np.tile(np.eye(3), (len(motions), 1, 1))
+    return PoseGraph(path.poses, np.r_[rows[:-1], first], np.r_[rows[1:], second], motions, information)
 
 
 def world_poses(run: RunRecord) -> tuple[Stamps, Floats]:

@@ -101,10 +101,15 @@ class ExportSelection:
         return str(compared[0]) if compared else str(ordered[0]["name"]) if ordered else ""
 
     def columns_of(self, sequence: str) -> tuple[MetricColumn, ...]:
-        """Return the columns of a sequence's table: the chosen ones, or error, drift and CPU time."""
+        """Return the columns of a sequence's table: the chosen ones, or error, drift and CPU time.
+
+        Of a SLAM also the error of its corrected poses.
+        """
         if self.columns:
             return self.columns
-        names = dict.fromkeys((self.deciding(sequence), *IN_PAPERS))
+        deciding = self.deciding(sequence)
+        corrected = [one["name"] for one in self.content["metrics"] if deciding and one["counterpart"] == deciding]
+        names = dict.fromkeys((deciding, *corrected, *IN_PAPERS))
         return tuple(column for name in names if (column := self.column(name)) is not None)
 
     def first_runs(self, sequence: str) -> tuple[RunRecord, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
@@ -85,14 +86,12 @@ def _print_card(name: str, as_json: bool) -> None:
 
     metrics = {metric.name: metric for metric in all_metrics()}
     if name not in metrics:
-        raise UnknownName("metric", name, (*inventory.KINDS, METRICS, ALL, *metrics))
+        close = difflib.get_close_matches(name, metrics, n=5)
+        raise UnknownName("list or metric", name, (*inventory.KINDS, METRICS, ALL, *close))
     if as_json:
         options.print_json(cards.card_as_json(metrics[name]))
         return
-    out.print(name, markup=False, highlight=False)
-    for title, text in cards.card_facts(metrics[name]):
-        if text:
-            out.print(f"  {title:<23} {text}", markup=False, highlight=False)
+    print_list(out, name, [(title, text) for title, text in cards.card_facts(metrics[name]) if text])
 
 
 def _metrics(group: str) -> list[Metric]:

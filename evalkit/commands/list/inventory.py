@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from evalkit.core.errors import NotInstalled
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins.parameters import Parameter
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One name. ``missing``: why it cannot be used here, or "". ``parameters``: its parameters and their defaults."""
+    """One name. ``missing``: why it cannot be used here, or "". ``parameters``: descriptions of its parameters by name.
+
+    A description has default, unit, meaning, the inclusive bounds low and high (None: none), and the choices of a text.
+    """
 
     name: str
     summary: str
     missing: str
-    parameters: dict[str, Value]
+    parameters: dict[str, dict[str, Any]]
 
 
 def find_entries(kind: str) -> list[Entry]:
@@ -36,24 +41,34 @@ def find_entries(kind: str) -> list[Entry]:
 
 def _backend(name: str) -> Entry:
     spec = registry.backend(name)
-    return Entry(name, spec.summary, spec.missing(), _defaults(frontend.settable_parameters(spec)))
+    return Entry(name, spec.summary, spec.missing(), _describe(frontend.settable_parameters(spec)))
 
 
 def _mapper(name: str) -> Entry:
     spec = registry.mapper(name)
-    return Entry(name, spec.summary, spec.missing(), _defaults(spec.parameters))
+    return Entry(name, spec.summary, spec.missing(), _describe(spec.parameters))
 
 
 def _dataset(name: str) -> Entry:
     spec = registry.dataset(name)
-    defaults = _defaults(spec.parameters)
+    defaults = {one.name: one.default for one in spec.parameters}
     # without a file nothing is missing for a reader
     missing = "" if spec.suffixes else spec.missing(**{k: v for k, v in defaults.items() if k != "seed"})
-    return Entry(name, spec.summary, missing, defaults)
+    return Entry(name, spec.summary, missing, _describe(spec.parameters))
 
 
-def _defaults(parameters: tuple[Parameter, ...]) -> dict[str, Value]:
-    return {parameter.name: parameter.default for parameter in parameters}
+def _describe(parameters: tuple[Parameter, ...]) -> dict[str, dict[str, Any]]:
+    return {
+        one.name: {
+            "default": one.default, "unit": one.unit, "meaning": one.meaning, "low": _bound(one.low),
+            "high": _bound(one.high), "choices": list(one.choices),
+        }
+        for one in parameters
+    }  # fmt: skip
+
+
+def _bound(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 KINDS: Mapping[str, Callable[[str], Entry]] = {"backends": _backend, "mappers": _mapper, "datasets": _dataset}

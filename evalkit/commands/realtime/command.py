@@ -40,7 +40,11 @@ def realtime(
     ] = "",
     setting: options.Settings = None,
     factors: Annotated[
-        str, typer.Option(help="Device factors: how many times slower than this machine, separated by commas.")
+        str,
+        typer.Option(
+            help="Device factors: how many times slower than this machine, separated by commas.",
+            show_default="ten from 1 to 1000",
+        ),
     ] = "1,2,5,10,20,50,100,200,500,1000",
     policy: Annotated[
         str,

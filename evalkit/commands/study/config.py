@@ -12,7 +12,7 @@ from evalkit.commands.study.factors import Factor, FactorLevel, Scale, Settings,
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Kind, Point, Response, Study
 from evalkit.commands.study.sampling import sample
 from evalkit.config.experiment import experiment_from_tables
-from evalkit.config.toml_tables import TomlTable, flatten
+from evalkit.config.toml_tables import TomlTable, all_mistakes, flatten
 from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief
 from evalkit.io.toml import load_toml
 from evalkit.metrics import all_metrics
@@ -29,7 +29,9 @@ REQUIRED = {"optimal": "points", "sobol": "points", "latin": "points", "fraction
 
 def load_study(path: Path, command: str) -> Study:
     """The study of a file (TOML). Raises BadExperiment with the file, the key and what was found."""
-    return study_from_tables(load_toml(path, "a study (*.toml)"), str(path), command)
+    content = load_toml(path, "a study (*.toml)")
+    with all_mistakes(content, "study"):
+        return study_from_tables(content, str(path), command)
 
 
 def study_from_tables(content: Mapping[str, Any], file: str, command: str) -> Study:

@@ -8,27 +8,26 @@ import time
 import traceback
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, TypedDict
 
-import numpy as np
-
 from evalkit import metrics
 from evalkit.core.errors import EvalkitError, plain
-from evalkit.core.run_result import STEP, Cause, RunResult, Score
+from evalkit.core.run_result import Cause, RunResult, Score
 from evalkit.execution.worker import Request, record_run
 from evalkit.metrics import evaluate as scoring
 from evalkit.metrics import pairs, spans
-from evalkit.metrics.table import Metric
+from evalkit.metrics.table import MAP_GROUPS, Metric
 from evalkit.odometry import frontend
+from evalkit.odometry.corrections import read_corrections
 from evalkit.plugins import protocols, registry
 from evalkit.plugins.parameters import Value
-
-DRAWN = ("map against truth", "map consistency")
-"""Groups of metrics that need a map."""
+from evalkit.plugins.specs import SlamSpec
+from evalkit.results.store import whole_records
 
 OF_SCANS = frozenset(metric.name for metric in (*pairs.METRICS, *spans.METRICS))
-"""Metrics of other groups that need the scans at the estimated poses."""
+"""Metrics of other groups that need the scans at the estimated poses, as do those of corrected poses."""
 
 KEPT_SEQUENCES = 2
 """Sequences to keep in memory; points of one sequence follow each other."""
@@ -95,18 +94,24 @@ def _load_sequence(dataset: str, parameters: str) -> protocols.Sequence:
 
 def _run(request: Request, sequence: protocols.Sequence) -> RunResult:
     """Runs the back end on the sequence; an exception ends the run and is its cause."""
-    steps = io.BytesIO()
+    steps, corrections = io.BytesIO(), None
     cause, reason = Cause.COMPLETED, ""
     try:
-        odometry = frontend.make_odometry(registry.backend(request.backend), request.backend_parameters)
+        spec = registry.backend(request.backend)
+        odometry = frontend.make_odometry(spec, request.backend_parameters)
         record_run(odometry, sequence, request, steps)
+        if isinstance(spec, SlamSpec):
+            corrections = read_corrections(odometry, whole_records(steps.getvalue())["stamp_ns"])
     except EvalkitError as error:
         cause, reason = Cause.EXCEPTION, str(error)
     except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report
         place = traceback.extract_tb(error.__traceback__)[-1]
         cause, reason = Cause.EXCEPTION, f"{type(error).__name__}: {error} ({place.name})"
-    answered = np.frombuffer(steps.getvalue(), dtype=STEP)
-    return RunResult(answered, len(sequence), cause, plain(reason))
+    run = RunResult(whole_records(steps.getvalue()), len(sequence), cause, plain(reason))
+    if corrections is None:
+        return run
+    final, closures, cpu_ns = corrections.trajectory, corrections.closures, corrections.cpu_ns
+    return replace(run, final=final, loop_closures=closures, final_cpu_ns=cpu_ns)
 
 
 def _compute_scores(
@@ -115,7 +120,11 @@ def _compute_scores(
     """The named scores; the map is drawn only if a metric needs it, or has no value without it."""
     table = {metric.name: metric for metric in metrics.all_metrics() if metric.name in names}
     evidence = scoring.collect_evidence(run, sequence)
-    plain = [metric for metric in table.values() if metric.group not in DRAWN and metric.name not in OF_SCANS]
+    plain = [
+        metric
+        for metric in table.values()
+        if metric.group not in MAP_GROUPS and (metric.counterpart or metric.name) not in OF_SCANS
+    ]
     scores = metrics.compute_scores(evidence, plain)
     with_map = [metric for metric in table.values() if metric not in plain or _needs_scans(metric, scores)]
     if with_map:

@@ -40,7 +40,7 @@ def tune(
     budget: Annotated[int | None, typer.Option(min=2, help="Points a back end.", show_default=str(BUDGET))] = None,
     setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for every data set.")] = None,
     folder: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder.", show_default="evalkit-results/tune-NAME")
+        Path | None, typer.Option("--out", "-o", help="Folder.", show_default="./evalkit-results")
     ] = None,
     jobs: Jobs = None,
     collect: Collect = False,

@@ -12,7 +12,7 @@ from evalkit.commands.study.plan import Response
 from evalkit.commands.tune.plan import TUNED, Training, TunableMethod, Tuning
 from evalkit.commands.tune.space import METHOD, SHARED, Space, list_own_parameters, make_declared_factors, settings
 from evalkit.config.experiment import Experiment, Method, SequenceSpec, experiment_from_tables
-from evalkit.config.toml_tables import TomlTable
+from evalkit.config.toml_tables import TomlTable, all_mistakes
 from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.io.toml import load_toml
 from evalkit.metrics import all_metrics, spans
@@ -32,7 +32,8 @@ METRIC, LOST_M, RUN_CPU_S = "ate_rmse_m", 1.0, 60.0
 def load_tuning(path: Path, name: str, command: str) -> Tuning:
     """The tuning of a file (TOML). Raises BadExperiment with the file, the key and what was found."""
     content = load_toml(path, "a tuning (*.toml), or back ends and --on DATASET")
-    return tuning_from_tables(content, str(path), name, command)
+    with all_mistakes(content, "tuning"):
+        return tuning_from_tables(content, str(path), name, command)
 
 
 def tuning_from_tables(content: Mapping[str, Any], file: str, name: str, command: str) -> Tuning:
@@ -205,6 +206,6 @@ def _read_objective(table: TomlTable) -> Response:
     table.check_keys(("metric", "lost"))
     with_walls = {metric.name for metric in spans.METRICS}  # spans end at walls; training runs draw no map
     metrics = {m.name: m for m in all_metrics() if m.better == "lower" and m.group in ("drift", "relations")}
-    known = {name: metric for name, metric in metrics.items() if name not in with_walls}
+    known = {name: metric for name, metric in metrics.items() if (metric.counterpart or name) not in with_walls}
     metric = table.choice("metric", "error of a trajectory whose lower values are better", known, METRIC)
     return Response(metric, "log", table.number("lost", LOST_M, low=1e-9))

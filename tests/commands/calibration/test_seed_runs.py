@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from evalkit.commands.calibration.command import measure
+from evalkit.commands.calibration.command import measure, measure_sequence
 from evalkit.commands.calibration.seed_runs import DRIFTS, read_runs, run_seed
 from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.errors import BadExperiment
@@ -31,9 +33,47 @@ def test_a_seed_is_run_by_every_method_and_the_series_yield_the_scores():
     assert runs.draws[0].values.mean() == pytest.approx(runs.values[0], rel=0.3)
 
 
-def test_a_recording_has_no_seeds_to_calibrate_with(tmp_path):
+def _recording(tmp_path, **keys):
     path = tmp_path / "a.log"
     path.write_text("FLASER\n")
-    plan = _experiment(use="carmen", path=str(path))
-    with pytest.raises(BadExperiment, match="carmen: is a recording; give simulated worlds, which have seeds"):
-        measure(plan, 20, 50, tmp_path, 1)
+    return _experiment(use="carmen", path=str(path), **keys)
+
+
+def test_a_recording_needs_perturbations_to_calibrate_with(tmp_path):
+    expected = r"carmen: is a recording with too few runs \(1\); write nuisance = 20 or more"
+    with pytest.raises(BadExperiment, match=expected):
+        measure(_recording(tmp_path), 20, 50, tmp_path, 1)
+
+
+def test_a_recording_that_is_not_on_this_machine_is_skipped(tmp_path):
+    plan = _recording(tmp_path, nuisance=24)
+    absent = replace(plan, sequences=(replace(plan.sequences[0], missing="not here"),))
+    with pytest.raises(BadExperiment, match="no runs to resample: carmen: not here"):
+        measure(absent, 20, 50, tmp_path, 1)
+
+
+def _results(labels, metric, count):
+    """Runs with values 1.00, 1.01, ... of every method, and without a series."""
+    return [{f"{label}|{metric}|score": 1.0 + 0.01 * run for label in labels} for run in range(count)]
+
+
+def test_perturbed_runs_are_resampled_without_walks_and_a_method_that_failed_is_named(tmp_path):
+    (sequence,) = _recording(tmp_path, nuisance=24).sequences
+    results = _results("ab", "ate_rmse_m", 25)
+    results[7]["c|failed"] = "c: no odometry"
+    results[8].pop("b|ate_rmse_m|score")
+    found = measure_sequence(0, sequence, results, ["a", "b", "c"], 50)
+    assert found.skipped == ("carmen: c failed in 1 of 25 runs (c: no odometry)",)
+    assert [(one.method, one.runs) for one in found.coverage] == [(m, n) for n in (1, 2, 3, 5, 8) for m in "ab"]
+    assert {one.population for one in found.coverage} == {24}  # the run without a value of b is left out of both
+    assert {one.methods for one in found.verdicts} == {("a", "b")}
+    assert {one.false_over for one in found.verdicts} == {0.0}  # both have the same value in every run
+
+
+def test_relations_have_intervals_and_no_verdict_and_few_values_are_named(tmp_path):
+    (sequence,) = _recording(tmp_path, nuisance=24).sequences
+    found = measure_sequence(0, sequence, _results("ab", "relations_all_mean_m", 25), ["a", "b"], 50)
+    assert (len(found.coverage), found.verdicts, found.skipped) == (10, (), ())
+    few = measure_sequence(0, sequence, [*_results("ab", "ate_rmse_m", 19), *[{}] * 6], ["a", "b"], 50)
+    assert few.coverage == ()
+    assert few.skipped[0] == "carmen: ate_rmse_m: 19 runs have a value, 20 are needed"

@@ -213,8 +213,8 @@ def test_unreadable_folders_are_rejected_with_the_reason(folder, tmp_path):
     with pytest.raises(StoreError, match="it holds no run"):
         load_stored_results(tmp_path / "empty")
     whole = path.read_text(encoding="utf-8")
-    path.write_text(whole.replace('"version": 3', '"version": 4'), encoding="utf-8")
-    with pytest.raises(StoreError, match=r"evalkit-results version 4, expected .* version 3; write the report again"):
+    path.write_text(whole.replace('"version": 4', '"version": 5'), encoding="utf-8")
+    with pytest.raises(StoreError, match=r"evalkit-results version 5, expected .* version 4; write the report again"):
         load_stored_results(path.parent)
     path.write_text(whole[: len(whole) // 2], encoding="utf-8")
     with pytest.raises(StoreError, match="half-written"):
@@ -222,7 +222,7 @@ def test_unreadable_folders_are_rejected_with_the_reason(folder, tmp_path):
     path.write_text(whole.replace('"value": ', '"value": 1'), encoding="utf-8")
     with pytest.raises(StoreError, match="damaged: its values do not agree with its checksum; write the report again"):
         load_stored_results(path.parent)
-    path.write_text(seal({"schema": {"name": "evalkit-results", "version": 3}}, {}), encoding="utf-8")
+    path.write_text(seal({"schema": {"name": "evalkit-results", "version": 4}}, {}), encoding="utf-8")
     with pytest.raises(StoreError, match="is not complete"):
         load_stored_results(path.parent)
 

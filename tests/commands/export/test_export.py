@@ -9,6 +9,7 @@ from collections import Counter
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,12 +18,13 @@ from typer.testing import CliRunner
 
 from evalkit import report
 from evalkit.cli import app
-from evalkit.commands.export import figures, latex, mcap, rerun_file
+from evalkit.commands.export import figures, latex, mcap, poses, rerun_file
 from evalkit.commands.export.results import load_selection
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import DataMissing, NotInstalled, StoreError, UnknownName
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
+from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunResult, Score, Scores
 from evalkit.core.scan import Frame, Scan
@@ -140,6 +142,21 @@ def test_tum_files_read_by_evo_have_the_same_errors(finished_folder):
     )
 
 
+def test_the_result_files_of_evo_hold_the_errors_that_evo_itself_computes(finished_folder):
+    file_interface = pytest.importorskip("evo.tools.file_interface")
+    metrics = pytest.importorskip("evo.core.metrics")
+    results = {path.name: path for path in run_export(finished_folder, "evo")}
+    truth = {path.name: path for path in run_export(finished_folder, "tum")}["50-more-x-s0.truth.tum"]
+    found = file_interface.load_res_file(results["wheel-s0.zip"], load_trajectories=True)
+    error = metrics.APE(metrics.PoseRelation.translation_part)
+    error.process_data((file_interface.read_tum_trajectory_file(truth), found.trajectories["estimate"]))
+    assert found.np_arrays["error_array"] == pytest.approx(error.error, abs=1e-6)
+    for name in ("rmse", "mean", "median", "std", "min", "max", "sse"):
+        assert found.stats[name] == pytest.approx(error.get_statistic(metrics.StatisticsType[name]), abs=1e-6)
+    assert found.np_arrays["timestamps"] == pytest.approx(STAMPS * 1e-9, abs=1e-6)
+    assert found.info["est_name"].startswith("wheel, ")
+
+
 def test_kitti_files_read_by_evo_have_the_same_poses_and_as_many_of_ground_truth(finished_folder):
     file_interface = pytest.importorskip("evo.tools.file_interface")
     files = {path.name: path for path in run_export(finished_folder, "kitti")}
@@ -163,6 +180,22 @@ def test_the_edges_of_a_g2o_file_connect_the_first_vertex_with_every_other(finis
         assert (x, y, heading) == pytest.approx(vertices[int(row[2])], abs=1e-9)
         assert row[6:] == ["1", "0", "0", "1", "0", "1"]
     assert len(vertices) == N
+
+
+def test_the_g2o_file_of_a_slam_has_its_final_poses_and_its_accepted_loops_as_measured():
+    stamps = np.array([0, 10, 20], dtype=np.int64)
+    steps = np.zeros(3, dtype=STEP)
+    steps["stamp_ns"] = stamps
+    final = Trajectory(stamps, [[0, 0, 0], [1, 0, 0], [0.2, 0, 0]], "start", "base")
+    measured = Pose(0.25, 0.0, 0.125)
+    loops = (LoopClosure(20, 0, measured, True, "chi2 3"), LoopClosure(20, 10, Pose(), False, "chi2 90"))
+    run = SimpleNamespace(key="slam", result=RunResult(steps, 3, final=final, loop_closures=loops))
+    [(name, text)] = poses.format_g2o(SimpleNamespace(runs=[run]))
+    rows = text.decode().splitlines()
+    assert name == "slam.g2o"
+    assert rows[:4] == ["VERTEX_SE2 0 0 0 0", "VERTEX_SE2 1 1 0 0", "VERTEX_SE2 2 0.2 0 0", "FIX 0"]
+    assert rows[-1] == "EDGE_SE2 0 2 0.25 0 0.125 1 0 0 1 0 1"
+    assert len([row for row in rows if row.startswith("EDGE_SE2")]) == 3
 
 
 # --- maps
@@ -203,13 +236,13 @@ def test_a_latex_table_has_complete_rows_and_no_unescaped_special_character(fini
     assert text.count("{") - text.count(r"\{") == text.count("}") - text.count(r"\}")
     specification = re.sub(r"\[.*?\]|@\{.*?\}", "", re.search(r"\\begin\{tabular\}\{(.+)\}", text)[1])
     columns = len(specification.replace(" ", ""))
-    head, *rows = [line for line in text.splitlines() if line.endswith(r"\\")]
+    head, units, *rows = [line for line in text.splitlines() if line.endswith(r"\\")]
     assert [row.split("&")[0].strip() for row in rows] == ["paper", "wheel"]  # by rank
     assert {len(re.findall(r"(?<!\\)&", row)) + 1 for row in rows} == {columns}
     assert len(re.findall(r"(?<!\\)&", head)) + 1 + head.count("multicolumn") == columns
-    assert [title.strip() for title in head.split("&")][-2:] == [
-        r"{CPU per scan [ms] $\downarrow$}", r"Rank \\",
-    ]  # fmt: skip
+    assert [title.strip() for title in head.split("&")][-2:] == ["{CPU}", r"Rank \\"]
+    assert [unit.strip() for unit in units.split("&")][-2:] == [r"{[ms] $\downarrow$}", r"\\"]
+    assert r"{[mm] $\downarrow$}" in units
     assert "resizebox" not in text
     assert r"\caption{50 \% \& more\_\$x:" in text
     assert [text.count(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")] == [1, 1, 1]
@@ -220,14 +253,16 @@ def test_latex_compiles_the_tables_and_the_figures(finished_folder):
         pytest.skip("pdflatex is not installed")
     tables, figures = (run_export(finished_folder, form)[0].parent for form in ("latex", "pdf"))
     (tables / "paper.tex").write_text(
-        r"\documentclass{article}\usepackage{booktabs,graphicx,siunitx}\begin{document}\input{tables}"
-        rf"\includegraphics[width=\textwidth]{{{figures / '50-more-x-trajectories.pdf'}}}\end{{document}}",
+        r"\documentclass[twocolumn]{article}\usepackage{booktabs,graphicx,siunitx}\begin{document}\input{tables}"
+        rf"\noindent\includegraphics[width=\columnwidth]{{{figures / '50-more-x-trajectories.pdf'}}}\end{{document}}",
         encoding="utf-8",
     )
     command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "paper.tex"]
     done = subprocess.run(command, cwd=tables, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 0, done.stdout[-2000:]
-    assert "Missing character" not in (tables / "paper.log").read_text(encoding="latin-1")
+    log = (tables / "paper.log").read_text(encoding="latin-1")
+    assert "Missing character" not in log
+    assert "Overfull" not in log  # the tables fit a column
 
 
 def test_tables_contain_exactly_the_intervals_of_results_json(finished_folder):
@@ -237,12 +272,12 @@ def test_tables_contain_exactly_the_intervals_of_results_json(finished_folder):
         path for path in run_export(finished_folder, "latex", "--metric", "ate_rmse_m") if path.name != "tables.tex"
     )
     rows = {line.split("&")[0].strip(): line for line in path.read_text(encoding="utf-8").splitlines() if "&" in line}
-    assert f"[{wheel['low']:.3f}, {wheel['high']:.3f}]" in rows["wheel"]
-    assert rows["paper"].split("&")[1].strip() in ("0.008", r"\bfseries 0.008")
+    assert f"[{1000 * wheel['low']:.1f}, {1000 * wheel['high']:.1f}]" in rows["wheel"]  # below a metre: millimetres
+    assert rows["paper"].split("&")[1].strip() in ("8.4", r"\bfseries 8.4")
     (path,) = run_export(finished_folder, "markdown", "--metric", "ate_rmse_m")
     table = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
     assert {line.count("|") for line in table} == {4}
-    assert f"[{wheel['low']:.3f}, {wheel['high']:.3f}]" in table[-1]
+    assert f"[{1000 * wheel['low']:.1f}, {1000 * wheel['high']:.1f}]" in table[-1]
 
 
 def test_every_latex_special_character_is_escaped():

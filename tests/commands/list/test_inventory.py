@@ -39,7 +39,11 @@ def test_a_plugin_whose_check_of_its_needs_fails_is_an_entry_with_the_reason(mon
 
 def test_parameters_of_a_registration_include_the_front_end_and_those_of_an_odometry_do_not():
     assert {"prior", "keyframes", "deskew"} <= rows("backends")["paper"].parameters.keys()
-    assert rows("backends")["faulty"].parameters == {"fault": "none", "at": 8}
+    faulty = rows("backends")["faulty"].parameters
+    assert {name: one["default"] for name, one in faulty.items()} == {"fault": "none", "at": 8}
+    limit = rows("backends")["paper"].parameters["max_correspondence_m"]
+    assert (limit["default"], limit["unit"], limit["low"], limit["high"]) == (0.3, "m", 0.0, None)
+    assert rows("backends")["paper"].parameters["prior"]["choices"]
 
 
 def test_a_reader_without_a_file_is_available():

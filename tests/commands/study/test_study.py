@@ -19,6 +19,8 @@ from evalkit.commands.study.config import study_from_tables
 from evalkit.commands.study.evaluate import evaluate
 from evalkit.commands.study.result import StudyResult, run_study_tasks
 from evalkit.execution.task import make_task
+from evalkit.plugins import registry
+from evalkit.plugins.parameters import resolve_parameters
 
 STUDY = """
 title = "A small study"
@@ -117,6 +119,22 @@ def test_a_back_end_that_fails_is_a_result_with_its_reason(strangers):
     design, response = made.designs[0], made.responses[0]
     assert outcome.counts(design) == (8, 8)
     assert (outcome.table(design, response) == 0.5).all()
+
+
+def test_a_point_of_a_slam_scores_its_corrected_poses_and_a_wrong_end_is_a_failure(strangers):
+    mapper = resolve_parameters("log-odds", registry.mapper("log-odds").parameters, {})
+    drive = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0}
+    point = {"backend": "faulty-slam", "dataset": "straight", "sequence": drive, "mapper": "log-odds", "code": "",
+             "mapper_parameters": mapper, "scans": 3,
+             "metrics": ("ate_rmse_m", "final_ate_rmse_m", "final_pair_error", "closures_accepted")}  # fmt: skip
+    found = evaluate(**point, parameters={"fault": "none"})
+    assert found["status"] == "complete", found["reason"]
+    assert found["scores"]["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
+    assert 0.001 < found["scores"]["final_ate_rmse_m"] < 0.01
+    assert found["scores"]["final_pair_error"] > 0.0
+    assert found["scores"]["closures_accepted"] == 1.0
+    found = evaluate(**point, parameters={"fault": "raise"})
+    assert (found["status"], found["reason"]) == ("failed", "RuntimeError: the graph is torn (_fail)")
 
 
 @pytest.mark.slow
