@@ -10,12 +10,11 @@ They also work in a script without a main guard, and in an interactive session.
 
 from __future__ import annotations
 
-from functools import cache
-
 from evalkit.commands.validate.equivalence.comparison import NotEquivalent
 from evalkit.commands.validate.equivalence.comparison import assert_equivalent as _assert_equivalent
 from evalkit.commands.validate.rules import dataset_rules, runner
 from evalkit.commands.validate.rules.rule import RuleReport, RuleResult
+from evalkit.core.errors import UnknownName
 from evalkit.plugins.address import stop_loading
 from evalkit.plugins.specs import BackendSpec, DatasetSpec
 
@@ -58,19 +57,29 @@ def backend_rules(backend: str | BackendSpec, /) -> tuple[str, ...]:
 def check_rule(backend: str | BackendSpec, rule: str, /, **parameters: object) -> RuleResult:
     """Checks one rule of a back end; the first call for a back end checks all of them, the others read the results.
 
-    Raises RulesBroken if this rule is broken, KeyError if there is no rule of this name.
+    Raises RulesBroken if this rule is broken, UnknownName if there is no rule of this name.
     """
     stop_loading()
-    report = _checked(backend, tuple(sorted(parameters.items())))
-    result = {one.rule: one for one in report.results}[rule]
-    if result.outcome == "failed":
-        raise RulesBroken(report.label, (result,), 1)
-    return result
+    report = _checked(backend, parameters)
+    results = {one.rule: one for one in report.results}
+    if rule not in results:
+        raise UnknownName("rule", rule, results)
+    if results[rule].outcome == "failed":
+        raise RulesBroken(report.label, (results[rule],), 1)
+    return results[rule]
 
 
-@cache
-def _checked(backend: str | BackendSpec, parameters: tuple[tuple[str, object], ...]) -> RuleReport:
-    return runner.check(backend, dict(parameters))
+_reports: list[tuple[str | BackendSpec, dict[str, object], RuleReport]] = []
+"""What ``check_rule`` has checked in this process; a spec with parameters has no hash."""
+
+
+def _checked(backend: str | BackendSpec, parameters: dict[str, object]) -> RuleReport:
+    for known, given, report in _reports:
+        if known == backend and given == parameters:
+            return report
+    report = runner.check(backend, parameters)
+    _reports.append((backend, parameters, report))
+    return report
 
 
 def check_dataset(dataset: str | DatasetSpec, /, frames: int = 50, **parameters: object) -> RuleReport:

@@ -13,7 +13,7 @@ import pytest
 from evalkit.commands.validate.rules import dataset_rules, runner
 from evalkit.commands.validate.rules import rule as rule_module
 from evalkit.commands.validate.rules.rule import RuleReport, RuleResult
-from evalkit.core.errors import BadParameter, DataMissing, NotInstalled
+from evalkit.core.errors import BadParameter, DataMissing, NotInstalled, UnknownName
 from evalkit.core.match import Match
 from evalkit.plugins.address import Address, spec_at, stop_loading
 from evalkit.plugins.parameters import resolve_parameters
@@ -146,6 +146,32 @@ def test_a_script_without_a_main_guard_checks_its_own_spec(tmp_path):
     assert "the guess was returned unchanged" in done.stdout
 
 
+SESSION = """
+from evalkit.testing import NotEquivalent, assert_equivalent, backend_rules, check_rule
+
+print([one for one in backend_rules(SPEC) if one in ("order", "in-time")])
+print(check_rule(SPEC, "order").outcome, check_rule(SPEC, "in-time").observed)
+try:
+    check_rule(SPEC, "moves")
+except RulesBroken as error:
+    print(error)
+try:
+    assert_equivalent("paper", SPEC, scans=3)
+except NotEquivalent as error:
+    print(error)
+"""
+
+
+def test_an_interactive_session_checks_its_own_spec():
+    code = SCRIPT.partition("try:")[0] + SESSION  # a module __main__ without a file, as in IPython
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=False)
+    assert done.stderr == ""
+    assert done.stdout.startswith("['order', 'in-time']\npassed checked in this process: another one cannot load")
+    assert "__main__:SPEC breaks 1 of 1 rules\n  moves: " in done.stdout
+    assert "A = paper, B = __main__:SPEC: not equivalent on " in done.stdout
+    assert "answer: different: the guess is returned as the answer" in done.stdout
+
+
 def test_loading_a_file_stops_at_its_own_check(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(SCRIPT)
@@ -163,3 +189,6 @@ def test_one_rule_at_a_time_for_parametrised_tests(monkeypatch):
     with pytest.raises(RulesBroken, match="order"):
         check_rule("paper", "order", epsilon=0.5)
     assert checked == [("paper", {"epsilon": 0.5})]  # both from one check
+    assert str(report) == "x: 1 rules passed, 0 not applicable, 1 broken\n  order: \n      no"
+    with pytest.raises(UnknownName, match="did you mean 'wall'"):
+        check_rule("paper", "walls", epsilon=0.5)

@@ -60,6 +60,16 @@ def address_of(plug_in: str | BackendSpec | DatasetSpec | type) -> Address:
     return Address(plug_in, module, attribute)
 
 
+def label_of(plug_in: str | BackendSpec | DatasetSpec, otherwise: str) -> str:
+    """Name a plug-in as its address does, or otherwise if no module has it."""
+    if isinstance(plug_in, str):
+        return plug_in
+    try:
+        return address_of(plug_in).label
+    except NotInstalled:
+        return otherwise
+
+
 def spec_at(address: Address, wanted: type[Spec], registered: Callable[[str], Spec]) -> Spec:
     """Load the spec at an address; ``registered`` loads registered names. Raises NotInstalled where there is none."""
     if not address.module:
@@ -88,6 +98,8 @@ def _module(address: Address) -> ModuleType:
         else:
             if address.file in ("", getattr(module, "__file__", None)):
                 return module
+    elif not address.file:  # an interactive session, which no other process can load
+        return sys.modules["__main__"]
     return _module_of_file(address.file)
 
 

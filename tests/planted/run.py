@@ -1,6 +1,7 @@
 """Validate a library with each planted fault, and print what was found and how it was named: ``make planted``.
 
-Results are kept in a file with a row for each build; an interrupted run continues there while the code is the same.
+Results are kept in a file with a row for each build; an interrupted run continues there while the code is the same. The
+order of the builds is drawn by the seed: the rows of an interrupted run are a sample of all builds.
 """
 
 from __future__ import annotations
@@ -9,14 +10,16 @@ import argparse
 import hashlib
 import json
 import os
+import random
 import re
+import resource
 import shutil
 import statistics
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -26,6 +29,7 @@ from faults import BUILDS, FAULT_BUILDS, LIBRARIES, Fault
 
 ROOT = FOLDER.parent.parent
 CODE = (ROOT / "evalkit" / "commands" / "validate", ROOT / "evalkit" / "external", FOLDER)
+UNRELATED = (FOLDER / "run.py", FOLDER / "test_planted.py")
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ class Build:
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found about a build: the texts of all failed checks, the first ones first."""
+    """What was found about a build: the texts of all failed checks, the first ones first, and the CPU time it took."""
 
     source: str
     label: str
@@ -102,21 +106,29 @@ def _is_possible(compiler: str, source: str) -> bool:
 
 def run(builds: Sequence[Build], seed: int, jobs: int) -> Iterator[Finding]:
     """The findings about all builds, as they are ready."""
-    with tempfile.TemporaryDirectory(prefix="evalkit-planted-") as root, ThreadPoolExecutor(jobs) as pool:
-
-        def find(one: Build) -> Finding:
-            started = time.monotonic()
-            backend = build(one.fault.number, Path(root), one.options, one.compiler, one.source)
-            texts = tuple(examine(backend, seed))
-            return Finding(one.source, one.label, one.fault.name, texts, time.monotonic() - started)
-
-        for each in as_completed([pool.submit(find, one) for one in builds]):
+    with tempfile.TemporaryDirectory(prefix="evalkit-planted-") as root, ProcessPoolExecutor(jobs) as pool:
+        for each in as_completed([pool.submit(find, one, Path(root), seed) for one in builds]):
             yield each.result()
+
+
+def find(one: Build, folder: Path, seed: int) -> Finding:
+    """Compile a build in the folder, and examine it."""
+    started = _cpu_time()
+    backend = build(one.fault.number, folder, one.options, one.compiler, one.source)
+    texts = tuple(examine(backend, seed))
+    return Finding(one.source, one.label, one.fault.name, texts, _cpu_time() - started)
+
+
+def _cpu_time() -> float:
+    """Of this process and of all its children that ended, in seconds."""
+    both = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(one.ru_utime + one.ru_stime for one in both)
 
 
 def code_hash() -> str:
     """Of the rules, the comparison and the planted sources: results of other code are not continued."""
     files = sorted(file for folder in CODE for file in folder.rglob("*.*") if file.suffix != ".pyc" and file.is_file())
+    files = [file for file in files if file not in UNRELATED]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
@@ -132,7 +144,7 @@ def read_findings(file: Path, code: str) -> tuple[int | None, list[Finding]]:
 def as_markdown(findings: Sequence[Finding]) -> Iterator[str]:
     """The table of a documentation page: every fault of every source with what was found, and how long it took."""
     for source in dict.fromkeys(one.source for one in findings):
-        yield f"\n## {source}\n\n| Build | Verdict | First text | Time |\n|---|---|---|---|"
+        yield f"\n## {source}\n\n| Build | Verdict | First text | CPU time |\n|---|---|---|---|"
         for one in sorted((one for one in findings if one.source == source), key=_order):
             text = re.sub(r"[|`<>]", " ", (one.first or ("nothing",))[-1 if not one.named else _naming(one)])[:150]
             yield f"| {one.label} | {one.verdict} | {text} | {one.seconds:.0f} s |"
@@ -155,7 +167,7 @@ def summaries(findings: Sequence[Finding]) -> Iterator[str]:
         yield (
             f"{source}: {sum(one.found for one in faults)} of {len(faults)} faults found, "
             f"{sum(one.named for one in faults)} named rightly; {sum(one.found for one in correct)} false alarms in "
-            f"{len(correct)} builds; median {statistics.median(one.seconds for one in own):.0f} s"
+            f"{len(correct)} builds; median {statistics.median(one.seconds for one in own):.0f} s of CPU time"
         )
 
 
@@ -186,6 +198,7 @@ def main() -> int:
         given.out.write_text(json.dumps({"code": code, "seed": seed}) + "\n", encoding="utf-8")
     done = {(one.source, one.label) for one in findings}
     builds = [one for one in planned(given.source, given.only, given.options) if (one.source, one.label) not in done]
+    random.Random(seed).shuffle(builds)
     print(f"planted faults, --seed {seed}: {len(done)} kept in {given.out}, {len(builds)} to do", flush=True)
     for one in run(builds, seed, given.jobs):
         findings.append(one)

@@ -21,9 +21,9 @@ ASSUMPTION = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Equivalence:
-    """The result of comparing implementations A and B.
+    """The result of comparing implementations A and B; at a prompt it shows its text.
 
     ``level``: the most detailed quantity that both provide. ``first``: the first divergence, None if there is none.
     ``classes``: number of questions that first diverge, by class (mappers: scans that differ). ``fields``: number of
@@ -73,6 +73,8 @@ class Equivalence:
             f"test: {ASSUMPTION}",
         ]
         return "\n".join(lines)
+
+    __repr__ = __str__
 
 
 def _format_counts(counts: Mapping[str, int]) -> str:

@@ -30,7 +30,7 @@ from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.odometry import frontend
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.address import address_of, spec_at, stop_loading
+from evalkit.plugins.address import address_of, label_of, spec_at, stop_loading
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, RegistrationSpec
@@ -149,7 +149,7 @@ assert_equivalent = _raise_if_different(equivalence)
 
 def load_backend(name: str, backend: str | BackendSpec, given: Given) -> ComparedBackend:
     """A back end with all its parameters, and its trace on if it has one; NotInstalled if it cannot run here."""
-    label = backend if isinstance(backend, str) else name
+    label = label_of(backend, name)
     spec = spec_at(address_of(backend), BackendSpec, registry.backend) if isinstance(backend, str) else backend
     if why := spec.missing():
         raise NotInstalled(label, "cannot be compared here", why)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -42,9 +43,9 @@ class RuleResult:
     observed: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RuleReport:
-    """The results of all rules for one plug-in, in the order of the checks."""
+    """The results of all rules for one plug-in, in the order of the checks; at a prompt it shows its text."""
 
     label: str
     results: tuple[RuleResult, ...]
@@ -53,6 +54,16 @@ class RuleReport:
     def broken(self) -> tuple[RuleResult, ...]:
         """The results of broken rules."""
         return tuple(result for result in self.results if result.outcome == "failed")
+
+    def __str__(self) -> str:
+        count = Counter(result.outcome for result in self.results)
+        other = count["not applicable"]
+        lines = [f"{self.label}: {count['passed']} rules passed, {other} not applicable, {count['failed']} broken"]
+        for result in self.broken:
+            lines += [f"  {result.rule}: {result.sentence}", f"      {result.observed}"]
+        return "\n".join(lines)
+
+    __repr__ = __str__
 
 
 def check_rule(rule: Rule, fixture: object) -> RuleResult:

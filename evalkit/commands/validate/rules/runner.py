@@ -37,7 +37,10 @@ REQUEST, RESULTS = "request.json", "results.jsonl"
 NOT_INSTALLED = "not installed"
 """In place of an outcome: a library that ``make`` needs is not installed."""
 
-PROCESS_RULES = ("alive", "in-time")
+PROCESS_RULES = {
+    "alive": "The process survives all rules, within its memory limit.",
+    "in-time": "Every call returns in time.",
+}
 """Rules about the process as a whole, after those of every kind."""
 
 STARTS = "starts"
@@ -97,10 +100,9 @@ def _check_here(
 ) -> tuple[RuleResult, ...]:
     """The results of rules for a spec of an interactive session, which no other process can load: in this process."""
     fixture = _make_fixture(spec, parameters, seed, {})
-    alive = "checked in this process: another one cannot load an interactive session; save it in a file to isolate it"
-    sentence = "The process survives all rules, within its memory limit."
-    results = [check_rule(rule, fixture) for rule in rules.values()]
-    return (*results, RuleResult("alive", sentence, "not applicable", alive))
+    why = "checked in this process: another one cannot load an interactive session; save it in a file to isolate it"
+    of_process = [RuleResult(name, sentence, "not applicable", why) for name, sentence in PROCESS_RULES.items()]
+    return (*(check_rule(rule, fixture) for rule in rules.values()), *of_process)
 
 
 def spec_of(backend: str | BackendSpec) -> BackendSpec:
@@ -128,8 +130,8 @@ class _RuleRunner:
                 self._run_process(waiting)
         return (
             *self._results.values(),
-            _process_rule("alive", "The process survives all rules, within its memory limit.", self._crashes),
-            _process_rule("in-time", "Every call returns in time.", self._hangs),
+            _process_rule("alive", self._crashes),
+            _process_rule("in-time", self._hangs),
         )
 
     def _stop_reason(self) -> str:
@@ -184,9 +186,9 @@ def _read_lines(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
 
 
-def _process_rule(name: str, sentence: str, ends: list[str]) -> RuleResult:
+def _process_rule(name: str, ends: list[str]) -> RuleResult:
     """The result of a rule about the process as a whole."""
-    return RuleResult(name, sentence, "failed" if ends else "passed", "; ".join(ends) or "through all rules")
+    return RuleResult(name, PROCESS_RULES[name], "failed" if ends else "passed", "; ".join(ends) or "through all rules")
 
 
 def main() -> int:
