@@ -14,7 +14,7 @@ KINDS = tuple(SUFFIXES)
 
 
 @cache
-def _tests():
+def bag_tests():
     """Return the test module of the bag reader, which makes bags."""
     path = Path(__file__).resolve().parent.parent / "datasets" / "test_rosbag.py"
     spec = importlib.util.spec_from_file_location("bag_tests", path)
@@ -25,8 +25,8 @@ def _tests():
 
 @cache
 def _bag(kind: str):
-    bag = _tests().Bag(kind)
-    begin = _tests().T0
+    bag = bag_tests().Bag(kind)
+    begin = bag_tests().T0
     for k in range(3):
         bag.scan(begin + k * 10**8, [1.0, 2.0, 3.0, 4.0, 5.0]).odom(begin + k * 10**8, 0.1 * k)
         bag.tf(begin + k * 10**8, "odom", "base_link", 0.1 * k, static=False)
@@ -35,9 +35,9 @@ def _bag(kind: str):
 
 @cache
 def _with_echoes(kind: str):
-    bag = _tests().Bag(kind)
+    bag = bag_tests().Bag(kind)
     bag.store, bag.messages = _bag(kind).store, list(_bag(kind).messages)
-    return bag.echoes(_tests().T0, [1.0, 2.0], [], [3.0])
+    return bag.echoes(bag_tests().T0, [1.0, 2.0], [], [3.0])
 
 
 @cache
@@ -60,7 +60,7 @@ def messages(kind: str) -> list[bytes]:
 def written(path: Path, part: tuple[str, str], content: bytes) -> None:
     """Write a ROS 1 bag of valid messages and one message of given topic, type and bytes."""
     bag = _with_echoes("ros1")
-    with _tests().rosbag1.Writer(path) as writer:
+    with bag_tests().rosbag1.Writer(path) as writer:
         connections = {}
         for topic, kind, message, recorded in bag.messages:
             if topic == "/echoes" and part[0] != topic:

@@ -14,8 +14,14 @@ from evalkit.io import map_server, untrusted_io
 ROOT = Path(__file__).resolve().parents[2]
 FUZZ = Path(__file__).parents[1] / "fuzz"
 TARGETS = sorted(path.stem for path in (FUZZ / "targets").glob("[a-z]*.py"))
-NEEDS = {"bag_file": "rosbags", "bag_messages": "rosbags", "map_image": "PIL", "map_settings": "ruamel.yaml"}
-COUNT = {"bag_file": 12, "bag_messages": 12, "study": 5, "tuning": 5, "experiment": 10}
+NEEDS = {
+    "bag_file": "rosbags",
+    "bag_messages": "rosbags",
+    "bag_sweeps": "rosbags",
+    "map_image": "PIL",
+    "map_settings": "ruamel.yaml",
+}
+COUNT = {"bag_file": 12, "bag_messages": 12, "bag_sweeps": 12, "study": 5, "tuning": 5, "experiment": 10}
 """Damaged inputs a target gets here; 50 where nothing is said."""
 
 
