@@ -17,6 +17,7 @@ from evalkit.core.errors import BadData, EvalkitError
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.io.timestamps import order_stamps
 from evalkit_datasets import sweeps
+from evalkit_datasets.bag_limits import check_topics
 from evalkit_datasets.buffers import PoseBuffer
 from evalkit_datasets.sweeps import Sweep, SweepOptions, normalise_frame, parse_stamp_ns
 from evalkit_datasets.transforms import Transform, TransformTree, matrix_from_quaternion, planar_pose_from_matrix
@@ -204,6 +205,7 @@ def open_bag(path: Path) -> Iterator[Any]:
     """
     _check_path(path)
     bag = _find_bag(path)
+    check_topics(bag)
     files = [bag] if bag.is_file() else [file for file in bag.iterdir() if file.is_file()]
     try:
         with bounded_unpacking(sum(file.stat().st_size for file in files)), closing(_open_reader(bag)) as reader:
@@ -293,14 +295,16 @@ def read_sweep(contents: Contents, message: Any, kind: str, recorded_ns: int, op
     return sweep
 
 
-def add_odometry(contents: Contents, topic: str, message: Any) -> None:
-    """Add the pose of an odometry message to ``contents``, or count it as damaged."""
+def add_odometry(contents: Contents, topic: str, message: Any) -> bool:
+    """Add the pose of an odometry message to ``contents``, or count it as damaged; return whether it was added."""
     matrix = _parse_matrix(contents, message.pose.pose.position, message.pose.pose.orientation)
-    if matrix is not None:
-        key = topic, normalise_frame(message.header.frame_id), normalise_frame(message.child_frame_id)
-        contents.odometry.setdefault(key, PoseBuffer()).append(
-            parse_stamp_ns(message.header), planar_pose_from_matrix(matrix).row
-        )
+    if matrix is None:
+        return False
+    key = topic, normalise_frame(message.header.frame_id), normalise_frame(message.child_frame_id)
+    contents.odometry.setdefault(key, PoseBuffer()).append(
+        parse_stamp_ns(message.header), planar_pose_from_matrix(matrix).row
+    )
+    return True
 
 
 def add_transforms(contents: Contents, message: Any, static: bool) -> None:

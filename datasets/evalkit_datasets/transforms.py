@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -38,7 +39,7 @@ class TransformTree:
     """Static and moving transforms by child frame; a frame may be published under several parents.
 
     ``near_ns``: only the moving transform nearest to this time is kept, None: all are. ``odometry_parents``: parents
-    whose moving children also keep all their planar poses, in ``paths``.
+    whose moving children also keep all their planar poses, in ``paths``. ``counts``: messages of each moving child.
     """
 
     static: dict[str, dict[str, Transform]] = field(default_factory=dict)
@@ -46,6 +47,7 @@ class TransformTree:
     near_ns: int | None = None
     odometry_parents: frozenset[str] = frozenset()
     paths: dict[tuple[str, str], PoseBuffer] = field(default_factory=dict)
+    counts: Counter[tuple[str, str]] = field(default_factory=Counter)
 
     def add(self, edge: Transform, static: bool) -> None:
         """Add one transform; a static one replaces an earlier one, as in tf2."""
@@ -53,6 +55,7 @@ class TransformTree:
             self.static.setdefault(edge.child, {})[edge.parent] = edge
             return
         pair = edge.parent, edge.child
+        self.counts[pair] += 1
         if edge.parent in self.odometry_parents:
             pose = planar_pose_from_matrix(edge.parent_from_child)
             self.paths.setdefault(pair, PoseBuffer()).append(edge.stamp_ns, pose.row)

@@ -7,6 +7,7 @@ import os
 import shlex
 import tomllib
 import tracemalloc
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from evalkit_datasets.inspection.inspector import inspect_recording
 from evalkit_datasets.inspection.odometry_stats import compare_turns, measure_odometry
 from evalkit_datasets.inspection.page import build_document
 from evalkit_datasets.inspection.range_stats import find_no_return_codes, measure_ranges
-from evalkit_datasets.inspection.streams import LaserStream, OdometryStream
+from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, ScanSample
 from evalkit_datasets.inspection.suggested_config import best_lidar, suggest_config
 from evalkit_datasets.inspection.timing import measure_clock_offset, measure_timing
 
@@ -42,7 +43,7 @@ def laser(ranges, stamps=None, high=np.nan, step=0.0174533):
     rows = [np.asarray(row, dtype=float) for row in ranges]
     times = np.arange(len(rows)) * S // 10 if stamps is None else stamps
     angles = -math.pi / 2 + step * np.arange(len(rows[0]))
-    return LaserStream("/scan", "LaserScan", "laser", times, None, rows, angles, np.nan, high)
+    return LaserStream("/scan", "LaserScan", "laser", times, None, ScanSample(rows), angles, np.nan, high)
 
 
 def walls(count=60, beams=180, seed=0):
@@ -115,6 +116,43 @@ def test_ranges_reveal_their_quantisation_and_whether_the_robot_is_at_rest():
     assert measure_ranges(laser(walls())).step_m == 0.01
     assert measure_ranges(laser(still)).still == 1.0
     assert measure_ranges(laser(walls())).still == 0.0
+
+
+# --- long recordings
+
+
+def test_a_long_recording_is_sampled_in_windows_over_its_whole_length():
+    rows = [np.full(10, 1.0), np.full(12, 2.0), np.full(10, 3.0)]
+    sample = ScanSample((rows[number % 3] for number in range(99_999)), max_ranges=40_000)
+    sample.append(rows[2])
+    assert (len(sample), sample.beams, sample.repeated) == (100_000, {10, 12}, 1)  # of all scans
+    assert 20_000 <= sum(map(len, sample.rows)) <= 40_000
+    assert sorted(set(np.diff(sample.numbers))) == [1, 31 * 256 + 1]  # every 32nd window of 256 scans
+    assert [row[0] for row in sample.rows[:-1]] == [1.0 + number % 3 for number in sample.numbers[:-1]]
+
+
+def test_a_sample_of_a_long_recording_gives_the_findings_of_the_whole():
+    """A lidar sways by 60 deg in a room, with a no-return code; mirrored beams are found in a quarter of it."""
+    turns = np.radians(60.0) * np.sin(0.05 * np.arange(3000))
+    ways = np.radians(np.arange(-90.0, 90.0)) - turns[:, None]
+    rows = 3.0 + np.cos(2 * ways) + 0.5 * np.sin(5 * ways) + 0.3 * np.cos(11 * ways + 1.0)
+    rows[np.random.default_rng(5).random(rows.shape) < 0.03] = 30.0
+    poses = np.column_stack([0.0 * turns, 0.0 * turns, turns])
+    wheels = OdometryStream("/odom", "odom", "base", np.arange(3000) * S // 10, poses)
+    whole = laser(rows)
+    part = replace(whole, scans=ScanSample(rows, max_ranges=200_000))
+    assert len(part.ranges) == 768
+    one, other = measure_ranges(whole), measure_ranges(part)
+    assert (other.codes[0].high_m, other.repeated, other.still < 0.05) == (30.0, 0, True)
+    assert (other.hits, other.median_m) == (pytest.approx(one.hits, abs=0.005), pytest.approx(one.median_m, abs=0.01))
+    assert compare_turns(wheels, part).scale == pytest.approx(-1.0, rel=0.03)
+
+
+def test_a_recording_that_stands_is_said_to_stand_where_scans_are_left_out():
+    """A scan is compared with one of a second before, not with one from before a gap of the sample."""
+    rows = np.repeat(walls(8), 256, axis=0)  # another place in every window
+    sample = ScanSample(rows, max_ranges=3 * 256 * 180)
+    assert measure_ranges(replace(laser(rows), scans=sample)).still == 1.0
 
 
 # --- odometry

@@ -12,7 +12,7 @@ from evalkit_datasets.example_bag import write_example
 from evalkit_datasets.inspection.frame_tree import FrameTree
 from evalkit_datasets.inspection.inspector import inspect_recording
 from evalkit_datasets.inspection.mounting_angle import estimate_mounting_angle, estimate_translation
-from evalkit_datasets.inspection.streams import LaserStream, OdometryStream
+from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, ScanSample
 from evalkit_datasets.inspection.suggested_config import _choose_mounting, best_lidar
 
 ANGLES = np.radians(np.arange(0.0, 360.0, 0.5))
@@ -38,7 +38,7 @@ def drive(heading_deg, backwards=False, noise_m=0.0):
             poses.append(base if not backwards else [*base[:2], base[2] + math.pi])
     stamps = np.arange(len(poses)) * 100_000_000
     scans = [row + rng.normal(0.0, noise_m, len(row)) for row in rows]
-    laser = LaserStream("/scan", "LaserScan", "laser", stamps, None, scans, ANGLES, 0.1, 12.0)
+    laser = LaserStream("/scan", "LaserScan", "laser", stamps, None, ScanSample(scans), ANGLES, 0.1, 12.0)
     return OdometryStream("/odom", "odom", "base", stamps, np.array(poses)), laser
 
 

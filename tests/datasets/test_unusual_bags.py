@@ -1,7 +1,10 @@
 """Bags without laser scans or without an index: point clouds, messages of other types, files cut short."""
 
 import math
+import sqlite3
 import sys
+import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -217,3 +220,63 @@ def test_files_that_hold_nothing_are_refused_with_what_to_do(tmp_path, suffix, c
     path.write_bytes(content)
     with pytest.raises(BadData, match="record or fetch the bag again"):
         RosBag(str(path))
+
+
+@pytest.mark.parametrize("with_metadata", [True, False])
+def test_a_sqlite3_bag_that_was_cut_short_is_refused_with_what_to_do(tmp_path, with_metadata):
+    folder = Bag("sqlite3").scan(T0, np.linspace(1, 5, 5000)).write(tmp_path)
+    base = folder / "made.db3"
+    base.write_bytes(base.read_bytes()[:-5000])
+    if not with_metadata:
+        (folder / "metadata.yaml").unlink()
+    for read in (RosBag, lambda path: inspect_recording(Path(path))):
+        with pytest.raises(BadData, match=r"not a readable bag \(.*malformed\); record or fetch the bag again"):
+            read(str(base))
+
+
+# --- very many topics
+
+
+def million_of_ros_1(folder):
+    path = Bag("ros1").scan(T0, [1, 2]).write(folder)
+    content = path.read_bytes()
+    at = content.index(b"conn_count=") + len(b"conn_count=")
+    path.write_bytes(content[:at] + (10**6).to_bytes(4, "little") + content[at + 4 :])
+    return path
+
+
+def many_of_sqlite(folder):
+    path = Bag("sqlite3").scan(T0, [1, 2]).write(folder)
+    (path / "metadata.yaml").unlink()
+    with closing(sqlite3.connect(path / "made.db3")) as base, base:
+        base.execute("DROP TABLE topics")
+        base.execute(
+            "CREATE TABLE topics AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n WHERE id < 200000)"
+            " SELECT id, '/t' || id AS name FROM n"
+        )
+    return path / "made.db3"
+
+
+def million_in_metadata(folder):
+    path = Bag("mcap").scan(T0, [1, 2]).write(folder)
+    with (path / "metadata.yaml").open("a") as file:
+        file.write(
+            "  # of a topic, as long as its entry, a hundred bytes and more, for a million of them ......\n" * 100_000
+        )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("write", "said"),
+    [(million_of_ros_1, "it has 1,000,000 topics, and at most 100,000 are read"),
+     (many_of_sqlite, "it has 200,000 topics, and at most 100,000 are read"),
+     (million_in_metadata, "its metadata.yaml has 9 MiB: more topics than the 8 MiB that are read")],
+)  # fmt: skip
+def test_a_bag_with_too_many_topics_is_refused_at_once_with_what_to_do(tmp_path, write, said):
+    """An MCAP file numbers its topics with two bytes."""
+    path = write(tmp_path)
+    began = time.process_time()
+    for read in (RosBag, lambda place: inspect_recording(Path(place))):
+        with pytest.raises(BadData, match=f"{said}.*; copy the topics you need: rosbags-convert"):
+            read(str(path))
+    assert time.process_time() - began < 1.0

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evalkit.core.se2 import Stamps
 from evalkit_datasets import rosbag_parser
-from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, RecordingStreams, Topic
-from evalkit_datasets.rosbag_parser import Contents
+from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, RecordingStreams, ScanSample, Topic
+from evalkit_datasets.rosbag_parser import ODOMETRY_FRAME, Contents
 from evalkit_datasets.sweeps import CLOUD, MessageFields, Sweep, SweepOptions, guess_fields
-from evalkit_datasets.transforms import TransformTree, planar_pose_from_matrix
+from evalkit_datasets.transforms import TransformTree
 
 WANTED = {*rosbag_parser.LASER, CLOUD, rosbag_parser.ODOMETRY, *rosbag_parser.TRANSFORMS}
 MAX_UNUSUAL = 20  # topics with sweeps of unusual types
@@ -22,14 +22,16 @@ MIN_TF_POSES = 2  # transforms needed for odometry from tf
 
 @dataclass(eq=False)
 class _TopicContent:
-    """The messages of one topic with their times of recording, and the twists of odometry."""
+    """What is kept of the messages of one topic: times, a sample of the ranges, poses and twists of odometry."""
 
     kind: str
     fields: MessageFields | None = None
     contents: Contents = field(default_factory=Contents)
-    sweeps: list[Sweep] = field(default_factory=list)
-    recorded_ns: list[int] = field(default_factory=list)
-    twists: list[tuple[float, float]] = field(default_factory=list)
+    first: Sweep | None = None
+    scans: ScanSample = field(default_factory=ScanSample)
+    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
+    recorded_ns: array[int] = field(default_factory=lambda: array("q"))
+    twists: array[float] = field(default_factory=lambda: array("d"))
 
 
 def read_bag_streams(path: Path) -> RecordingStreams:
@@ -37,6 +39,7 @@ def read_bag_streams(path: Path) -> RecordingStreams:
     taken: dict[str, _TopicContent] = {}
     tree = Contents()
     with rosbag_parser.open_bag(path) as reader:
+        tree.tree.near_ns, tree.tree.odometry_parents = int(reader.start_time), frozenset({ODOMETRY_FRAME})
         seconds = max((reader.end_time - reader.start_time) * 1e-9, 0.0)
         topics = [
             Topic(name, str(about.msgtype), int(about.msgcount), _message_rate_hz(int(about.msgcount), seconds))
@@ -63,7 +66,7 @@ def read_bag_streams(path: Path) -> RecordingStreams:
         "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag",
         "rosbag",
         topics,
-        [_make_laser_stream(name, own) for name, own in sorted(taken.items()) if own.sweeps],
+        [_make_laser_stream(name, own, own.first) for name, own in sorted(taken.items()) if own.first is not None],
         [*wheels, *_find_tf_odometry(tree.tree)],
         tree.tree,
         damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()),
@@ -94,30 +97,28 @@ def _message_rate_hz(count: int, seconds: float) -> float:
 
 
 def _take_message(own: _TopicContent, topic: str, message: Any, recorded_ns: int) -> None:
-    before = sum(map(len, own.contents.odometry.values()))
     if own.kind != rosbag_parser.ODOMETRY:
         options = SweepOptions(fields=own.fields)
         sweep = rosbag_parser.read_sweep(own.contents, message, own.kind, recorded_ns, options)
         if sweep is not None:
-            own.sweeps.append(sweep)
+            own.first = own.first or sweep
+            own.scans.append(sweep.ranges)
+            own.stamps_ns.append(sweep.stamp_ns)
             own.recorded_ns.append(recorded_ns)
         return
-    rosbag_parser.add_odometry(own.contents, topic, message)
-    if sum(map(len, own.contents.odometry.values())) > before:  # otherwise damaged, and counted as such
+    if rosbag_parser.add_odometry(own.contents, topic, message):
         own.recorded_ns.append(recorded_ns)
-        own.twists.append((float(message.twist.twist.linear.x), float(message.twist.twist.angular.z)))
+        own.twists.extend((float(message.twist.twist.linear.x), float(message.twist.twist.angular.z)))
 
 
-def _make_laser_stream(topic: str, own: _TopicContent) -> LaserStream:
-    sweeps = own.sweeps
-    first = sweeps[0]
+def _make_laser_stream(topic: str, own: _TopicContent, first: Sweep) -> LaserStream:
     return LaserStream(
         topic,
         own.kind.split("/")[-1],
         first.frame,
-        _stamp_array([sweep.stamp_ns for sweep in sweeps]),
-        _stamp_array(own.recorded_ns),
-        [sweep.ranges for sweep in sweeps],
+        np.asarray(own.stamps_ns),
+        np.asarray(own.recorded_ns),
+        own.scans,
         first.angles(),
         first.range_min_m,
         first.range_max_m,
@@ -138,20 +139,15 @@ def _make_odometry_stream(own: _TopicContent) -> OdometryStream:
         child,
         samples.stamps_ns,
         samples.poses,
-        np.array(own.twists) if whole else None,
-        _stamp_array(own.recorded_ns) if whole else None,
+        np.asarray(own.twists).reshape(-1, 2) if whole else None,
+        np.asarray(own.recorded_ns) if whole else None,
     )
 
 
 def _find_tf_odometry(tree: TransformTree) -> list[OdometryStream]:
-    """Return the odometry in tf: the moving children of frame "odom"."""
+    """Return the odometry in tf: the moving children of its frame."""
     return [
-        OdometryStream("tf", parent, child, _stamp_array([edge.stamp_ns for edge in edges]),
-               np.array([planar_pose_from_matrix(edge.parent_from_child).row for edge in edges]))
-        for (parent, child), edges in sorted(tree.moving.items())
-        if parent == "odom" and len(edges) >= MIN_TF_POSES
-    ]  # fmt: skip
-
-
-def _stamp_array(values: list[int]) -> Stamps:
-    return np.array(values, dtype=np.int64)
+        OdometryStream("tf", parent, child, path.stamps_ns, path.poses)
+        for (parent, child), path in sorted(tree.paths.items())
+        if len(path) >= MIN_TF_POSES
+    ]

@@ -52,7 +52,7 @@ class FrameTree:
 def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream]) -> FrameTree:
     """Return the tree, and the mounting of each lidar on the first base frame connected to it."""
     static = [FrameLink(parent, child, True, 1) for child, parents in tree.static.items() for parent in parents]
-    moving = [FrameLink(parent, child, False, len(edges)) for (parent, child), edges in tree.moving.items()]
+    moving = [FrameLink(parent, child, False, tree.counts[parent, child]) for parent, child in tree.moving]
     links = tuple(sorted([*static, *moving], key=lambda link: (link.static, link.parent, link.child)))
     names = tuple(tree.frames())
     parents: dict[str, list[str]] = {}

@@ -19,7 +19,7 @@ from evalkit.io.text_lines import iter_lines
 from evalkit_datasets.columns import EXPECTED, Columns
 from evalkit_datasets.columns_layout import LENGTH_UNITS
 from evalkit_datasets.inspection.odometry_stats import compare_turns
-from evalkit_datasets.inspection.streams import LaserStream, OdometryStream
+from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, ScanSample
 
 MAX_LINES, MIN_LINES, MAX_VALUES = 3000, 10, 2_000_000
 MIN_BEAMS, MAX_COLUMNS = 20, 5000
@@ -214,8 +214,9 @@ def _compare_turns(path: Path, layout: dict[str, Any]) -> float | None:
     stamps = np.array([frame.scan.stamp_ns for frame in frames], dtype=np.int64)
     poses = np.array([frame.odom_from_base.row for frame in frames if frame.odom_from_base is not None])
     first = frames[0].scan
-    laser = LaserStream("columns", "columns", "laser", stamps, None, [frame.scan.ranges for frame in frames],
-                        first.angles, first.range_min_m, first.range_max_m)  # fmt: skip
+    scans = ScanSample(frame.scan.ranges for frame in frames)
+    laser = LaserStream("columns", "columns", "laser", stamps, None, scans, first.angles, first.range_min_m,
+                        first.range_max_m)  # fmt: skip
     found = compare_turns(OdometryStream("columns", "odom", "base", stamps, poses), laser)
     return None if found is None else found.scale
 

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from evalkit.core.errors import BadData
-from evalkit.core.se2 import Stamps
+from evalkit.core.scan import Scan
 from evalkit.io.timestamps import parse_stamp_ns
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
 from evalkit_datasets import carmen_parser
+from evalkit_datasets.buffers import PoseBuffer
 from evalkit_datasets.carmen_parser import Log, Reading
 from evalkit_datasets.inspection.other_files import describe_other_file
-from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, RecordingStreams, Topic
+from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, RecordingStreams, ScanSample, Topic
 
 COLUMNS, COLUMNS_KIND = "columns", "log in columns"
 MAX_FRAMES = 100_000
@@ -25,36 +28,79 @@ NOTHING: Mapping[str, Value] = {}
 
 LASER_LINES = (b"FLASER", b"ROBOTLASER1")
 MAX_REMARKS = 5
+MAX_KINDS = 1000  # kinds of lines that are counted
 SCAN_POSES = "robot pose of each scan"
+
+
+@dataclass(eq=False)
+class _LogScans:
+    """The scans of a log: the first one, a sample of the ranges, and the robot poses of all."""
+
+    first: Reading | None = None
+    scans: ScanSample = field(default_factory=ScanSample)
+    robot: PoseBuffer = field(default_factory=PoseBuffer)
+
+    def take(self, reading: Reading) -> None:
+        """Add the next scan."""
+        self.first = self.first or reading
+        self.scans.append(reading.ranges)
+        self.robot.append(reading.stamp_ns, reading.robot)
+
+
+@dataclass(eq=False)
+class _OtherLines:
+    """What the lines of a log hold besides: number of each kind, comments, and the stamps of the logger's clock.
+
+    ``logger_ns``: of the scans, None after one that cannot be read. ``digits``: the most of an ipc stamp.
+    """
+
+    kinds: Counter[str] = field(default_factory=Counter)
+    remarks: list[str] = field(default_factory=list)
+    logger_ns: array[int] | None = field(default_factory=lambda: array("q"))
+    digits: int = 0
+
+    def take(self, line: bytes) -> None:
+        """Add the next line."""
+        words = line.split()
+        if not words:
+            return
+        if words[0].startswith(b"#"):
+            remark = line.decode("latin-1").lstrip("# ").strip()
+            if " " in remark and len(self.remarks) < MAX_REMARKS:
+                self.remarks.append(remark)
+            return
+        kind = words[0].decode("latin-1")
+        if kind in self.kinds or len(self.kinds) < MAX_KINDS:
+            self.kinds[kind] += 1
+        if words[0] in LASER_LINES and len(words) > 3:
+            self.digits = max(self.digits, _count_digits(words[-3]))
+            self._take_logger_stamp(words[-1])
+
+    def _take_logger_stamp(self, word: bytes) -> None:
+        if self.logger_ns is not None:
+            try:
+                self.logger_ns.append(parse_stamp_ns(word.decode("latin-1")))
+            except ValueError:
+                self.logger_ns = None
 
 
 def read_log_streams(path: Path) -> RecordingStreams:
     """Return the streams of a log; raises BadData if the file is not a log or is damaged gzip."""
-    log, readings = carmen_parser.read_log(path)
-    if not (readings or len(log.odometry) or log.damaged):
+    log, scans, others = Log(), _LogScans(), _OtherLines()
+    for _, reading in carmen_parser.iter_readings(path, log):
+        scans.take(reading)
+    if not (len(scans.scans) or len(log.odometry) or log.damaged):
         raise BadData(str(path), "", *describe_other_file(path))
-    kinds: Counter[str] = Counter()
-    remarks: list[str] = []
-    tails: list[tuple[bytes, bytes]] = []
     for line in carmen_parser.iter_log_lines(path):
-        words = line.split()
-        if not words:
-            continue
-        if words[0].startswith(b"#"):
-            remarks.append(line.decode("latin-1").lstrip("# ").strip())
-            continue
-        kinds[words[0].decode("latin-1")] += 1
-        if words[0] in LASER_LINES and len(words) > 3:
-            tails.append((words[-3], words[-1]))
-    lasers = [_make_laser_stream(readings, tails)] if readings else []
-    seconds = (lasers[0].stamps_ns.max() - lasers[0].stamps_ns.min()) * 1e-9 if lasers else 0.0
+        others.take(line)
+    stamps = scans.robot.stamps_ns
+    seconds = float(stamps.max() - stamps.min()) * 1e-9 if len(stamps) else 0.0
     rate = 1.0 / seconds if seconds > 0.0 else float("nan")
-    topics = [Topic(kind, _describe_line(kind), count, count * rate) for kind, count in kinds.most_common(12)]
-    digits = max((_count_digits(ipc) for ipc, _ in tails), default=0)
-    comments = [remark for remark in remarks if " " in remark][:MAX_REMARKS]
+    topics = [Topic(kind, _describe_line(kind), count, count * rate) for kind, count in others.kinds.most_common(12)]
     return RecordingStreams(
-        path, "CARMEN log", "carmen", topics, lasers, _make_odometry_streams(log, readings), poses_from=log.poses_from,
-        digits=digits, damaged=log.damaged, remarks=comments,
+        path, "CARMEN log", "carmen", topics, _make_laser_streams(scans, others.logger_ns),
+        _make_odometry_streams(log, scans.robot), poses_from=log.poses_from,
+        digits=others.digits, damaged=log.damaged, remarks=others.remarks,
     )  # fmt: skip
 
 
@@ -65,61 +111,48 @@ def read_sequence_streams(path: Path, reader: str, given: Mapping[str, Value] = 
     """
     spec = registry.dataset(reader)
     sequence = spec.make(**{**given, "path": str(path)})
-    frames = list(islice(sequence.frames(), MAX_FRAMES))
-    if not frames:
+    scans, times, poses = ScanSample(), array("q"), PoseBuffer()
+    first: Scan | None = None
+    for frame in islice(sequence.frames(), MAX_FRAMES):
+        first = first or frame.scan
+        scans.append(frame.scan.ranges)
+        times.append(frame.scan.stamp_ns)
+        if frame.odom_from_base is not None:
+            poses.append(frame.scan.stamp_ns, frame.odom_from_base.row)
+    if first is None:
         raise BadData(str(path), "", f"reader '{reader}' finds no scan in it", "give another file, or --reader NAME")
-    first = frames[0].scan
-    stamps = np.array([frame.scan.stamp_ns for frame in frames], dtype=np.int64)
+    stamps = np.asarray(times)
     laser = LaserStream(
-        reader, reader, "laser", stamps, None, [frame.scan.ranges for frame in frames], first.angles,
+        reader, reader, "laser", stamps, None, scans, first.angles,
         first.range_min_m, first.range_max_m, first.time_increment_ns,
     )  # fmt: skip
-    known = [frame for frame in frames if frame.odom_from_base is not None]
-    poses = [frame.odom_from_base.row for frame in known if frame.odom_from_base is not None]
-    times = np.array([frame.scan.stamp_ns for frame in known], dtype=np.int64)
-    wheels = [OdometryStream(reader, "odom", "base", times, np.array(poses))] if poses else []
+    wheels = [OdometryStream(reader, "odom", "base", poses.stamps_ns, poses.poses)] if len(poses) else []
     seconds = float(stamps[-1] - stamps[0]) * 1e-9
-    rate = (len(frames) - 1) / seconds if seconds > 0.0 else float("nan")
+    rate = (len(stamps) - 1) / seconds if seconds > 0.0 else float("nan")
     kind = COLUMNS_KIND if reader == COLUMNS else f"recording read by '{reader}'"
     damaged = sequence.notes().get("damaged lines dropped", 0)
     return RecordingStreams(
-        path, kind, reader, [Topic("scans", "a scan each", len(frames), rate)], [laser], wheels, damaged=damaged
+        path, kind, reader, [Topic("scans", "a scan each", len(stamps), rate)], [laser], wheels, damaged=damaged
     )
 
 
-def _make_laser_stream(readings: list[Reading], tails: list[tuple[bytes, bytes]]) -> LaserStream:
-    stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
-    return LaserStream(
-        "FLASER / ROBOTLASER1",
-        "laser lines",
-        "laser",
-        stamps,
-        _parse_logger_stamps(tails, len(stamps)),
-        [reading.ranges for reading in readings],
-        readings[0].angles,
-        float("nan"),
-        float("nan"),
-    )
+def _make_laser_streams(scans: _LogScans, logger_ns: array[int] | None) -> list[LaserStream]:
+    """Return the lidar of a log; the logger's times are left out if they do not correspond to the scans."""
+    if scans.first is None:
+        return []
+    recorded = np.asarray(logger_ns) if logger_ns is not None and len(logger_ns) == len(scans.scans) else None
+    return [
+        LaserStream("FLASER / ROBOTLASER1", "laser lines", "laser", scans.robot.stamps_ns, recorded, scans.scans,
+                    scans.first.angles, float("nan"), float("nan"))
+    ]  # fmt: skip
 
 
-def _parse_logger_stamps(tails: list[tuple[bytes, bytes]], scans: int) -> Stamps | None:
-    """Return the logger's times (N,), or None if they do not correspond to the scans."""
-    if len(tails) != scans:
-        return None
-    try:
-        return np.array([parse_stamp_ns(logger.decode("latin-1")) for _, logger in tails], dtype=np.int64)
-    except ValueError:
-        return None
-
-
-def _make_odometry_streams(log: Log, readings: list[Reading]) -> list[OdometryStream]:
+def _make_odometry_streams(log: Log, robot: PoseBuffer) -> list[OdometryStream]:
     streams = []
     if len(log.odometry):
         streams.append(OdometryStream("ODOM lines", "odom", "base", log.odometry.stamps_ns, log.odometry.poses))
-    poses = [reading.robot for reading in readings]
-    if len(set(poses)) > 1:
-        stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
-        streams.append(OdometryStream(SCAN_POSES, "odom", "base", stamps, np.array(poses)))
+    if len(robot) and (robot.poses != robot.poses[0]).any():
+        streams.append(OdometryStream(SCAN_POSES, "odom", "base", robot.stamps_ns, robot.poses))
     return streams
 
 

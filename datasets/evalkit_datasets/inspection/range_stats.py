@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.core.arrays import Bools, Ints
-from evalkit.core.se2 import Floats, Stamps
+from evalkit.core.se2 import Floats
 from evalkit_datasets.inspection.streams import LaserStream
 
 KNOWN_CODES: tuple[tuple[float, float, str], ...] = (
@@ -100,7 +100,7 @@ def measure_ranges(laser: LaserStream) -> RangeStats:
         plain = plain[(plain < code.low_m) | (plain > code.high_m)]
     hits = np.percentile(plain, [0, 50, 99, 100]) if len(plain) else np.full(4, np.nan)
     return RangeStats(
-        beams=tuple(sorted({len(row) for row in laser.ranges})),
+        beams=tuple(sorted(laser.scans.beams)),
         hits=len(plain) / beams,
         infinite=_mean(np.isposinf(ranges_m)),
         nan=_mean(np.isnan(ranges_m)),
@@ -115,8 +115,8 @@ def measure_ranges(laser: LaserStream) -> RangeStats:
         p99_m=float(hits[2]),
         longest_m=float(hits[3]),
         step_m=_find_step_m(plain),
-        repeated=sum(_is_equal(one, other) for one, other in zip(laser.ranges, laser.ranges[1:], strict=False)),
-        still=_measure_still(laser.ranges, laser.stamps_ns),
+        repeated=laser.scans.repeated,
+        still=_measure_still(laser),
     )
 
 
@@ -191,20 +191,18 @@ def _find_step_m(plain: Floats) -> float:
     return 0.0
 
 
-def _measure_still(ranges: Sequence[Floats], stamps_ns: Stamps) -> float:
+def _measure_still(laser: LaserStream) -> float:
+    ranges, numbers, stamps_ns = laser.ranges, laser.scans.numbers, laser.sample_stamps_ns
     before = np.searchsorted(stamps_ns, stamps_ns - 10**9, side="right") - 1
     unchanged = []
     for now, then in enumerate(before):
-        if 0 <= then < now and len(ranges[now]) == len(ranges[then]):
+        successive = 0 <= then < now and numbers[now] - numbers[then] == now - then  # no scan between is left out
+        if successive and len(ranges[now]) == len(ranges[then]):
             both = np.isfinite(ranges[now]) & np.isfinite(ranges[then])
             if both.sum() >= 20:
                 change = np.percentile(np.abs(ranges[now][both] - ranges[then][both]), [50, 80])
                 unchanged.append(bool((change < MAX_STILL_CHANGE_M).all()))
     return float(np.mean(unchanged)) if unchanged else float("nan")
-
-
-def _is_equal(one: Floats, other: Floats) -> bool:
-    return len(one) == len(other) and bool(np.array_equal(one, other, equal_nan=True))
 
 
 def _mean(mask: Bools) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from array import array
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,14 +25,68 @@ class Topic:
     rate_hz: float
 
 
+MAX_RANGES = 4_000_000
+"""Ranges kept of one lidar (32 MB): of a longer recording, windows of scans spread evenly over it."""
+
+WINDOW = 256
+"""Successive scans that are kept together: pairs of scans a second apart are compared."""
+
+
+class ScanSample:
+    """The ranges of a recording within bounded memory: all scans, or windows of successive scans spread evenly.
+
+    ``rows``: ranges (B,) of the scans kept; ``numbers`` (K,): their indices among all. ``beams``: the numbers of beams
+    that occur. ``repeated``: number of scans equal to the previous one. Both are of all scans.
+    """
+
+    def __init__(self, rows: Iterable[Floats] = (), max_ranges: int = MAX_RANGES) -> None:
+        self.rows: list[Floats] = []
+        self.beams: set[int] = set()
+        self.repeated = 0
+        self._numbers = array("q")
+        self._max_ranges, self._count, self._kept_ranges, self._stride = max_ranges, 0, 0, 1
+        self._last: Floats | None = None
+        for row in rows:
+            self.append(row)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def numbers(self) -> Ints:
+        """Indices (K,) of the scans kept, increasing."""
+        return np.asarray(self._numbers)
+
+    def append(self, row: Floats) -> None:
+        """Take the next scan."""
+        last = self._last
+        self.repeated += last is not None and len(last) == len(row) and bool(np.array_equal(last, row, equal_nan=True))
+        self.beams.add(len(row))
+        self._last = row
+        if self._is_kept(self._count):
+            self.rows.append(row)
+            self._numbers.append(self._count)
+            self._kept_ranges += len(row)
+        self._count += 1
+        while self._kept_ranges > self._max_ranges and self._count > WINDOW * self._stride:
+            self._stride *= 2
+            kept = [at for at, number in enumerate(self._numbers) if self._is_kept(number)]
+            self.rows = [self.rows[at] for at in kept]
+            self._numbers = array("q", [self._numbers[at] for at in kept])
+            self._kept_ranges = sum(map(len, self.rows))
+
+    def _is_kept(self, number: int) -> bool:
+        return number // WINDOW % self._stride == 0
+
+
 @dataclass(frozen=True, eq=False)
 class LaserStream:
-    """All scans of one lidar as sent, in file order.
+    """The scans of one lidar as sent, in file order.
 
-    ``stamps_ns`` (N,): times in the headers; ``recorded_ns`` (N,): times of recording, None if unknown. ``angles``
-    (B,): those of the first scan (rad). Range limits are nan if the format does not contain them. ``damaged``: number
-    of messages dropped; ``unstamped``: number of messages without a stamp. ``fields``: the parameter of the reader for
-    messages of another type, "" for laser scans and point clouds.
+    ``stamps_ns`` (N,): times in the headers; ``recorded_ns`` (N,): times of recording, None if unknown. ``scans``: the
+    ranges, of a long recording a sample. ``angles`` (B,): those of the first scan (rad). Range limits are nan if the
+    format does not contain them. ``damaged``: number of messages dropped; ``unstamped``: number of messages without a
+    stamp. ``fields``: the parameter of the reader for messages of another type, "" for laser scans and point clouds.
     """
 
     topic: str
@@ -39,7 +94,7 @@ class LaserStream:
     frame: str
     stamps_ns: Stamps
     recorded_ns: Stamps | None
-    ranges: Sequence[Floats]
+    scans: ScanSample
     angles: Floats
     range_min_m: float
     range_max_m: float
@@ -47,6 +102,16 @@ class LaserStream:
     damaged: int = 0
     unstamped: int = 0
     fields: str = ""
+
+    @property
+    def ranges(self) -> Sequence[Floats]:
+        """Ranges (B,) of the scans in the sample."""
+        return self.scans.rows
+
+    @property
+    def sample_stamps_ns(self) -> Stamps:
+        """Times (K,) of the scans in the sample."""
+        return self.stamps_ns[self.scans.numbers]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +128,13 @@ class OdometryStream:
 
 
 def interpolate_odometry(wheels: OdometryStream, laser: LaserStream) -> tuple[Stamps, Ints, Floats]:
-    """Return stamps (K,) of the scans within the odometry's time, each once; their indices (K,) and the poses (K, 3).
+    """Return stamps (K,) of the sampled scans within the odometry's time, each once, with their indices and poses.
 
-    Poses are ``parent_from_child``; none with fewer than two stamps of the odometry.
+    Indices (K,) are those in the sample. Poses (K, 3) are ``parent_from_child``; none with fewer than two stamps of
+    the odometry.
     """
     stamps, first = np.unique(wheels.stamps_ns, return_index=True)
-    times, order = np.unique(laser.stamps_ns, return_index=True)
+    times, order = np.unique(laser.sample_stamps_ns, return_index=True)
     inside = (times >= stamps[0]) & (times <= stamps[-1]) if len(stamps) > 1 else np.zeros(len(times), np.bool_)
     times, order = times[inside], order[inside]
     poses = se2.interpolate(stamps, wheels.poses[first], times) if len(times) else np.zeros((0, 3))

@@ -1,0 +1,53 @@
+"""Bound the number of topics of a bag before it is opened: rosbags makes an object of each, slowly in some formats."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from contextlib import closing
+from pathlib import Path
+
+from evalkit.core.errors import BadData
+
+MAX_TOPICS = 100_000
+"""Recorded bags have tens to hundreds. Reading so many takes seconds and 100 MB; an MCAP file cannot hold more."""
+
+MAX_METADATA_BYTES = 8 * 2**20
+"""Of metadata.yaml, with some 250 bytes a topic; parsing takes seconds."""
+
+_HEAD_BYTES = 4096
+
+
+def check_topics(bag: Path) -> None:
+    """Raise BadData for a bag with too many topics. Other damage is left to the reader."""
+    metadata = bag / "metadata.yaml"
+    if metadata.is_file() and metadata.stat().st_size > MAX_METADATA_BYTES:
+        found = f"its metadata.yaml has {metadata.stat().st_size / 2**20:.0f} MiB"
+        raise _too_many(bag, f"{found}: more topics than the {MAX_METADATA_BYTES // 2**20} MiB that are read")
+    count = {".bag": _count_ros1, ".db3": _count_sqlite}.get(bag.suffix)
+    if bag.is_file() and count is not None and (topics := count(bag)) > MAX_TOPICS:
+        raise _too_many(bag, f"it has {topics:,} topics, and at most {MAX_TOPICS:,} are read")
+
+
+def _too_many(bag: Path, what: str) -> BadData:
+    remedy = "copy the topics you need: rosbags-convert --src BAG --dst NEW --include-topic /scan /odom /tf /tf_static"
+    return BadData(str(bag), "", what, remedy)
+
+
+def _count_ros1(bag: Path) -> int:
+    """Return the number of connections in the header of a ROS 1 bag, 0 if it cannot be read."""
+    with bag.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    name = b"conn_count="
+    at = head.find(name) + len(name)
+    return struct.unpack_from("<I", head, at)[0] if name in head and at + 4 <= len(head) else 0
+
+
+def _count_sqlite(bag: Path) -> int:
+    """Return the number of rows in the table of topics, 0 if it cannot be read."""
+    try:
+        with closing(sqlite3.connect(f"{bag.resolve().as_uri()}?mode=ro", uri=True)) as base:
+            found = base.execute("SELECT count(*) FROM (SELECT 1 FROM topics LIMIT 10000000)").fetchone()
+    except sqlite3.Error:
+        return 0
+    return int(found[0])
