@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import re
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from evalkit.config.localisation import LOCALISATION_KEYS, list_map_files, read_localisation
+from evalkit.config.forms import EXPERIMENT, LIMITS, MAPPER, METHOD, SEQUENCE
+from evalkit.config.localisation import list_map_files, read_localisation
 from evalkit.config.toml_tables import TomlTable, all_mistakes, flatten
 from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief
 from evalkit.io.toml import load_toml
@@ -83,7 +83,7 @@ class MapperChoice:
 
     name: str
     parameters: Mapping[str, Value]
-    scans: int = 400
+    scans: int = MAPPER.default("scans")
 
 
 @dataclass(frozen=True)
@@ -93,11 +93,11 @@ class Limits:
     ``*_s``: wall clock; ``*_cpu_s``: CPU time. CPU time and memory include all descendants of the run's process.
     """
 
-    run_s: float = 900.0
-    scan_s: float = 60.0
-    run_cpu_s: float = 3600.0
-    scan_cpu_s: float = 240.0
-    memory_mib: int = 2048
+    run_s: float = LIMITS.default("run_s")
+    scan_s: float = LIMITS.default("scan_s")
+    run_cpu_s: float = LIMITS.default("run_cpu_s")
+    scan_cpu_s: float = LIMITS.default("scan_cpu_s")
+    memory_mib: int = LIMITS.default("memory_mib")
 
 
 @dataclass(frozen=True)
@@ -192,11 +192,9 @@ def load_experiment(path: Path) -> Experiment:
 
 def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, source: str) -> Experiment:
     """The experiment that TOML tables describe. ``file``: named in errors; ``source``: used in commands."""
-    table = TomlTable(content, file)
-    table.check_keys(
-        ("title", "description", "timed", "skip_tuned", *NUISANCE_KEYS, "mapper", "limits", "method", "sequence")
-    )
-    timed, skip_tuned = table.flag("timed", default=True), table.flag("skip_tuned", default=False)
+    table = TomlTable(content, file, form=EXPERIMENT)
+    table.check_keys()
+    timed, skip_tuned = table.flag("timed"), table.flag("skip_tuned")
     with table.errors():
         methods = tuple(_read_method(each) for each in table.tables("method", "an experiment"))
         repeats = _read_nuisance(table, (0, 0))
@@ -207,7 +205,7 @@ def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, sou
     return Experiment(
         name,
         table.text("title", name),
-        table.text("description", ""),
+        table.text("description"),
         source,
         methods,
         sequences,
@@ -220,7 +218,7 @@ def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, sou
 
 def _read_method(table: TomlTable) -> Method:
     use, label = table.text("use"), _read_label(table)
-    given = flatten({key: value for key, value in table.content.items() if key not in ("use", "label", "tuned_on")})
+    given = flatten({key: value for key, value in table.content.items() if key not in METHOD.keys})
     with table.errors():
         spec = registry.find_backend(use)
         for name in table.texts("tuned_on"):
@@ -242,8 +240,7 @@ def _read_nuisance(table: TomlTable, default: tuple[int, int]) -> tuple[int, int
 
 def _read_sequence(table: TomlTable, repeats: tuple[int, int]) -> SequenceSpec:
     use, label = table.text("use"), _read_label(table)
-    own = ("use", "label", "seeds", *NUISANCE_KEYS, *LOCALISATION_KEYS)
-    given = flatten({key: value for key, value in table.content.items() if key not in own})
+    given = flatten({key: value for key, value in table.content.items() if key not in SEQUENCE.keys})
     with table.errors():
         spec = registry.dataset(use)
     table = table.labelled(label)
@@ -254,7 +251,7 @@ def _read_sequence(table: TomlTable, repeats: tuple[int, int]) -> SequenceSpec:
     if spec.seeded and any(key in table.content for key in NUISANCE_KEYS):
         raise table.error(f"'nuisance': {use} has seeds; write seeds = [0, 1, ...]")
     count, scans = (0, 0) if spec.seeded else _read_nuisance(table, repeats)
-    seeds: tuple[int | None, ...] = tuple(table.whole_numbers("seeds", [0])) if spec.seeded else (None,)
+    seeds: tuple[int | None, ...] = table.whole_numbers("seeds") if spec.seeded else (None,)
     parameters = resolve_parameters(table.place, spec.parameters, given)
     if spec.seeded:
         parameters.pop("seed")
@@ -273,20 +270,16 @@ def _read_sequence(table: TomlTable, repeats: tuple[int, int]) -> SequenceSpec:
 
 def _read_mapper(table: TomlTable) -> MapperChoice:
     name = table.text("use") if "use" in table.content else defaults.find_default_mapper()
-    scans = table.whole_number("scans", MapperChoice.scans, low=2)
-    given = {key: value for key, value in table.content.items() if key not in ("use", "scans")}
+    scans = table.whole_number("scans")
+    given = {key: value for key, value in table.content.items() if key not in MAPPER.keys}
     with table.errors():
         spec = registry.mapper(name)
     return MapperChoice(name, resolve_parameters("mapper", spec.parameters, given), scans)
 
 
 def _read_limits(table: TomlTable) -> Limits:
-    known = asdict(Limits())
-    table.check_keys(known)
-    for key, value in table.content.items():
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
-            raise table.bad_value(key, "a positive number")
-    return Limits(**{**known, **table.content})
+    table.check_keys()
+    return Limits(**{key: table.positive_number(key) for key in LIMITS.keys})  # type: ignore[arg-type]
 
 
 def _read_label(table: TomlTable) -> str:

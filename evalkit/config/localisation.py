@@ -11,16 +11,14 @@ from evalkit.plugins.known_map import parse_start
 from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, TRUE_MAP, Value
 from evalkit.plugins.result_files import parse_address, read_map
 
-LOCALISATION_KEYS = (MAP, MAP_START, ALIGN_TRUTH)
-
 
 def read_localisation(table: TomlTable) -> dict[str, Value]:
     """Return the reserved parameters of a known map, the file's path absolute; empty without the key ``map``.
 
     Raises BadExperiment, also where the map cannot be read.
     """
-    name, start = table.text(MAP, ""), table.text(MAP_START, "")
-    align = table.flag(ALIGN_TRUTH, default=False, meaning="the ground truth is in another frame than the map")
+    name, start = table.text(MAP), table.text(MAP_START)
+    align = table.flag(ALIGN_TRUTH)
     if not name:
         for key in (MAP_START, ALIGN_TRUTH):
             if key in table.content:

@@ -1,28 +1,24 @@
 """The form of experiment, study and tuning files, as models: all mistakes of a file at once, and its JSON Schema.
 
-The readers of these files check what they read and stop at the first mistake. Only then, and for a schema, are the
-models loaded: reading a correct file does not import pydantic.
+The models are made of ``forms``, as are the readers of these files, which stop at the first mistake. Only then, and for
+a schema, are the models loaded: reading a correct file does not import pydantic.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal
+from functools import cache
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
+from evalkit.config.forms import FORMS, Form, Key, Kind, Type
 from evalkit.config.toml_tables import flatten
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, NotInstalled, UnknownName, brief
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter
-
-Kind = Literal["experiment", "study", "tuning"]
-Whole = Annotated[int, Field(ge=0, strict=True)]
-Positive = Annotated[float, Field(gt=0.0)]
-Text = Annotated[str, Field(strict=True)]
-Flag = Annotated[bool, Field(strict=True)]
 
 # What stands behind a likely name; further mistakes leave it out.
 KNOWN = r"(\(did you mean '[^']*'\?\)); known: [^;]*"
@@ -56,104 +52,64 @@ class _Plugin(BaseModel):
             raise ValueError("; ".join(found))
 
 
-class MethodTable(_Plugin):
-    """A method: a back end and its parameters."""
-
-    use: Text = Field(description="a back end, 'module:SPEC', 'lib:FILE', 'exec:COMMAND' or 'file:POSES'")
-    label: Text = Field("", description="its name in the report")
-    tuned_on: list[Text] = Field([], description="data sets that its parameters were chosen on")
-    search: dict[str, Any] = Field({}, description="of a tuning: the ranges of the parameters to search")
-
+class _Method(_Plugin):
     @model_validator(mode="after")
-    def _check(self) -> MethodTable:
-        spec = _load(registry.find_backend, self.use)
+    def _check(self) -> _Method:
+        spec = _load(registry.find_backend, self.__dict__["use"])
         if spec is not None and not spec.broken and not spec.missing():
             self._check_parameters(frontend.settable_parameters(spec))
         return self
 
 
-class SequenceTable(_Plugin):
-    """A sequence: a data set or a reader, and its parameters."""
-
-    use: Text = Field(description="a data set, or the reader of a recording")
-    label: Text = Field("", description="its name in the report")
-    seeds: list[Whole] = Field([0], description="one simulated drive each")
-    confirm: list[Whole] = Field([], description="of a tuning: the seeds that confirm the best settings")
-    nuisance: Whole = Field(0, description="number of small perturbations of a recording")
-    nuisance_scans: Whole = Field(0, description="scans of each perturbation; 0: all")
-    map: Text = Field("", description="a known map (map_server YAML) that every method tracks the robot in")
-    map_start: Text = Field("", description="where the robot starts in the known map: 'x,y,yaw' in m, m, deg")
-    align_truth: Flag = Field(False, description="the ground truth is in another frame than the known map")
-
+class _Sequence(_Plugin):
     @model_validator(mode="after")
-    def _check(self) -> SequenceTable:
-        if (spec := _load(registry.dataset, self.use)) is not None:
+    def _check(self) -> _Sequence:
+        if (spec := _load(registry.dataset, self.__dict__["use"])) is not None:
             self._check_parameters(spec.parameters)
         return self
 
 
-class MapperTable(_Plugin):
-    """The mapper and its parameters."""
-
-    use: Text = Field("", description="a mapper")
-    scans: Annotated[int, Field(ge=2, strict=True)] = Field(400, description="scans of a map, at most")
+_BASES: Mapping[str, type[BaseModel]] = {
+    "": _Closed, "backends": _Method, "datasets": _Sequence, "mappers": _Plugin,
+}  # fmt: skip
 
 
-class LimitsTable(_Closed):
-    """Limits of one run."""
-
-    run_s: Positive = Field(900.0, description="s")
-    scan_s: Positive = Field(60.0, description="s without an answer")
-    run_cpu_s: Positive = Field(3600.0, description="s of CPU time")
-    scan_cpu_s: Positive = Field(240.0, description="s of CPU time without an answer")
-    memory_mib: Positive = Field(2048, description="MiB")
+@cache
+def make_model(kind: Kind) -> type[BaseModel]:
+    """Return the model of a kind of file."""
+    return _make_model(FORMS[kind], {})
 
 
-class _File(_Closed):
-    """What all files have."""
-
-    title: Text = ""
-    description: Text = ""
-    mapper: MapperTable | None = None
-    limits: LimitsTable | None = None
-
-
-class ExperimentFile(_File):
-    """An experiment: methods on sequences (``evalkit compare FILE``)."""
-
-    timed: Flag = Field(True, description="whether times count")
-    skip_tuned: Flag = Field(False, description="no method runs on data sets that it was tuned on")
-    nuisance: Whole = Field(0, description="number of small perturbations of each recording")
-    nuisance_scans: Whole = Field(0, description="scans of each perturbation; 0: all")
-    method: list[MethodTable] = Field(min_length=1)
-    sequence: list[SequenceTable] = Field(min_length=1)
+def _make_model(form: Form, made: dict[str, type[BaseModel]]) -> type[BaseModel]:
+    """Return the model of a form; ``made``: those there are, by name."""
+    if form.name not in made:
+        fields: dict[str, Any] = {
+            name.replace("-", "_"): _make_field(name, key, made) for name, key in form.keys.items()
+        }
+        made[form.name] = create_model(form.name, __base__=_BASES[form.plugins], __doc__=form.meaning, **fields)
+    return made[form.name]
 
 
-class StudyFile(_File):
-    """A study: factors, designs and responses (``evalkit study FILE``)."""
-
-    seeds: list[Whole] = []
-    method: MethodTable
-    sequence: SequenceTable
-    response: list[dict[str, Any]] = Field(min_length=1)
-    factor: list[dict[str, Any]] = Field(min_length=1)
-    design: list[dict[str, Any]] = Field(min_length=1)
-    envelope: list[dict[str, Any]] = []
-
-
-class TuningFile(_File):
-    """A tuning with equal budgets (``evalkit tune FILE``)."""
-
-    points: Annotated[int, Field(ge=2, strict=True)] = 24
-    seed: Whole = 0
-    run_cpu_s: Positive = 60.0
-    objective: dict[str, Any] = {}
-    method: list[MethodTable] = Field(min_length=1)
-    training: list[SequenceTable] = Field(min_length=1)
-    held_out: list[SequenceTable] = Field(alias="held-out", min_length=1)
-
-
-MODELS: Mapping[Kind, type[_File]] = {"experiment": ExperimentFile, "study": StudyFile, "tuning": TuningFile}
+def _make_field(name: str, key: Key, made: dict[str, type[BaseModel]]) -> tuple[Any, Any]:
+    """Return type and field of a key; a key without a default may be absent, and is then none."""
+    low = 0 if key.low is None else key.low
+    content: Any = dict[str, Any] if key.form is None else _make_model(key.form, made)
+    whole = Annotated[int, Field(ge=low, strict=True)]
+    kinds: dict[Type, Any] = {
+        "text": Annotated[str, Field(strict=True)],
+        "texts": list[Annotated[str, Field(strict=True)]],
+        "flag": Annotated[bool, Field(strict=True)],
+        "whole": whole,
+        "wholes": list[whole],
+        "number": Annotated[float, Field(strict=True, ge=key.low)],
+        "positive": Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)],
+        "table": content,
+        "tables": Annotated[list[content], Field(min_length=1)] if key.required else list[content],
+        "any": Any,
+    }
+    default: Any = ... if key.required else key.default
+    alias = name if "-" in name else None
+    return kinds[key.type], Field(default, description=key.meaning or None, alias=alias)
 
 
 def add_further_mistakes(first: BadExperiment, content: Mapping[str, Any], kind: Kind) -> BadExperiment:
@@ -176,7 +132,7 @@ def add_further_mistakes(first: BadExperiment, content: Mapping[str, Any], kind:
 def find_mistakes(content: Mapping[str, Any], kind: Kind) -> Iterator[tuple[str, str]]:
     """Yield the place of every mistake of a file's content, such as "method 2", and the mistake with its place."""
     try:
-        MODELS[kind].model_validate(content)
+        make_model(kind).model_validate(content)
     except ValidationError as error:
         if error.error_count() > MAX_MISTAKES:  # each takes memory
             yield "", f"{error.error_count():,} mistakes"
@@ -193,13 +149,20 @@ def _describe(kind: Kind, error: dict[str, Any]) -> tuple[str, str]:
     words = [f"{part + 1}" if isinstance(part, int) else str(part) for part in path]
     place = " ".join(words)
     if error["type"] == "extra_forbidden":
-        known = LimitsTable.model_fields if "limits" in path else MODELS[kind].model_fields
-        return place, str(UnknownName("key", key, [field.alias or name for name, field in known.items()]))
+        return place, str(UnknownName("key", key, _find_form(kind, path).keys))
     if error["type"] == "missing":
         return place, f"missing key '{key}'"
     if error["type"] == "value_error":
         return place, str(error["ctx"]["error"])
     return place, f"'{key}': found {brief(error['input'])}, {error['msg'][:1].lower()}{error['msg'][1:]}"
+
+
+def _find_form(kind: Kind, path: list[Any]) -> Form:
+    """Return the form of the table at a place of a file."""
+    form = FORMS[kind]
+    for part in path:
+        form = (form.keys[part].form or form) if isinstance(part, str) else form
+    return form
 
 
 def _is_told(place: str, text: str, first_place: str, first: str) -> bool:
@@ -226,19 +189,29 @@ def _load(find: Any, name: str) -> Any:
 
 def make_schema(kind: Kind) -> dict[str, Any]:
     """Return the JSON Schema of a kind of file, with the names and parameters of the installed plug-ins."""
-    schema = MODELS[kind].model_json_schema(by_alias=True)
-    tables = {
-        "MethodTable": ("backends", registry.find_backend, frontend.settable_parameters),
-        "SequenceTable": ("datasets", registry.dataset, lambda spec: spec.parameters),
-        "MapperTable": ("mappers", registry.mapper, lambda spec: spec.parameters),
+    schema = make_model(kind).model_json_schema(by_alias=True)
+    tables: Mapping[str, tuple[Any, Any]] = {
+        "backends": (registry.find_backend, frontend.settable_parameters),
+        "datasets": (registry.dataset, lambda spec: spec.parameters),
+        "mappers": (registry.mapper, lambda spec: spec.parameters),
     }
-    for table, (plugins, find, parameters_of) in tables.items():
-        definition = schema["$defs"][table]
-        names = registry.names(plugins)
+    for form in _list_forms(FORMS[kind]):
+        if not form.plugins:
+            continue
+        find, parameters_of = tables[form.plugins]
+        definition, names = schema["$defs"][form.name], registry.names(form.plugins)
         named: dict[str, Any] = {"enum": names}
-        definition["properties"]["use"] |= {"anyOf": [named, {"pattern": ":"}]} if plugins == "backends" else named
+        free = form.plugins == "backends"  # also an address
+        definition["properties"]["use"] |= {"anyOf": [named, {"pattern": ":"}]} if free else named
         definition["allOf"] = [_condition(name, parameters_of(spec)) for name in names if (spec := _load(find, name))]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def _list_forms(form: Form) -> Iterator[Form]:
+    """Yield a form and those of its tables."""
+    yield form
+    for key in form.keys.values():
+        yield from _list_forms(key.form) if key.form is not None else ()
 
 
 def _condition(name: str, parameters: tuple[Parameter, ...]) -> dict[str, Any]:

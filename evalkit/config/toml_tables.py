@@ -6,15 +6,16 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
+from evalkit.config.forms import OPEN, Form, Key, Kind
 from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
 
 T = TypeVar("T")
 
 
 @contextmanager
-def all_mistakes(content: Mapping[str, Any], kind: Literal["experiment", "study", "tuning"]) -> Iterator[None]:
+def all_mistakes(content: Mapping[str, Any], kind: Kind) -> Iterator[None]:
     """Add to the first mistake of a file, raised within the block, all others, each with its place."""
     try:
         yield
@@ -28,12 +29,14 @@ def all_mistakes(content: Mapping[str, Any], kind: Literal["experiment", "study"
 class TomlTable:
     """A table of a configuration file. ``file`` and ``place`` (the table in words) are named in errors.
 
-    Every method raises BadExperiment if a value is not what it reads. A key without a default is required.
+    ``form``: its keys, with their defaults and bounds; those that a method is given are used instead. Every method
+    raises BadExperiment if a value is not what it reads. A key without a default is required.
     """
 
     content: Mapping[str, Any]
     file: str
     place: str = ""
+    form: Form = OPEN
 
     def error(self, what: str) -> BadExperiment:
         """The error to raise for this table."""
@@ -55,18 +58,18 @@ class TomlTable:
         except (UnknownName, BadParameter) as error:
             raise self.error(str(error)) from error
 
-    def check_keys(self, known: Iterable[str]) -> None:
-        """Refuses a key that is not among the known ones."""
-        known = tuple(known)
+    def check_keys(self, known: Iterable[str] = ()) -> None:
+        """Refuses a key that is not among the known ones, which are those of the form if none are given."""
+        known = tuple(known) or tuple(self.form.keys)
         for key in self.content:
             if key not in known:
                 raise self.error(str(UnknownName("key", key, known)))
 
     def text(self, key: str, default: str | None = None) -> str:
         """A text."""
-        if default is None and key not in self.content:
+        value = self._find(key, default)
+        if value is None and key not in self.content:
             raise self.error(f"missing key '{key}'")
-        value = self.content.get(key, default)
         if not isinstance(value, str):
             raise self.bad_value(key, "a text")
         return value
@@ -78,38 +81,45 @@ class TomlTable:
             raise self.bad_value(key, "a list of texts")
         return tuple(values)
 
-    def flag(self, key: str, default: bool, meaning: str = "") -> bool:
-        """True or false; ``meaning`` explains the key in the error."""
-        value = self.content.get(key, default)
+    def flag(self, key: str) -> bool:
+        """True or false."""
+        value, meaning = self._find(key), self._key(key).meaning
         if not isinstance(value, bool):
             raise self.bad_value(key, f"true or false ({meaning})" if meaning else "true or false")
         return value
 
-    def number(self, key: str, default: float | None = None, low: float | None = None) -> float:
-        """A number, finite and at least ``low`` if that is given."""
-        value = self.content.get(key, default)
+    def number(self, key: str) -> float:
+        """A number; with a lower bound, finite and at least that."""
+        value, low = self._find(key), self._key(key).low
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not number or (low is not None and not low <= value < math.inf):
             raise self.bad_value(key, "a number" if low is None else f"a number from {low:g}")
         return float(value)
 
-    def whole_number(self, key: str, default: int | None = None, low: int = 0) -> int:
-        """A whole number of at least ``low``."""
-        value = self.content.get(key, default)
-        if type(value) is not int or value < low:
-            raise self.bad_value(key, f"a whole number from {low}")
+    def positive_number(self, key: str) -> float:
+        """A number above 0, as it is written."""
+        value: Any = self._find(key)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
+            raise self.bad_value(key, "a positive number")
         return value
 
-    def whole_numbers(self, key: str, default: list[int], empty: bool = False) -> tuple[int, ...]:
+    def whole_number(self, key: str, default: int | None = None) -> int:
+        """A whole number of at least its bound, which is 0 without one."""
+        value, low = self._find(key, default), self._key(key).low or 0
+        if type(value) is not int or value < low:
+            raise self.bad_value(key, f"a whole number from {low:g}")
+        return value
+
+    def whole_numbers(self, key: str, empty: bool = False) -> tuple[int, ...]:
         """A list of whole numbers from 0 without repetitions; ``empty``: it may have none."""
-        values = self.content.get(key, default)
+        values = self._find(key)
         if not isinstance(values, list) or not (values or empty) or not all(type(v) is int and v >= 0 for v in values):
             raise self.bad_value(key, "a list of whole numbers from 0")
         return tuple(dict.fromkeys(values))
 
-    def choice(self, key: str, kind: str, known: Mapping[str, T], default: str = "", where: str = "") -> T:
+    def choice(self, key: str, kind: str, known: Mapping[str, T], where: str = "") -> T:
         """The value in ``known`` with the name under a key; the error message contains ``kind`` and ``where``."""
-        name = self.content.get(key, default or None)
+        name = self._find(key)
         if not isinstance(name, str) or name not in known:
             raise self.error(str(UnknownName(kind, str(name), known, where)))
         return known[name]
@@ -119,7 +129,7 @@ class TomlTable:
         value = self.content.get(key, None if required else {})
         if not isinstance(value, Mapping):
             raise BadExperiment(self.file, key, f"found {brief(value)}, expected a table [{key}]{keys}")
-        return TomlTable(value, self.file, key)
+        return TomlTable(value, self.file, key, self._key(key).form or OPEN)
 
     def tables(self, key: str, owner: str = "") -> list[TomlTable]:
         """The tables [[key]], placed as "key 1", "key 2", ...; ``owner`` ("a study"): needs at least one."""
@@ -128,7 +138,15 @@ class TomlTable:
             raise BadExperiment(self.file, key, f"expected tables [[{key}]]")
         if owner and not values:
             raise BadExperiment(self.file, "", f"no [[{key}]]: {owner} needs at least one")
-        return [TomlTable(value, self.file, f"{key} {number + 1}") for number, value in enumerate(values)]
+        form = self._key(key).form or OPEN
+        return [TomlTable(value, self.file, f"{key} {number + 1}", form) for number, value in enumerate(values)]
+
+    def _key(self, name: str) -> Key:
+        return self.form.keys.get(name, Key("any"))
+
+    def _find(self, key: str, default: Any = None) -> Any:
+        """The value of a key, else the default given, else that of the form."""
+        return self.content.get(key, self._key(key).default if default is None else default)
 
 
 def flatten(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -76,6 +76,25 @@ def test_studies_and_tunings_tell_all_mistakes_too(tmp_path, load, kind):
     assert "also missing key 'method'" in str(raised.value)
 
 
+def test_a_misspelt_key_deep_in_a_study_is_told_in_its_own_table(tmp_path):
+    path = tmp_path / "wrong.toml"
+    path.write_text(
+        '[method]\nuse = "embedded"\n[sequence]\nuse = "lab"\n[limits]\nmemory_mib = 5\n'
+        '[[factor]]\nlevels = [5, 10]\nunitt = "x"\n[[response]]\nmetric = "ate_rmse_m"\nscael = "log"\n'
+        '[[design]]\nkind = "grid"\nfactors = []\npionts = 3\n'
+    )
+    with pytest.raises(BadExperiment) as raised:
+        load_study(path, "x")
+    text = str(raised.value)
+    for part in (
+        "limits: no key named 'memory_mib'; known: run_s",
+        "response 1: no key named 'scael' (did you mean 'scale'?)",
+        "factor 1: no key named 'unitt' (did you mean 'unit'?)",
+        "design 1: no key named 'pionts' (did you mean",
+    ):
+        assert text.count(part) == 1, part
+
+
 @pytest.mark.parametrize(("path", "kind"), shipped(), ids=lambda value: getattr(value, "name", ""))
 def test_shipped_files_fit_model_and_schema(path, kind):
     jsonschema = pytest.importorskip("jsonschema")

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, get_args
 
 import typer
 
+from evalkit.config.forms import Kind
 from evalkit.core.errors import UnknownName
 from evalkit.io.output_files import write_texts
 from evalkit.terminal.options import out
-
-if TYPE_CHECKING:
-    from evalkit.config.models import Kind
-
-KINDS: Mapping[str, Kind] = {"experiment": "experiment", "study": "study", "tuning": "tuning"}
 
 
 def schema(
@@ -30,9 +25,10 @@ def schema(
     """
     from evalkit.config.models import make_schema  # noqa: PLC0415 - loads pydantic
 
-    if kind not in KINDS:
-        raise UnknownName("kind of file", kind, KINDS)
-    text = json.dumps(make_schema(KINDS[kind]), indent=1) + "\n"
+    kinds: dict[str, Kind] = {name: name for name in get_args(Kind)}
+    if kind not in kinds:
+        raise UnknownName("kind of file", kind, kinds)
+    text = json.dumps(make_schema(kinds[kind]), indent=1) + "\n"
     if file is None:
         out.file.write(text)
     else:

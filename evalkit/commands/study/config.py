@@ -12,6 +12,7 @@ from evalkit.commands.study.factors import Factor, FactorLevel, Scale, Settings,
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Kind, Point, Response, Study
 from evalkit.commands.study.sampling import sample
 from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.forms import RESPONSE, STUDY
 from evalkit.config.toml_tables import TomlTable, all_mistakes, flatten
 from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief
 from evalkit.io.toml import load_toml
@@ -20,9 +21,6 @@ from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value, resolve_parameters
 
-GROUPS = ("method", "sequence", "mapper", "limits")
-TOP = ("title", "description", "seeds", *GROUPS, "response", "factor", "design", "envelope")
-DESIGN = ("name", "kind", "factors", "points", "resolution", "seed", "seeds", "deal", "with")
 REQUIRED = {"optimal": "points", "sobol": "points", "latin": "points", "fractional": "resolution"}
 """The key that a kind of design requires."""
 
@@ -36,8 +34,8 @@ def load_study(path: Path, command: str) -> Study:
 
 def study_from_tables(content: Mapping[str, Any], file: str, command: str) -> Study:
     """The study of a file's tables; ``file`` is named in errors, ``command`` runs the study."""
-    table = TomlTable(content, file)
-    table.check_keys(TOP)
+    table = TomlTable(content, file, form=STUDY)
+    table.check_keys()
     base = _BaseSettings(table)
     factors = [_read_factor(each, base) for each in table.tables("factor", "a study")]
     responses = [_read_response(each) for each in table.tables("response", "a study")]
@@ -47,7 +45,7 @@ def study_from_tables(content: Mapping[str, Any], file: str, command: str) -> St
             raise table.error(f"two {kind}s are named '{doubled[0]}'; give one another name")
     return Study(
         table.text("title", Path(file).stem),
-        table.text("description", ""),
+        table.text("description"),
         command,
         base.method.backend,
         base.sequence.dataset,
@@ -74,7 +72,7 @@ class _BaseSettings:
         if "seeds" in table.content:
             groups["sequence"]["seeds"] = table.content["seeds"]
         limits = table.table("limits", "")
-        limits.check_keys(("run_s",))
+        limits.check_keys()
         content = {
             "method": [groups["method"]], "sequence": [groups["sequence"]], "mapper": table.content.get("mapper", {}),
             "limits": limits.content,
@@ -135,7 +133,7 @@ class _BaseSettings:
             return self.sequence.seeds
         if self.sequence.seeds == (None,):
             raise table.error(f"'seeds': {self.sequence.dataset} is a recording and has none; remove the key")
-        return table.whole_numbers("seeds", [])
+        return table.whole_numbers("seeds")
 
 
 def _read_factor(table: TomlTable, base: _BaseSettings) -> Factor:
@@ -147,9 +145,9 @@ def _read_factor(table: TomlTable, base: _BaseSettings) -> Factor:
 
 
 def _read_response(table: TomlTable) -> Response:
-    table.check_keys(("metric", "scale", "lost"))
+    table.check_keys()
     metric = table.choice("metric", "metric", {metric.name: metric for metric in all_metrics()})
-    scale: Any = table.content.get("scale", "linear")
+    scale: Any = table.content.get("scale", RESPONSE.default("scale"))
     if scale not in get_args(Scale):
         raise table.bad_value("scale", "linear or log")
     lost = table.content.get("lost")
@@ -161,7 +159,7 @@ def _read_response(table: TomlTable) -> Response:
 
 def _read_design(table: TomlTable, factors: list[Factor], base: _BaseSettings) -> Design:
     table = _label_table(table)
-    table.check_keys(DESIGN)
+    table.check_keys()
     kinds: dict[str, Kind] = {kind: kind for kind in get_args(Kind)}
     kind = table.choice("kind", "kind of design", kinds)
     numbers = {key: _read_number(table, key, kind) for key in ("points", "resolution")}
@@ -169,10 +167,10 @@ def _read_design(table: TomlTable, factors: list[Factor], base: _BaseSettings) -
     if not isinstance(table.content.get("with", {}), Mapping):
         raise table.bad_value("with", "a table of settings")
     with table.errors():
-        positions, levels = sample(kind, chosen, **numbers, seed=table.whole_number("seed", 0))
+        positions, levels = sample(kind, chosen, **numbers, seed=table.whole_number("seed"))
     fixed = flatten(table.content.get("with", {}))
     points = tuple(base.point(row, fixed, table) for row in levels)
-    dealt = table.flag("deal", default=False, meaning="one seed a point, in turn")
+    dealt = table.flag("deal")
     name = table.text("name", kind)
     return Design(name, kind, chosen, positions, points, base.seeds(table), numbers["resolution"], dealt)
 
@@ -180,7 +178,7 @@ def _read_design(table: TomlTable, factors: list[Factor], base: _BaseSettings) -
 def _read_number(table: TomlTable, key: str, kind: Kind) -> int:
     """The value of a key that this kind of design requires, 0 if the kind has no such key."""
     if REQUIRED.get(kind) == key:
-        return table.whole_number(key, low=1)
+        return table.whole_number(key)
     if key in table.content:
         found = brief(table.content[key])
         raise table.error(f"'{key}': found {found}; a design '{kind}' has none, remove the key")
@@ -205,7 +203,7 @@ def _read_chosen_factors(table: TomlTable, factors: list[Factor]) -> tuple[Facto
 
 
 def _read_envelope(table: TomlTable, designs: list[Design], responses: list[Response]) -> EnvelopeChoice:
-    table.check_keys(("design", "x", "y", "metric", "limit"))
+    table.check_keys()
     grids = {design.name: design for design in designs if design.kind == "grid"}
     grid = table.choice("design", "grid design", grids)
     ordered = {factor.name: factor.name for factor in grid.factors if factor.numbers is not None}

@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any, Literal
 
 from evalkit.commands.study.design import DesignAxis
+from evalkit.config.forms import FACTOR
 from evalkit.config.toml_tables import TomlTable
 from evalkit.core.errors import brief
 from evalkit.plugins.parameters import Value
@@ -94,7 +95,7 @@ def read_factor(table: TomlTable, base: Settings) -> Factor:
 
     Its default is the level that agrees with ``base``. Raises BadExperiment with the key that is wrong.
     """
-    table.check_keys(("name", "sets", "levels", "scale", "unit"))
+    table.check_keys(FACTOR.keys)
     given = table.content.get("levels")
     if not given or not isinstance(given, (list, Mapping)):
         raise table.bad_value("levels", "a list of at least two values, or a table of named settings")
@@ -102,7 +103,7 @@ def read_factor(table: TomlTable, base: Settings) -> Factor:
     levels = _read_plain_levels(table, given, sets) if isinstance(given, list) else _read_named_levels(table, given)
     if len(levels) < 2 or len({level.label for level in levels}) < len(levels):
         raise table.bad_value("levels", "at least two that differ")
-    name, scale = table.content.get("name", "".join(sets[:1])), table.content.get("scale", "linear")
+    name, scale = table.content.get("name", "".join(sets[:1])), table.content.get("scale", FACTOR.default("scale"))
     if not name or not isinstance(name, str):
         raise table.bad_value("name", "a text (a factor of named levels needs one)")
     if scale not in ("linear", "log"):

@@ -12,6 +12,7 @@ from evalkit.commands.study.plan import Response
 from evalkit.commands.tune.plan import TUNED, Training, TunableMethod, Tuning
 from evalkit.commands.tune.space import METHOD, SHARED, Space, list_own_parameters, make_declared_factors, settings
 from evalkit.config.experiment import Experiment, Method, SequenceSpec, experiment_from_tables
+from evalkit.config.forms import TUNING
 from evalkit.config.toml_tables import TomlTable, all_mistakes
 from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.io.toml import load_toml
@@ -20,13 +21,8 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import Parameter, Value
 
-TOP = ("title", "description", "points", "seed", "run_cpu_s", "objective", "mapper", "limits", "method",
-       "training", "held-out")  # fmt: skip
-POINTS = 24
 MIN_CONFIRM_RUNS = 4
 """Fewest runs on fresh seeds to decide on: fewer give no useful interval."""
-
-METRIC, LOST_M, RUN_CPU_S = "ate_rmse_m", 1.0, 60.0
 
 
 def load_tuning(path: Path, name: str, command: str) -> Tuning:
@@ -38,8 +34,8 @@ def load_tuning(path: Path, name: str, command: str) -> Tuning:
 
 def tuning_from_tables(content: Mapping[str, Any], file: str, name: str, command: str) -> Tuning:
     """The tuning of a file's tables; ``file`` is named in errors, ``command`` runs the tuning."""
-    table = TomlTable(content, file)
-    table.check_keys(TOP)
+    table = TomlTable(content, file, form=TUNING)
+    table.check_keys()
     methods = table.tables("method", "a tuning")
     held_out = _make_plan(table, table.tables("held-out", "a tuning"), "held-out")
     for method in held_out.methods:
@@ -51,12 +47,12 @@ def tuning_from_tables(content: Mapping[str, Any], file: str, name: str, command
     return Tuning(
         name,
         table.text("title", name),
-        table.text("description", ""),
+        table.text("description"),
         command,
-        table.whole_number("points", POINTS, low=2),
-        table.whole_number("seed", 0),
+        table.whole_number("points"),
+        table.whole_number("seed"),
         _read_objective(table.table("objective", " with metric and lost")),
-        table.number("run_cpu_s", RUN_CPU_S, low=1e-3),
+        table.number("run_cpu_s"),
         tuple(
             _make_tunable(each.labelled(method.label), method)
             for each, method in zip(methods, held_out.methods, strict=True)
@@ -95,7 +91,8 @@ def _make_plan(table: TomlTable, sequences: Sequence[TomlTable], kind: str) -> E
     """The experiment of the methods on some sequences; ``kind`` names these in errors."""
     methods = [_remove_key(each, "search") for each in table.tables("method", "a tuning")]
     rest = {key: table.content[key] for key in ("mapper", "limits") if key in table.content}
-    content = {**rest, "method": methods, "sequence": [_remove_key(each, "confirm") for each in sequences]}
+    own = [_remove_key(each, "confirm") if kind == "training" else each.content for each in sequences]
+    content = {**rest, "method": methods, "sequence": own}
     try:
         return experiment_from_tables(content, table.file, "tuning", "tuning")
     except BadExperiment as error:
@@ -128,7 +125,7 @@ def _read_training(table: TomlTable) -> tuple[Training, ...]:
 
 def _read_confirm_seeds(table: TomlTable, sequences: Sequence[SequenceSpec], sequence: SequenceSpec) -> tuple[int, ...]:
     """The fresh seeds of a sequence: no training table searches with any of them on the same data set."""
-    seeds = table.whole_numbers("confirm", [], empty=True)
+    seeds = table.whole_numbers("confirm", empty=True)
     if seeds and sequence.seeds == (None,):
         raise table.error(f"'confirm': {sequence.dataset} is a recording and has no seeds; remove the key")
     searched = {seed for each in sequences if each.dataset == sequence.dataset for seed in each.seeds}
@@ -203,9 +200,9 @@ def _make_factor(
 
 
 def _read_objective(table: TomlTable) -> Response:
-    table.check_keys(("metric", "lost"))
+    table.check_keys()
     with_walls = {metric.name for metric in spans.METRICS}  # spans end at walls; training runs draw no map
     metrics = {m.name: m for m in all_metrics() if m.better == "lower" and m.group in ("drift", "relations")}
     known = {name: metric for name, metric in metrics.items() if (metric.counterpart or name) not in with_walls}
-    metric = table.choice("metric", "error of a trajectory whose lower values are better", known, METRIC)
-    return Response(metric, "log", table.number("lost", LOST_M, low=1e-9))
+    metric = table.choice("metric", "error of a trajectory whose lower values are better", known)
+    return Response(metric, "log", table.number("lost"))
