@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.progress import Progress
 
 from evalkit.core.errors import EvalkitError, UnknownName
@@ -22,8 +21,8 @@ from evalkit_datasets.fetch import fetch, list_downloads, why_offline
 from evalkit_datasets.inspection.findings import format_count
 
 app = typer.Typer(help="List, download and generate recordings.", no_args_is_help=True, add_completion=False)
-out = Console(soft_wrap=True)
-err = Console(stderr=True, soft_wrap=True)
+out = options.WordConsole(soft_wrap=True)
+err = options.WordConsole(stderr=True, soft_wrap=True)
 PLAIN: dict[str, Any] = {"highlight": False, "markup": False}
 
 

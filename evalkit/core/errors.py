@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import errno
+import unicodedata
 from collections.abc import Iterable
 
 _MACHINE_ERRORS = frozenset(
@@ -25,9 +26,24 @@ def plain(text: str) -> str:
     """
     if len(text) > MAX_MESSAGE:
         text = f"{text[: MAX_MESSAGE // 2]} [...] {text[-MAX_MESSAGE // 4 :]}"
+    return show_controls(text, keep="")
+
+
+def show_controls(text: str, keep: str = "\n\t") -> str:
+    r"""Return a text with what a terminal would obey, or a reader not see, escaped: control and formatting characters.
+
+    ``keep``: characters that stay as they are. Every kind of space stays, unless ``keep`` is empty.
+
+    >>> show_controls("\033[31mred\n")
+    '\\x1b[31mred\n'
+    """
     if text.isprintable():
         return text
-    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+    return "".join(
+        char if char.isprintable() or char in keep or (keep and unicodedata.category(char) == "Zs")
+        else char.encode("unicode_escape").decode()
+        for char in text
+    )  # fmt: skip
 
 
 def brief(value: object) -> str:

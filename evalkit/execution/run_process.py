@@ -10,12 +10,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
+from numpy.typing import NDArray
+
 from evalkit.config.experiment import Limits
-from evalkit.core.errors import MachineFault
+from evalkit.core.errors import MachineFault, plain
 from evalkit.core.map_start import MapStart
 from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
 from evalkit.execution.conditions import ConditionsMeter
-from evalkit.execution.subprocesses import OUTPUT, ChildProcess, Usage
+from evalkit.execution.subprocesses import OUTPUT, ChildProcess
+from evalkit.execution.usage import Usage
 from evalkit.execution.worker import MACHINE_FAULT_CODE, Request
 from evalkit.io import untrusted_io
 from evalkit.io.output_files import as_store_error, write_text
@@ -27,6 +31,18 @@ REQUEST, STARTED, OUTCOME = "request.json", "started.json", "outcome.json"
 KNOWN = {"cause": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
          "every": int, "reading": bool, "conditions": dict, "final_cpu_ns": int, "start": dict}  # fmt: skip
 """Keys and types accepted from ``STARTED`` and ``OUTCOME``, because a back end can write to the folder of its run."""
+
+COUNTS = {"expected": (0, 2**31), "peak_memory_bytes": (0, 2**50), "warm_up_scans": (0, 2**31), "every": (1, 2**31),
+          "final_cpu_ns": (0, 2**63)}  # fmt: skip
+"""The smallest value of each number accepted, and a bound above the largest."""
+
+REPORTED = frozenset(
+    {Cause.COMPLETED, Cause.EXCEPTION, Cause.MEMORY_ERROR, Cause.MACHINE_FAULT, Cause.NOT_INSTALLED, Cause.DATA_MISSING}
+)
+"""Causes that the process of a run may report itself; the others are seen from outside."""
+
+MAX_REPORT_BYTES = 2**20
+"""Size of ``STARTED`` and ``OUTCOME``; beyond it they are not read."""
 
 Ending = tuple[Cause, str]
 """A cause and its reason."""
@@ -84,7 +100,7 @@ class _Supervision:
         size = 0
         last_answer = Usage(0.0, 0.0, 0)
         for used in self._child.watch():
-            self._started = _read(self._folder / STARTED) or self._started
+            self._started = _read(self._folder / STARTED) | self._started_for_good()
             self._peak_bytes = max(self._peak_bytes, used.resident_bytes)
             self._meter.update(used.cpu_s)
             grown = os.fstat(self._answers.fileno()).st_size
@@ -93,6 +109,8 @@ class _Supervision:
             if grown > size:
                 size = grown
                 report_answers(size // STEP.itemsize)
+            if grown > untrusted_io.MAX_BYTES:
+                return Cause.NO_OUTCOME, f"{STEPS} grew beyond {untrusted_io.MAX_BYTES} bytes"
             if stop.is_set():
                 return Cause.INTERRUPTED, "interrupted"
             if (self._folder / OUTCOME).exists():
@@ -103,16 +121,21 @@ class _Supervision:
 
     def result(self, ending: Ending | None) -> RunResult:
         """How the run went, once its process has ended. ``ending``: what ended it from outside, if anything did."""
-        self._answers.seek(0)
-        steps = whole_records(self._answers.read())
         values: dict[str, Any] = {"expected": 0, "peak_memory_bytes": 0}
-        values |= self._started | _read(self._folder / STARTED) | _read(self._folder / OUTCOME)
+        values |= _read(self._folder / STARTED) | _read(self._folder / OUTCOME) | self._started_for_good()
         values.pop("reading", None)
+        self._answers.seek(0)  # a file that something else has made huge is not read whole
+        most = 2 * (values["expected"] + 1) * STEP.itemsize if values["expected"] else untrusted_io.MAX_BYTES
+        steps = whole_records(self._answers.read(min(most, untrusted_io.MAX_BYTES)))
         values["peak_memory_bytes"] = max(values["peak_memory_bytes"], self._peak_bytes)
         cause, reason = values.pop("cause", None), values.pop("reason", "")
-        if cause not in set(Cause) or (cause != Cause.COMPLETED and not reason):
+        if cause not in REPORTED or (cause != Cause.COMPLETED and not reason):
             ending = ending or _ending_without_outcome(self._child, self._folder)
-        cause, reason = ending or (Cause(cause), reason)
+        cause, reason = ending or (Cause(cause), plain(reason))
+        sound = _count_sound(steps)
+        if sound < len(steps):
+            cause, reason = Cause.NO_OUTCOME, f"{STEPS} is damaged after {sound} answers: something else wrote to it"
+            steps = steps[:sound]
         values["conditions"] = self._meter.conclude(values.get("conditions", {}))
         try:
             values["start"] = MapStart.of(values["start"]) if "start" in values else None
@@ -127,14 +150,18 @@ class _Supervision:
                 cause, reason = Cause.NO_OUTCOME, f"the corrected poses cannot be read: {error}"
         return RunResult(steps, cause=cause, reason=reason, **values)
 
+    def _started_for_good(self) -> dict[str, Any]:
+        """What was read before the first answer, and so before a back end could write it in most runs."""
+        return self._started if "warm_up_scans" in self._started else {}
+
 
 def _broken_limit(limits: Limits, used: Usage, last_answer: Usage, peak_bytes: int, answered: int) -> Ending | None:
     """The first limit that a run broke. ``last_answer``: what it had used at its last answer."""
     if peak_bytes > limits.memory_mib * 2**20:
         return Cause.MEMORY_LIMIT, f"used more than {limits.memory_mib} MiB"
-    if used.wall_s > limits.run_s:
+    if used.exceeds_wall(limits.run_s):
         return Cause.TIME_LIMIT, f"not finished after {limits.run_s:g} s"
-    if used.wall_s - last_answer.wall_s > limits.scan_s:
+    if used.exceeds_wall(limits.scan_s, last_answer):
         return Cause.TIME_LIMIT, f"no answer for {limits.scan_s:g} s after scan {answered}"
     if used.cpu_s > limits.run_cpu_s:
         return Cause.CPU_TIME_LIMIT, f"not finished after {limits.run_cpu_s:g} s of CPU time"
@@ -145,11 +172,30 @@ def _broken_limit(limits: Limits, used: Usage, last_answer: Usage, peak_bytes: i
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        content = untrusted_io.parse_json(untrusted_io.read_bytes(path))
+        content = untrusted_io.parse_json(untrusted_io.read_bytes(path, MAX_REPORT_BYTES))
     except (OSError, ValueError):  # not written yet, or removed or overwritten by the back end
         return {}
     known = content if isinstance(content, dict) else {}
-    return {name: value for name, value in known.items() if type(value) is KNOWN.get(name)}
+    return {name: value for name, value in known.items() if _is_sound(name, value)}
+
+
+def _is_sound(name: str, value: object) -> bool:
+    """Whether a value has the type and the range of its key."""
+    if type(value) is not KNOWN.get(name):
+        return False
+    if isinstance(value, int) and name in COUNTS:
+        low, above = COUNTS[name]
+        return low <= value < above
+    if name == "notes" and isinstance(value, dict):
+        return all(key.isprintable() and type(count) is int for key, count in value.items())
+    return True
+
+
+def _count_sound(steps: NDArray[np.void]) -> int:
+    """The number of records at the beginning whose stamps increase and whose poses are finite."""
+    wrong = ~(np.isfinite(steps["x"]) & np.isfinite(steps["y"]) & np.isfinite(steps["theta"]))
+    wrong[1:] |= steps["stamp_ns"][1:] <= steps["stamp_ns"][:-1]
+    return int(wrong.argmax()) if wrong.any() else len(steps)
 
 
 def _ending_without_outcome(child: ChildProcess, folder: Path) -> Ending:

@@ -14,9 +14,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from evalkit.execution.subprocesses import ChildProcess, Usage, end_with_parent
+from evalkit.execution.subprocesses import ChildProcess, end_with_parent
 from evalkit.execution.task import AnyTask, Result, Task, make_task
 from evalkit.execution.task_store import read_result, write_result
+from evalkit.execution.usage import Usage
 
 SYSTEM_PATH, REQUEST, RESULT = "path.pickle", "request.pickle", "result.npz"
 PLACE = "place.txt"

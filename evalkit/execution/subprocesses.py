@@ -19,7 +19,6 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from io import RawIOBase
 from multiprocessing import parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -35,6 +34,7 @@ from evalkit.core.errors import MachineFault, NotInstalled
 from evalkit.execution import supervisor
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.execution.supervisor import PARENT
+from evalkit.execution.usage import Usage, read_waited_s
 from evalkit.plugins.registry import MARK
 
 Parameters = ParamSpec("Parameters")
@@ -56,31 +56,6 @@ OUTPUT = "output.txt"
 """File in the folder of a child with its standard output and standard error."""
 
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl
-
-
-BUSY, IDLE, WORKING = 3.0, 0.02, 0.8
-"""A child on a busy machine may take this many times its limit by the wall clock: one whose CPU time lies between these
-shares of the limit. Below it waits, above it had its time.
-"""
-
-
-@dataclass(frozen=True, slots=True)
-class Usage:
-    """Resources that a child and its descendants have used: wall clock and CPU time in seconds, resident memory."""
-
-    wall_s: float
-    cpu_s: float
-    resident_bytes: int
-
-    def exceeds(self, limit_s: float, begin: Usage | None = None) -> bool:
-        """Whether a time limit, counted from ``begin``, is exceeded: by a child that works, or that waits.
-
-        A child that got some CPU time, but less than it needs, is on a busy machine: it has ``BUSY`` times the limit.
-        """
-        wall_s = self.wall_s - (begin.wall_s if begin else 0.0)
-        cpu_s = self.cpu_s - (begin.cpu_s if begin else 0.0)
-        starved = IDLE * limit_s < cpu_s < WORKING * limit_s
-        return wall_s > (BUSY * limit_s if starved else limit_s)
 
 
 class ChildProcess:
@@ -106,7 +81,7 @@ class ChildProcess:
         )  # fmt: skip
         self._started_at = self._searched_at = time.monotonic()
         self._members: list[psutil.Process] = []
-        self._cpu_s, self._last_line = 0.0, ""
+        self._cpu_s, self._waited_s, self._last_line = 0.0, 0.0, ""
 
     def __enter__(self) -> ChildProcess:
         return self
@@ -142,14 +117,16 @@ class ChildProcess:
             self._searched_at = time.monotonic()
             with contextlib.suppress(psutil.Error):  # ended meanwhile
                 self._members = psutil.Process(self._process.pid).children(recursive=True)
-        memory, cpu_s = 0, 0.0
+        memory, cpu_s, waited_s = 0, 0.0, 0.0
         for member in self._members:
             with contextlib.suppress(psutil.Error):  # ended meanwhile
                 memory += int(member.memory_info().rss)
                 times = member.cpu_times()
                 cpu_s += times.user + times.system + times.children_user + times.children_system
+                waited_s = max(waited_s, read_waited_s(member.pid))
         self._cpu_s = max(self._cpu_s, cpu_s)  # an ended child is not counted until its parent has waited for it
-        return Usage(time.monotonic() - self._started_at, self._cpu_s, memory)
+        self._waited_s = max(self._waited_s, waited_s)
+        return Usage(time.monotonic() - self._started_at, self._cpu_s, memory, self._waited_s)
 
     def _terminate(self) -> None:
         """End the process and its descendants by the supervisor, then all processes of its session and its mark."""

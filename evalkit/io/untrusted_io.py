@@ -26,7 +26,7 @@ _NPY = re.compile(
 """The header that NumPy writes for arrays of numbers and strings; matched, never evaluated."""
 
 
-def read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
     """Return the content of a regular file; raises ValueError for another kind and for one that is too large.
 
     A pipe would block and a device never end. A symbolic link is not followed. Raises OSError if it cannot be read.
@@ -34,9 +34,9 @@ def read_bytes(path: Path) -> bytes:
     file = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0))
     with open(file, "rb") as stream:  # noqa: PTH123 - a descriptor
         state = os.fstat(file)
-        if not stat.S_ISREG(state.st_mode) or state.st_size > MAX_BYTES:
-            raise ValueError(f"{path.name} is no file, or larger than {MAX_BYTES} bytes")
-        return stream.read(MAX_BYTES)
+        if not stat.S_ISREG(state.st_mode) or state.st_size > limit:
+            raise ValueError(f"{path.name} is no file, or larger than {limit} bytes")
+        return stream.read(state.st_size)  # not the limit: that much would be allocated
 
 
 def parse_json(text: str | bytes) -> Any:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from statistics import median
 
+from evalkit.core.errors import show_controls
 from evalkit.core.run_result import LostTrack
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis.pairwise import PairedDifference
@@ -16,8 +17,12 @@ from evalkit.stats.runs import MIN_RUNS
 
 
 def escape_markdown(text: str) -> str:
-    r"""Escape what Markdown, or the HTML made of it, reads as mark-up: ``[a](b)`` becomes ``[a]\(b)``."""
-    return re.sub(r"([\\`|]|(?<=\])\()", r"\\\1", text).replace("&", "&amp;").replace("<", "&lt;")
+    r"""Escape what Markdown, or the HTML made of it, reads as mark-up: ``[a](b)`` becomes ``[a]\(b)``.
+
+    Also the sign of a heading, list or quotation at the beginning, and control characters.
+    """
+    marked = re.sub(r"([\\`|*]|(?<=\])\(|^[#>+-](?=[\s#]))", r"\\\1", show_controls(text))
+    return marked.replace("&", "&amp;").replace("<", "&lt;")
 
 
 def format_number(value: float, digits: int) -> str:

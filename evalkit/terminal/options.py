@@ -6,14 +6,16 @@ import json
 import shlex
 import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 
+from evalkit.core.errors import show_controls
 from evalkit.plugins import registry
 
 if TYPE_CHECKING:
@@ -21,7 +23,18 @@ if TYPE_CHECKING:
 
 
 class WordConsole(Console):
-    """A console that wraps at words on a terminal, and nowhere else."""
+    """A console that wraps at words on a terminal, and nowhere else.
+
+    What it prints may come from a stranger: control characters are shown, not obeyed, and ":x:" stays ":x:".
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(emoji=False, **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Render as ``Console.render``, with the control characters of texts escaped."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=show_controls(segment.text))
 
     def print(self, *objects: Any, **options: Any) -> None:
         """Print as ``Console.print``; in a text without mark-up, a word longer than a line stays whole."""

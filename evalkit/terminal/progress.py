@@ -10,13 +10,13 @@ from statistics import fmean
 
 from rich import box
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
 from evalkit.config.experiment import Experiment, RunSpec
 from evalkit.core.run_result import RunResult, RunStatus
+from evalkit.terminal.options import WordConsole
 
 WIDE = 10_000
 """Width of a table that is piped, in columns: one line per row."""
@@ -56,13 +56,14 @@ class _Display:
 
     def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
         self._console, self._quiet, self._total, self._done = console, quiet, total, 0
-        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+        text = TextColumn("{task.description}", markup=False)
+        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), text)
         self.bar = Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal)
         self._task = self.bar.add_task("starting", total=total)
 
     def show(self, text: str, time_left: str) -> None:
         """Update the bar, if there is one."""
-        self.bar.update(self._task, completed=self._done, description=f"{time_left}  {escape(text)}".rstrip())
+        self.bar.update(self._task, completed=self._done, description=f"{time_left}  {text}".rstrip())
 
     def line(self, text: str) -> None:
         """Print a line."""
@@ -182,7 +183,7 @@ def print_table(console: Console, table: Table) -> None:
         if sum(longest) + 3 * len(longest) <= console.width:
             for column, size in zip(table.columns, longest, strict=True):
                 column.min_width = size
-    (console if console.is_terminal else Console(width=WIDE)).print(table)
+    (console if console.is_terminal else WordConsole(width=WIDE)).print(table)
 
 
 def format_unavailable(experiment: Experiment) -> list[str]:

@@ -62,6 +62,10 @@ EXPECTED = (
     ("chdir", "complete", ""),
     ("remove-folder", "failed", "folder was removed"),
     ("forge", "failed", "outcome.json contains no valid outcome"),
+    ("claim-interruption", "failed", "outcome.json contains no valid outcome"),
+    ("claim-numbers", "complete", ""),
+    ("scribble", "failed", f"steps.bin is damaged after {AT} answers"),
+    ("swell", "failed", f"steps.bin is damaged after {AT} answers"),
     ("pipe", "failed", "outcome.json contains no valid outcome"),
     ("links", "failed", "code 9"),
     ("linger", "complete", ""),
@@ -168,6 +172,13 @@ def test_no_fault_leaves_a_process_behind(runs, root, earlier):
 def find_processes(folder):
     """Return the processes with a folder, or a path inside it, on their command line."""
     return [process.pid for process in psutil.process_iter(["cmdline"]) if str(folder) in str(process.info["cmdline"])]
+
+
+def test_numbers_that_a_back_end_writes_as_its_outcome_do_not_replace_those_of_the_run(strangers, tmp_path):
+    run = execute_run(tmp_path / "run", request("claim-numbers"))
+    assert (run.expected, run.every, dict(run.notes)) == (SCANS, 1, {})
+    assert run.peak_memory_bytes > 0
+    assert len(run.steps) == AT
 
 
 def test_links_that_a_back_end_plants_are_not_followed(strangers, tmp_path):

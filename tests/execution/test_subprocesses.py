@@ -11,7 +11,39 @@ import psutil
 import pytest
 
 from evalkit.core.errors import NotInstalled
-from evalkit.execution import subprocesses
+from evalkit.execution import subprocesses, usage
+
+
+@pytest.mark.parametrize(
+    ("wall_s", "waited_s", "exceeded"),
+    [(9.0, 0.0, False), (11.0, 0.0, True), (28.0, 19.0, False), (28.0, 17.0, True), (31.0, 30.0, True)],
+)
+def test_time_that_a_run_waits_for_a_core_does_not_count_up_to_three_times_its_limit(wall_s, waited_s, exceeded):
+    assert usage.Usage(wall_s, 1.0, 0, waited_s).exceeds_wall(10.0) is exceeded
+    begin = usage.Usage(100.0, 50.0, 0, 40.0)
+    assert usage.Usage(100.0 + wall_s, 51.0, 0, 40.0 + waited_s).exceeds_wall(10.0, begin) is exceeded
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts the time without a core")
+def test_time_without_a_core_is_read_of_another_process():
+    """Two processes share one core: each waits while the other works; one that sleeps does not wait."""
+    core = min(os.sched_getaffinity(0))
+    spin = f"import os\nos.sched_setaffinity(0, {{{core}}})\nwhile True: pass"
+    children = [subprocess.Popen([sys.executable, "-c", spin]) for _ in range(2)]
+    sleeper = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    try:
+        deadline = time.monotonic() + 20.0
+        while min(usage.read_waited_s(one.pid) for one in children) < 0.1 and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert min(usage.read_waited_s(one.pid) for one in children) >= 0.1
+        before = usage.read_waited_s(sleeper.pid)
+        time.sleep(0.1)
+        assert usage.read_waited_s(sleeper.pid) - before < 0.05
+    finally:
+        for one in (*children, sleeper):
+            one.kill()
+            one.wait()
+    assert usage.read_waited_s(sleeper.pid) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -25,9 +57,9 @@ from evalkit.execution import subprocesses
     ],
 )
 def test_a_child_that_gets_too_little_cpu_time_has_three_times_its_limit(wall_s, cpu_s, exceeded):
-    assert subprocesses.Usage(wall_s, cpu_s, 0).exceeds(10.0) is exceeded
-    begin = subprocesses.Usage(100.0, 50.0, 0)
-    assert subprocesses.Usage(100.0 + wall_s, 50.0 + cpu_s, 0).exceeds(10.0, begin) is exceeded
+    assert usage.Usage(wall_s, cpu_s, 0).exceeds(10.0) is exceeded
+    begin = usage.Usage(100.0, 50.0, 0)
+    assert usage.Usage(100.0 + wall_s, 50.0 + cpu_s, 0).exceeds(10.0, begin) is exceeded
 
 
 def test_nothing_starts_on_a_system_without_process_groups(tmp_path, monkeypatch):
@@ -41,7 +73,7 @@ def test_nothing_starts_on_a_system_without_process_groups(tmp_path, monkeypatch
 
 ORPHAN = """
 import multiprocessing, os, signal, time
-from evalkit.execution import subprocesses
+from evalkit.execution import subprocesses, usage
 
 def late():
     os.kill(multiprocessing.parent_process().pid, signal.SIGKILL)

@@ -140,6 +140,32 @@ def _forge() -> None:
     time.sleep(600)
 
 
+def _claim_interruption() -> None:
+    """Say that the machine ended the run, which would be made again for nothing."""
+    (Path(sys.argv[-1]) / "outcome.json").write_text('{"cause": "interrupted", "reason": "not my fault"}')
+    os._exit(0)
+
+
+def _claim_numbers() -> None:
+    """Say that more was done, in numbers out of range, and end."""
+    forged = '{"cause": "completed", "expected": -5, "every": -1, "peak_memory_bytes": -7, "notes": {"a": [1]}}'
+    (Path(sys.argv[-1]) / "outcome.json").write_text(forged)
+    os._exit(0)
+
+
+def _scribble() -> None:
+    """Append bytes of its own to the answers."""
+    with (Path(sys.argv[-1]) / "steps.bin").open("ab") as file:
+        file.write(b"\xff" * 1000)
+    os._exit(9)
+
+
+def _swell() -> None:
+    """Make the file of the answers larger than any memory."""
+    os.truncate(Path(sys.argv[-1]) / "steps.bin", 2**41)
+    os._exit(9)
+
+
 def _plant_pipe() -> None:
     """Replace the outcome of the run by a pipe that nobody writes to."""
     os.mkfifo(Path(sys.argv[-1]) / "outcome.json")
@@ -201,6 +227,10 @@ FAULTS: dict[str, Callable[[], object]] = {
     "chdir": lambda: os.chdir("/"),
     "remove-folder": _remove_folder,
     "forge": _forge,
+    "claim-interruption": _claim_interruption,
+    "claim-numbers": _claim_numbers,
+    "scribble": _scribble,
+    "swell": _swell,
     "pipe": _plant_pipe,
     "links": _plant_links,
     "linger": _linger,

@@ -5,6 +5,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from evalkit.report.formatting import escape_markdown
+
 
 def summarise(report: dict[str, Any]) -> str:
     """Return the Markdown of a validation; of decisive checks that did not pass, what was observed."""
@@ -26,7 +28,7 @@ def summarise(report: dict[str, Any]) -> str:
 
 
 def _escape(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")
+    return escape_markdown(" ".join(text.split()))
 
 
 if __name__ == "__main__":

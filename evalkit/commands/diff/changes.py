@@ -40,7 +40,7 @@ class ChangeText:
 
 def format_markdown(text: ChangeText) -> str:
     """Return the comment for a pull request: the conclusion, the table of changes, the remarks."""
-    lines = [f"**{text.conclusion}**", ""]
+    lines = [f"**{escape_markdown(text.conclusion)}**", ""]
     if text.rows:
         rule = ["---"] * len(text.columns)
         lines += [*map(_format_row, (text.columns, rule, *text.rows)), ""]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from evalkit.commands.export.results import ExportSelection, MetricColumn, SummaryRow
+from evalkit.core.errors import show_controls
 from evalkit.report.formatting import escape_markdown
 
 Width = Literal["column", "text"]
@@ -112,15 +113,17 @@ def format_latex(results: ExportSelection, width: Width = "column") -> Files:
 
 def format_markdown(results: ExportSelection) -> Files:
     """Yield ``summary.md``: the verdict over each sequence and its table."""
-    parts = [f"# {_one_line(str(results.content['title']))}", _one_line(str(results.content["description"]))]
+    parts = [f"# {_escape_cell(str(results.content['title']))}", _escape_cell(str(results.content["description"]))]
     sentences = {verdict["sequence"]: verdict["sentences"] for verdict in results.content["verdicts"]}
     for sequence in results.sequences:
-        listed = "\n".join(f"- {_one_line(text)}" for text in sentences.get(sequence, ()))
+        listed = "\n".join(f"- {_escape_cell(text)}" for text in sentences.get(sequence, ()))
         parts += [f"## {_escape_cell(sequence)}", listed]
         if sequence in results.scored_sequences:
             parts.append(_markdown_table(build_table(results, sequence)))
     parts.append(f"{CAPTION[0].upper()}{CAPTION[1:]}.")
-    parts.append(f"Command: `{_one_line(str(results.content['command']))}`.")
+    command = _one_line(str(results.content["command"]))
+    fence = "`" * (1 + max(map(len, re.findall("`+", command)), default=0))
+    parts.append(f"Command: {fence}{show_controls(command)}{fence}.")
     yield "summary.md", ("\n\n".join(part for part in parts if part) + "\n").encode()
 
 
@@ -131,7 +134,7 @@ def file_name(label: str) -> str:
 
 def escape_latex(text: str) -> str:
     r"""Escape a text for LaTeX: ``paper_map & 5 %`` becomes ``paper\_map \& 5 \%``."""
-    return "".join(_SPECIAL.get(letter, letter) for letter in text)
+    return "".join(_SPECIAL.get(letter, letter) for letter in show_controls(_one_line(text)))
 
 
 def _latex_table(table: PaperTable, sequence: str, width: Width) -> str:

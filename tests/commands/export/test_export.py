@@ -287,9 +287,10 @@ def test_every_latex_special_character_is_escaped():
 
 
 def test_a_name_is_escaped_in_markdown():
-    assert escape_markdown("a|b `c` [x](javascript:alert) <script> \\") == (
-        r"a\|b \`c\` [x]\(javascript:alert) &lt;script> \\"
+    assert escape_markdown("a|b `c` *d* [x](javascript:alert) <script> \\ \x1b[2J") == (
+        r"a\|b \`c\` \*d\* [x]\(javascript:alert) &lt;script> \\ \\x1b[2J"
     )
+    assert [escape_markdown(text) for text in ("# x", "- x", "-5 %", "a # b")] == [r"\# x", r"\- x", "-5 %", "a # b"]
 
 
 def test_a_name_cannot_include_a_file_in_latex():

@@ -21,7 +21,8 @@ from evalkit.commands.validate.rules.registration_rules import RegistrationFixtu
 from evalkit.commands.validate.rules.rule import Rule, RuleReport, RuleResult, check_rule
 from evalkit.commands.validate.rules.slam_rules import SlamFixture
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
-from evalkit.execution.subprocesses import ChildProcess, Usage, end_with_parent
+from evalkit.execution.subprocesses import ChildProcess, end_with_parent
+from evalkit.execution.usage import Usage
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, address_of, spec_at
 from evalkit.plugins.parameters import Value, resolve_parameters
