@@ -296,11 +296,12 @@ def test_another_project_finds_the_installed_core_and_uses_the_memory_stated_in_
     (tmp_path / "robot.c").write_text(CONSUMER)
     (tmp_path / "CMakeLists.txt").write_text(PROJECT)
     core, there, robot = (str(tmp_path / name) for name in ("core", "installed", "robot"))
+    debug = ["-DCMAKE_BUILD_TYPE=Debug"]
     for command in (
-        ["cmake", "-S", str(FOLDER), "-B", core, "-DEK_BUILD_TESTS=OFF", "-DEK_BUILD_PROGRAMS=OFF"],
+        ["cmake", "-S", str(FOLDER), "-B", core, "-DEK_BUILD_TESTS=OFF", "-DEK_BUILD_PROGRAMS=OFF", *debug],
         ["cmake", "--build", core],
         ["cmake", "--install", core, "--prefix", there],
-        ["cmake", "-S", str(tmp_path), "-B", robot, f"-DCMAKE_PREFIX_PATH={there}"],
+        ["cmake", "-S", str(tmp_path), "-B", robot, f"-DCMAKE_PREFIX_PATH={there}", *debug],
         ["cmake", "--build", robot],
     ):
         answer = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)

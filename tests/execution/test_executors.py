@@ -139,6 +139,7 @@ def test_a_killed_worker_loses_no_run_and_at_most_two_runs_are_active(workers, t
     assert progress.most <= 3  # two threads, and one run that was lost
 
 
+@pytest.mark.thorough
 def test_a_run_that_kills_two_workers_is_quarantined_and_others_complete(workers, tmp_path):
     deadly = plan("none", "kill-parent", "none", "none")
     made = rows(deadly, tmp_path, run_on_cluster(workers))
@@ -225,7 +226,10 @@ def test_nobody_without_the_keys_reaches_the_cluster_that_evalkit_starts(workers
         distributed.Client(workers.scheduler_address, timeout=1.0, set_as_default=False, security=other)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [*(pytest.param(one, marks=pytest.mark.thorough) for one in (signal.SIGINT, signal.SIGTERM)), signal.SIGKILL],
+)
 def test_no_worker_survives_the_end_of_evalkit(strangers, tmp_path, number):
     pytest.importorskip("distributed")
     (tmp_path / "small.toml").write_text(

@@ -98,6 +98,7 @@ def test_the_page_shows_plan_and_maps_and_explains_how_to_get_a_missing_recordin
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.skipif(bool(recorded_drive.missing()), reason="the recording is not here")
 def test_the_best_method_has_fewest_contradictions_and_fits_the_floor_map(monkeypatch):
     known, runs = registry.dataset, {}

@@ -94,6 +94,7 @@ QUICK = {
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_fast_turns_cause_spikes_and_deskewing_removes_them():
     settings = residual_chapter.CHAPTER.settings("test", QUICK)
     results = {task.name: task.run()[0] for task in residual_chapter.CHAPTER.tasks(settings)}

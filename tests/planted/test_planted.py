@@ -23,7 +23,7 @@ NAMES = {one.number: one.name for one in faults.FAULTS}
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler 'cc' here")
 
 
-@pytest.mark.parametrize("number", [0, 38, 53, pytest.param(65, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("number", [0, 53, *(pytest.param(one, marks=pytest.mark.thorough) for one in (38, 65))])
 def test_a_planted_difference_is_the_first_one_named_and_the_correct_library_has_none(number, tmp_path):
     texts = examination.compare(examination.build(number, tmp_path), seed=number + 1)["texts"]
     if number == 0:
@@ -33,7 +33,15 @@ def test_a_planted_difference_is_the_first_one_named_and_the_correct_library_has
 
 
 @pytest.mark.parametrize(
-    ("number", "rule"), [(0, ""), (1, "memory"), (14, "buffers"), (15, "bounds"), (12, "folder"), (86, "few-points")]
+    ("number", "rule"),
+    [
+        (0, ""),
+        (1, "memory"),
+        (14, "buffers"),
+        (15, "bounds"),
+        pytest.param(12, "folder", marks=pytest.mark.thorough),
+        (86, "few-points"),
+    ],
 )
 def test_a_planted_fault_of_state_or_resources_breaks_its_rule(number, rule, tmp_path):
     backend = examination.build(number, tmp_path, "-O2")

@@ -138,6 +138,7 @@ def test_a_point_of_a_slam_scores_its_corrected_poses_and_a_wrong_end_is_a_failu
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_a_killed_study_resumes_without_repeating_finished_points(file, tmp_path):
     kept = tmp_path / "out" / "results"
     command = [
