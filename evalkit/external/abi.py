@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import json
 import sys
+from collections.abc import Iterator
 from ctypes import CFUNCTYPE, POINTER, c_char_p, c_double, c_int32, c_int64, c_size_t, c_void_p
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -106,7 +108,8 @@ def load(name: str, file: Path) -> ctypes.CDLL:
     Raises BackendFailed where the library does not fit the interface.
     """
     try:
-        library = ctypes.CDLL(str(file))
+        with _kept_arithmetic():
+            library = ctypes.CDLL(str(file))
     except OSError as error:
         raise BackendFailed(name, f"does not load ({error})", "build it for this machine, with all it needs") from None
     _declare(name, library, "evalkit_abi", c_int32, [])
@@ -125,6 +128,21 @@ def load(name: str, file: Path) -> ctypes.CDLL:
         if hasattr(library, function):
             _declare(name, library, function, result, arguments)
     return library
+
+
+@contextlib.contextmanager
+def _kept_arithmetic() -> Iterator[None]:
+    """Keep this thread's floating-point controls through the loading of a library.
+
+    One that is linked with -ffast-math flushes small numbers to zero in everything that runs beside it.
+    """
+    environment, libc = (ctypes.c_uint32 * 16)(), ctypes.CDLL(None)
+    known = hasattr(libc, "fegetenv") and libc.fegetenv(ctypes.byref(environment)) == 0
+    try:
+        yield
+    finally:
+        if known:
+            libc.fesetenv(ctypes.byref(environment))
 
 
 def main() -> int:

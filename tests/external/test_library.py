@@ -212,6 +212,16 @@ def test_a_failing_library_gives_its_own_message_as_the_reason(build_variant, ru
     assert said in outcome.reason
 
 
+def test_a_library_linked_with_fast_math_leaves_small_numbers_to_the_others(tmp_path):
+    c = INCLUDE / "examples" / "c"
+    words = ["-shared", "-fPIC", "-ffast-math", "-I", INCLUDE, c / "library.c", c / "icp.c", "-lm"]
+    file = compile_file(tmp_path / "fast.so", "cc", *words)
+    load = "import sys; from pathlib import Path; from evalkit.external import abi; abi.load('x', Path(sys.argv[1]))"
+    code = f"{load}; print(float.fromhex('0x1p-1074') * float(len(sys.argv) - 1) > 0.0)"
+    done = subprocess.run([sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n"
+
+
 def test_a_library_that_crashes_ends_only_its_own_run(build_variant, tmp_path):
     name = build_variant(
         "*answer = *frame->odom_from_base;", "(void)frame; *(volatile int *)answer = 0; __builtin_trap();"
