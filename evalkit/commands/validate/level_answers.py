@@ -19,6 +19,9 @@ from evalkit.execution.task import Result
 UNNAMED = ("different steps from", "different poses", "not both report their", "another answer", "guess is returned")
 """Phrases of a first difference whose cause is not known from the answers alone."""
 
+TRACE_ALONE = "the pose is equal, but not trace"
+"""Of a first difference that says where it shows, not what it is."""
+
 STAGES = {"s2s": "scan to scan", "s2m": "scan to map"}
 
 
@@ -64,7 +67,7 @@ def registrations_level(
     checks += [_equality(place, result, terms, "pair") for place, result in results.items()]
     for place, result in (drawn or {}).items():
         checks += _drawn_checks(place, result, terms)
-    checks = _name_by_questions(checks, drawn or {}, terms)
+    checks = name_traces(_name_by_questions(checks, drawn or {}, terms), drawn or {}, terms)
     checks += _field_checks({**results, **(drawn or {})}, terms)
     completed = {place: result for place, result in results.items() if ENDED not in result}
     if completed:
@@ -199,6 +202,20 @@ def _name_by_questions(checks: list[Check], drawn: Results, terms: ComparisonTer
         return check
 
     return [named(check) for check in checks]
+
+
+def name_traces(checks: list[Check], drawn: Results, terms: ComparisonTerms) -> list[Check]:
+    """The checks, where the trace alone differs with the step that the drawn questions name."""
+    families = [
+        one for result in drawn.values() if ENDED not in result for one in result[terms.margin]["families"].values()
+    ]
+    firsts = [one["first"] for one in families if one["wrong"] and one["first"]]
+    steps = [one for one in firsts if one["quantity"] == "pose"]
+    cause = "".join(f"; {one['kind']}: {one['what']}" for one in steps[:1])
+    return [
+        replace(one, observed=one.observed + cause) if one.outcome == "failed" and TRACE_ALONE in one.observed else one
+        for one in checks
+    ]
 
 
 def _field_checks(results: Results, terms: ComparisonTerms) -> list[Check]:

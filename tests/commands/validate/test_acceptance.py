@@ -10,9 +10,9 @@ import pytest
 import evalkit.commands.validate as package
 from evalkit.commands.validate import plan
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check, Claim, as_junit
-from evalkit.commands.validate.comparison_terms import choose_margin
+from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin
 from evalkit.commands.validate.known_motion import judge_gap
-from evalkit.commands.validate.level_answers import rules_level, waive
+from evalkit.commands.validate.level_answers import TRACE_ALONE, name_traces, rules_level, waive
 from evalkit.commands.validate.rules.rule import RuleResult
 
 SCHEMA = json.loads((Path(package.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
@@ -149,6 +149,16 @@ def test_a_library_in_single_precision_with_a_fault_is_shown_by_what_exceeds_its
     assert choose_margin(questions("precision"), both) == "float32"  # even well separated points show rounding
     assert choose_margin(questions("step"), both) == "exact"
     assert choose_margin(questions(None), both) == "exact"
+
+
+def test_a_trace_that_differs_alone_is_named_by_the_step_of_the_drawn_questions():
+    half = {"kind": "step", "quantity": "pose", "what": "0.5 times the least-squares step"}
+    families = {"clear": {"wrong": 0}, "scales": {"wrong": 2, "first": half}}
+    unnamed = replace(SAME, outcome="failed", observed=f"pair 1, answer: field: {TRACE_ALONE} inliers: in an iteration")
+    terms = ComparisonTerms("mine", "paper", "exact", 0.5)
+    named = name_traces([unnamed, SAME], {"seed 1": {"exact": {"families": families, "where": ""}}}, terms)
+    assert named[0].observed == f"{unnamed.observed}; step: 0.5 times the least-squares step"
+    assert named[1] == SAME
 
 
 def test_the_verdict_names_what_is_waived_beside_equivalent():

@@ -79,10 +79,11 @@ class ObservedStep:
                     yield Mistake(kind, what, self._after(self.before, pairs))
         yield from self._exchanged()
         if self.previous is None:
+            right_start = self._counted(*_nearest(moved, self.target))
             for mistake in mistakes_in_start(self.guess):
                 found = _nearest(se2.transform(mistake.row, self.source), self.target)
                 for pairs in (self._filtered(*found), self._counted(*found)):
-                    if len(pairs) >= MIN_PAIRS:
+                    if len(pairs) >= MIN_PAIRS and not np.array_equal(pairs, right_start):
                         yield Mistake("start", f"another start: {mistake.what}", self._after(mistake.row, pairs))
 
     def _exchanged(self) -> Iterator[Mistake]:

@@ -1,11 +1,17 @@
 """Mistakes in headings, in sine and cosine, and exchanged clouds are named by the pose that they lead to."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from evalkit.commands.validate.equivalence.diagnosis import best_step, find_mistake, mistakes_in_answer
+from evalkit.commands.validate.equivalence.diagnosis import (
+    best_step,
+    find_mistake,
+    mistakes_in_answer,
+    motion_distance_m,
+)
 from evalkit.commands.validate.equivalence.hypotheses import ObservedStep
 from evalkit.commands.validate.equivalence.margins import Margin
 from evalkit.core import se2
@@ -61,6 +67,20 @@ def test_sine_and_cosine_of_two_terms_are_named():
     found = observed_step(se2.compose(step, BEFORE), target, source, pairs).explain()
     assert found is not None
     assert found.what == "points are moved by sine and cosine as series of 2 terms: the rotation is inexact"
+
+
+def test_dropped_pairs_are_no_other_start():
+    target, source, pairs = scene()  # BEFORE, the guess, lies within a quarter turn: folded, it is the same start
+    distance = np.linalg.norm(se2.transform(BEFORE, source[:6]) - target, axis=1)
+    kept = pairs[np.argsort(distance)[:4]]
+    step = best_step(se2.transform(BEFORE, source[kept[:, 0]]), target[kept[:, 1]])
+    observed = replace(observed_step(se2.compose(step, BEFORE), target, source, pairs), count=4)
+    found = observed.explain()
+    assert found is not None
+    assert found.what.startswith("the longest 2 of 6 pairs are dropped, beyond ")
+    explaining = [one.kind for one in observed._simple() if motion_distance_m(one.row, observed.observed, 4.0) < 1e-9]
+    assert explaining
+    assert "start" not in explaining
 
 
 def test_a_margin_holds_by_distance_and_by_turn_across_half_a_turn():
