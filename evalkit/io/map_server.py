@@ -85,17 +85,22 @@ def _classify(settings: dict[str, Any], maximum: int) -> tuple[NDArray[np.float3
     return np.where(occupied, LOG_ODDS, np.where(free, -LOG_ODDS, 0.0)).astype(np.float32), occupied | free
 
 
+def draw_pixels(grid: OccupancyGrid) -> Shades:
+    """Return the grey values (H, W) of a map, row 0 on top: 254 free, 0 occupied, 205 unknown."""
+    pixels = np.full(grid.shape, UNKNOWN, dtype=np.uint8)
+    pixels[grid.free()], pixels[grid.occupied()] = 254, 0
+    return pixels[::-1]
+
+
 def write_map(stem: Path, grid: OccupancyGrid, root: Path | None = None) -> None:
     """Write STEM.pgm (row 0 on top; 254 free, 0 occupied, 205 unknown) and STEM.yaml with every digit.
 
     ``root``: as in ``output_files.write_bytes``. Raises StoreError.
     """
-    pixels = np.full(grid.shape, UNKNOWN, dtype=np.uint8)
-    pixels[grid.free()], pixels[grid.occupied()] = 254, 0
     rows, columns = grid.shape
     size, x, y = (float(value) for value in (grid.resolution_m, grid.origin_x, grid.origin_y))  # no numpy in repr
     header = b"P5\n%d %d\n255\n" % (columns, rows)
-    write_bytes(stem.with_name(stem.name + ".pgm"), header + pixels[::-1].tobytes(), root)
+    write_bytes(stem.with_name(stem.name + ".pgm"), header + draw_pixels(grid).tobytes(), root)
     write_text(
         stem.with_name(stem.name + ".yaml"),
         f"image: {stem.name}.pgm\nmode: trinary\nresolution: {size!r}\norigin: [{x!r}, {y!r}, 0.0]\nnegate: 0\n"

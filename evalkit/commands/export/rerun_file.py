@@ -14,6 +14,7 @@ from evalkit.commands.export.poses import world_poses
 from evalkit.core import se2
 from evalkit.core.errors import NotInstalled
 from evalkit.core.se2 import Floats
+from evalkit.io.map_server import draw_pixels
 from evalkit.io.output_files import staging_folder
 from evalkit.plugins.protocols import Sequence as SensorSequence
 from evalkit.report.html.run_figures import Strokes
@@ -35,8 +36,8 @@ def import_rerun() -> Any:
 def write_rerun(path: Path, runs: Sequence[RunRecord], sequence: SensorSequence | None, strokes: Strokes) -> Path:
     """Write the ``.rrd`` file of a sequence's runs of one seed (at least one); return its path.
 
-    Entities: world/truth, world/<method> with path, base, scan and map, errors/<method>. Metres, z up; seconds
-    since the first scan on the timeline "recording".
+    Entities: world/truth, world/<method> with path, base, scan and walls of the map, maps/<method> (the map as an
+    image), errors/<method>. Metres, z up; seconds since the first scan on the timeline "recording".
     """
     rerun = import_rerun()
     begin = min(int(run.result.steps["stamp_ns"][0]) for run in runs)
@@ -65,6 +66,7 @@ def _log(
         walls = _add_z(run.scores.grid.centres(run.scores.grid.occupied()))
         dots = rerun.Points3D(walls, radii=0.5 * run.scores.grid.resolution_m, colors=[120, 120, 120])
         stream.log(f"world/{name}/map", dots, static=True)
+        stream.log(f"maps/{name}", rerun.Image(draw_pixels(run.scores.grid), color_model="L"), static=True)
     scans = _scans(sequence, stamps.tolist())
     for at, (stamp, row) in enumerate(zip(stamps.tolist(), poses, strict=True)):
         stream.set_time(TIMELINE, duration=np.timedelta64(stamp - begin, "ns"))

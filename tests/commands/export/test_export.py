@@ -1,6 +1,8 @@
 """Exports of a finished comparison, read back by independent readers."""
 
+import csv
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -155,6 +157,23 @@ def test_the_result_files_of_evo_hold_the_errors_that_evo_itself_computes(finish
         assert found.stats[name] == pytest.approx(error.get_statistic(metrics.StatisticsType[name]), abs=1e-6)
     assert found.np_arrays["timestamps"] == pytest.approx(STAMPS * 1e-9, abs=1e-6)
     assert found.info["est_name"].startswith("wheel, ")
+
+
+@pytest.mark.thorough
+def test_evo_res_compares_the_result_files(finished_folder, tmp_path):
+    pytest.importorskip("evo.cli", reason="evo is not installed")
+    zips = [str(path) for path in run_export(finished_folder, "evo")]
+    table = tmp_path / "table.csv"
+    call = [sys.executable, "-c", "from evo.cli.entry_points import res; res()", *zips, "--save_table", str(table)]
+    place = {**os.environ, "HOME": str(tmp_path), "MPLBACKEND": "Agg"}  # it writes its settings at home
+    done = subprocess.run(call, capture_output=True, text=True, check=False, timeout=120, env=place)
+    assert done.returncode == 0, done.stderr
+    with table.open(newline="") as file:
+        rmse = {row[""]: float(row["rmse"]) for row in csv.DictReader(file)}
+    assert rmse == {
+        f"{name}, {AWKWARD}": pytest.approx(OFF[name] * np.sqrt(np.mean(np.arange(N) ** 2.0)), abs=1e-6)
+        for name in ("paper", "wheel")
+    }
 
 
 def test_kitti_files_read_by_evo_have_the_same_poses_and_as_many_of_ground_truth(finished_folder):
@@ -429,7 +448,7 @@ def test_a_rerun_recording_passes_reruns_own_check(finished_folder):
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 0, done.stderr
     told = subprocess.run([*command[:4], "stats", str(path)], capture_output=True, text=True, check=False, timeout=60)
-    for entity in ("/world/truth", "/world/paper/path", "/world/wheel/scan", "/errors/wheel"):
+    for entity in ("/world/truth", "/world/paper/path", "/world/wheel/scan", "/maps/wheel", "/errors/wheel"):
         assert entity in told.stdout
 
 
