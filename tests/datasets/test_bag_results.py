@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from evalkit.config.forms import SEQUENCE
 from evalkit.config.localisation import list_map_files, read_localisation
 from evalkit.config.toml_tables import TomlTable
 from evalkit.core.errors import BadData, BadExperiment, EvalkitError
@@ -195,11 +196,11 @@ def test_a_map_in_a_bag_is_a_known_map_with_an_absolute_address(tmp_path, monkey
     known = load_known_map({"map": f"{path}?map=/map"}, None)
     np.testing.assert_allclose(sorted(map(tuple, known.walls)), [(1.25, 2.25), (1.75, 1.25)], atol=1e-9)
     monkeypatch.chdir(path.parent)
-    read = read_localisation(TomlTable({"map": f"{path.name}?map=/map"}, "x.toml"))
+    read = read_localisation(TomlTable({"map": f"{path.name}?map=/map"}, "x.toml", form=SEQUENCE))
     assert read == {"map": f"{path}?map=/map"}
     assert list_map_files(read) == [str(path)]
     with pytest.raises(BadExperiment, match=r"no map is meant by '.*give a map_server file"):
-        read_localisation(TomlTable({"map": f"{path.name}?topic=/map"}, "x.toml"))
+        read_localisation(TomlTable({"map": f"{path.name}?topic=/map"}, "x.toml", form=SEQUENCE))
 
 
 def test_a_map_that_does_not_fit_its_size_is_damaged(tmp_path):

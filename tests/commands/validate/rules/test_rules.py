@@ -86,7 +86,7 @@ def test_every_shipped_back_end_follows_every_rule_that_needs_no_other_process_o
         pytest.skip(why)
     complete = resolve_parameters(name, spec.parameters, {})
     results = runner._check_here(spec, complete, runner.RULES[spec.kind], seed=0)
-    follows_every_rule(name, RuleReport(name, results), {"process", "alive"} | with_children())
+    follows_every_rule(name, RuleReport(name, results), {"process", *runner.PROCESS_RULES} | with_children())
 
 
 @pytest.mark.parametrize(
