@@ -2,10 +2,8 @@
 
 import math
 import shutil
-import struct
 import subprocess
 import threading
-from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -19,7 +17,7 @@ from hypothesis.extra import numpy as arrays
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit_baselines import embedded
-from evalkit_baselines.embedded import compiled, mapper, pipeline, registration
+from evalkit_baselines.embedded import compiled, mapper, pipeline, registration, scanlog
 
 FOLDER = Path(compiled.__file__).parent
 TOOLS = [tool for tool in ("cmake", "ctest", "cc") if shutil.which(tool) is None]
@@ -334,25 +332,6 @@ def test_the_defaults_of_the_core_equal_those_of_python(precision):
     assert values["grid"] == pytest.approx(grid, rel=1e-6)
 
 
-def write_scan_log(path, frames):
-    """Write frames in the format of ek/scanlog.h and return them with ranges and angles rounded to float32."""
-    first = frames[0]
-    rounded = []
-    with path.open("wb") as file:
-        file.write(
-            b"EKSL" + struct.pack("<2I2d", 1, len(first.scan.ranges), first.scan.range_min_m, first.scan.range_max_m)
-        )
-        file.write(first.base_from_sensor.row.tobytes())
-        for frame in frames:
-            ranges, angles = frame.scan.ranges.astype("<f4"), frame.scan.angles.astype("<f4")
-            file.write(struct.pack("<2q2I", frame.scan.stamp_ns, frame.scan.time_increment_ns, len(ranges), 3))
-            file.write(frame.odom_from_base.row.tobytes() + frame.start_from_end.row.tobytes())
-            file.write(ranges.tobytes() + angles.tobytes())
-            scan = replace(frame.scan, ranges=ranges.astype(float), angles=angles.astype(float))
-            rounded.append(replace(frame, scan=scan))
-    return rounded
-
-
 @needs_core
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_evalkit_run_gives_the_poses_of_the_method_embedded(tmp_path):
@@ -360,10 +339,11 @@ def test_evalkit_run_gives_the_poses_of_the_method_embedded(tmp_path):
     sources = [str(FOLDER / "main.c"), *map(str, sorted((FOLDER / "src").glob("*.c")))]
     flags = ["-std=c99", "-O2", "-ffp-contract=off", f"-I{FOLDER / 'include'}"]
     subprocess.run(["cc", *flags, *sources, "-lm", "-o", str(program)], check=True)
-    frames = write_scan_log(log, list(islice(registry.dataset("lab").make(**LAB).frames(), 90)))
+    frames = list(islice(registry.dataset("lab").make(**LAB).frames(), 90))
+    assert scanlog.write_scan_log(log, frames) == 90
     subprocess.run([str(program), str(log), str(poses)], check=True)
     odometry = frontend.make_odometry(embedded.SPEC, frontend.complete_parameters("embedded", embedded.SPEC, {}))
-    expected = [odometry.update(frame).pose.row for frame in frames]
+    expected = [odometry.update(scanlog.round_frame(frame)).pose.row for frame in frames]
     written = np.loadtxt(poses)
     found = np.column_stack([written[:, 1:3], 2.0 * np.arctan2(written[:, 6], written[:, 7])])
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-7)

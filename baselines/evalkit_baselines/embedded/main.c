@@ -1,7 +1,8 @@
-/* evalkit-run LOG POSES [MAP]: run the pipeline on a scan log. Writes poses in TUM format and the map as PGM
- * (map_server's trinary values, highest y first). Allocates memory once, at the start. */
-#include <inttypes.h>
+/* evalkit-run [--bits] LOG POSES [MAP]: run the pipeline on a scan log. Writes poses in TUM format and the map as PGM
+ * (map_server's trinary values, highest y first). With --bits a pose is a line of its stamp (ns) and the bits of x, y
+ * and theta as double, hexadecimal: equal lines are equal poses. Allocates memory once, at the start. */
 #include <stdlib.h>
+#include <string.h>
 
 #include "ek/pipeline.h"
 #include "ek/scanlog.h"
@@ -11,6 +12,7 @@ typedef struct {
     ek_scanlog log;
     ek_real *ranges, *angles;
     void *memory;
+    int bits; /* 1: write the bits of poses */
 } session;
 
 static int print_error(const char *what, ek_status status)
@@ -44,8 +46,27 @@ static ek_status start(session *s)
 /* Write seconds with nine decimals (TUM format). */
 static void write_stamp(FILE *poses, int64_t stamp_ns)
 {
-    const uint64_t size = stamp_ns < 0 ? (uint64_t)0 - (uint64_t)stamp_ns : (uint64_t)stamp_ns;
-    fprintf(poses, "%s%" PRIu64 ".%09" PRIu64, stamp_ns < 0 ? "-" : "", size / 1000000000u, size % 1000000000u);
+    const unsigned long long size = stamp_ns < 0 ? 0u - (unsigned long long)stamp_ns : (unsigned long long)stamp_ns;
+    fprintf(poses, "%s%llu.%09llu", stamp_ns < 0 ? "-" : "", size / 1000000000u, size % 1000000000u);
+}
+
+static void write_tum(FILE *poses, int64_t stamp_ns, ek_pose pose)
+{
+    const double half = 0.5 * (double)pose.theta;
+    write_stamp(poses, stamp_ns);
+    fprintf(poses, " %.9f %.9f 0 0 0 %.12f %.12f\n", (double)pose.x, (double)pose.y, sin(half), cos(half));
+}
+
+static void write_bits(FILE *poses, int64_t stamp_ns, ek_pose pose)
+{
+    const double numbers[3] = {(double)pose.x, (double)pose.y, (double)pose.theta};
+    unsigned long long bits[3];
+    for (size_t k = 0; k < 3u; k++) {
+        uint64_t raw;
+        memcpy(&raw, &numbers[k], sizeof raw);
+        bits[k] = raw;
+    }
+    fprintf(poses, "%lld %016llx %016llx %016llx\n", (long long)stamp_ns, bits[0], bits[1], bits[2]);
 }
 
 static ek_status run(session *s, FILE *input, FILE *poses)
@@ -60,10 +81,7 @@ static ek_status run(session *s, FILE *input, FILE *poses)
         if (status != EK_OK) {
             return status == EK_END_OF_FILE ? EK_OK : status;
         }
-        const ek_pose pose = estimate.start_from_base;
-        const double half = 0.5 * (double)pose.theta;
-        write_stamp(poses, sweep.stamp_ns);
-        fprintf(poses, " %.9f %.9f 0 0 0 %.12f %.12f\n", (double)pose.x, (double)pose.y, sin(half), cos(half));
+        (s->bits ? write_bits : write_tum)(poses, sweep.stamp_ns, estimate.start_from_base);
     }
 }
 
@@ -74,7 +92,7 @@ static int write_map(const ek_grid *grid, const char *path)
         return print_error(path, EK_BAD_FILE);
     }
     const size_t columns = grid->parameters.columns;
-    fprintf(file, "P5\n%zu %" PRIu32 "\n255\n", columns, grid->parameters.rows);
+    fprintf(file, "P5\n%lu %lu\n255\n", (unsigned long)columns, (unsigned long)grid->parameters.rows);
     for (size_t row = grid->parameters.rows; row-- > 0u;) {
         for (size_t column = 0; column < columns; column++) {
             const int16_t cell = grid->cells[row * columns + column];
@@ -113,11 +131,13 @@ static int process(session *s, char *const *paths, int count)
 int main(int argc, char **argv)
 {
     static session s; /* zero-initialised; too large for some stacks */
-    if (argc < 3 || argc > 4) {
-        fprintf(stderr, "usage: evalkit-run LOG POSES [MAP]\n");
+    s.bits = argc > 1 && strcmp(argv[1], "--bits") == 0;
+    const int count = argc - 1 - s.bits;
+    if (count < 2 || count > 3) {
+        fprintf(stderr, "usage: evalkit-run [--bits] LOG POSES [MAP]\n");
         return 2;
     }
-    const int failed = process(&s, argv + 1, argc - 1);
+    const int failed = process(&s, argv + 1 + s.bits, count);
     free(s.memory);
     free(s.ranges);
     free(s.angles);

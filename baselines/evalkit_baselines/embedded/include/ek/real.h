@@ -19,10 +19,6 @@ typedef float ek_real;
 #define EK_NAME(name) EK_JOIN(ek32_, name)
 #define EK_EPSILON FLT_EPSILON
 #define EK_SQRT sqrtf
-#define EK_SIN sinf
-#define EK_COS cosf
-#define EK_TAN tanf
-#define EK_ATAN2 atan2f
 #define EK_FLOOR floorf
 #define EK_FABS fabsf
 #else
@@ -30,16 +26,44 @@ typedef double ek_real;
 #define EK_NAME(name) EK_JOIN(ek64_, name)
 #define EK_EPSILON DBL_EPSILON
 #define EK_SQRT sqrt
-#define EK_SIN sin
-#define EK_COS cos
-#define EK_TAN tan
-#define EK_ATAN2 atan2
 #define EK_FLOOR floor
 #define EK_FABS fabs
 #endif
 
 #define EK_R(number) ((ek_real)(number))
 #define EK_PI EK_R(3.14159265358979323846)
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Sine and cosine of an angle (rad), and the angle of the direction (x, y), within 2 units of the last place for angles
+ * up to 6 rad (trig.c). Where an angle is not finite: nan. */
+ek_real EK_NAME(sin)(ek_real angle);
+ek_real EK_NAME(cos)(ek_real angle);
+ek_real EK_NAME(atan2)(ek_real y, ek_real x);
+
+#ifdef __cplusplus
+}
+#endif
+
+/* With -DEK_PORTABLE the core uses these, and gives the same bits with every C library; otherwise the C library's. */
+#ifdef EK_PORTABLE
+#define EK_SIN EK_NAME(sin)
+#define EK_COS EK_NAME(cos)
+#define EK_TAN(angle) (EK_SIN(angle) / EK_COS(angle))
+#define EK_ATAN2 EK_NAME(atan2)
+#elif defined(EK_FLOAT)
+#define EK_SIN sinf
+#define EK_COS cosf
+#define EK_TAN tanf
+#define EK_ATAN2 atan2f
+#else
+#define EK_SIN sin
+#define EK_COS cos
+#define EK_TAN tan
+#define EK_ATAN2 atan2
+#endif
 
 /* Largest allowed coordinate (m). */
 #define EK_MAX_COORDINATE EK_R(1e6)

@@ -1,0 +1,319 @@
+/* Example firmware: the core's registration and its pipeline behind a serial line, without a heap. To validate another
+ * implementation, replace create_session, register_clouds and update_pose; `python -m evalkit.external.serial_board`
+ * is the host's side.
+ *
+ * A message is a type and numbers without gaps, little-endian. An answer is 'a' and numbers, or 'f' and a text.
+ *     H                                        -> u16 version, u8 bytes of a real, u8 0, u32 largest scan,
+ *                                                 u32 largest target, text (see `about`)
+ *     C  u8 kind ('r', 'o')  f64 parameters[]  -> u32 bytes of memory used
+ *     R  f64 guess[3]  u32 source, target  real source[2 x n], target[2 x m]
+ *                                              -> f64 pose[3], error, u32 converged, iterations, inliers, nanoseconds
+ *     U  f64 range_min, range_max, base_from_sensor[3]  i64 stamp_ns, time_increment_ns  u32 beams, flags (scanlog.h)
+ *        f64 odom_from_base[3], start_from_end[3] (as flagged)  real ranges[n], angles[n]
+ *                                              -> f64 pose[3], u32 nanoseconds
+ */
+#include <string.h>
+
+#include "ek/pipeline.h"
+#include "link.h"
+#include "port.h"
+
+#ifndef BOARD_POINTS
+#define BOARD_POINTS 2048u /* of a scan or source */
+#endif
+#ifndef BOARD_KEYFRAMES
+#define BOARD_KEYFRAMES 10u
+#endif
+#ifndef BOARD_CELLS
+#define BOARD_CELLS 0u /* of the index of the local map; 0: 16 per point */
+#endif
+#ifndef BOARD_BYTES
+#define BOARD_BYTES (3u << 20) /* for the method */
+#endif
+#define BOARD_TARGETS (BOARD_POINTS * BOARD_KEYFRAMES)
+#define TARGET_CELLS ((size_t)1 << 16)
+#define PARAMETERS 5u
+#define VERSION 1u
+#define MESSAGE_BYTES (64u + 2u * sizeof(ek_real) * (BOARD_POINTS + BOARD_TARGETS))
+
+static const char about[] = "ro\n"
+                            "the core of evalkit as firmware\n"
+                            "max_iterations 40\n"
+                            "min_pairs 3\n"
+                            "epsilon 1e-4\n"
+                            "max_correspondence_m 0.3\n"
+                            "one_to_one true\n";
+
+/* A message that is read from its begin to its end; `short_by` counts bytes that were not there. */
+typedef struct {
+    const unsigned char *from;
+    size_t left, short_by;
+} reader;
+
+typedef struct {
+    unsigned char bytes[LINK_DATA];
+    size_t count;
+} writer;
+
+static unsigned char message[MESSAGE_BYTES];
+static union {
+    unsigned char bytes[BOARD_BYTES];
+    double align[2];
+} memory __attribute__((aligned(16)));
+static ek_real points[2u * (BOARD_POINTS + BOARD_TARGETS)];
+static link_state line;
+static ek_icp_parameters matching;
+static ek_icp icp;
+static ek_index target;
+static ek_pipeline pipeline;
+static char kind; /* of the session; 0: none */
+
+static uint64_t take_unsigned(reader *in, size_t bytes)
+{
+    uint64_t value = 0u;
+    if (bytes > in->left) {
+        in->short_by += bytes - in->left;
+        in->left = 0u;
+        return 0u;
+    }
+    for (size_t k = bytes; k-- > 0u;) {
+        value = value << 8 | in->from[k];
+    }
+    in->from += bytes;
+    in->left -= bytes;
+    return value;
+}
+
+static double take_double(reader *in)
+{
+    const uint64_t bits = take_unsigned(in, sizeof bits);
+    double value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+static ek_pose take_pose(reader *in)
+{
+    ek_pose pose;
+    pose.x = (ek_real)take_double(in);
+    pose.y = (ek_real)take_double(in);
+    pose.theta = (ek_real)take_double(in);
+    return pose;
+}
+
+/* Copy reals; the processor is little-endian too. */
+static void take_reals(reader *in, ek_real *values, size_t count)
+{
+    const size_t bytes = count * sizeof *values;
+    if (bytes > in->left) {
+        in->short_by += bytes - in->left;
+        in->left = 0u;
+        return;
+    }
+    memcpy(values, in->from, bytes);
+    in->from += bytes;
+    in->left -= bytes;
+}
+
+static void put_unsigned(writer *out, uint64_t value, size_t bytes)
+{
+    for (size_t k = 0; k < bytes; k++) {
+        out->bytes[out->count++] = (unsigned char)(value >> 8u * k);
+    }
+}
+
+static void put_double(writer *out, double value)
+{
+    uint64_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    put_unsigned(out, bits, sizeof bits);
+}
+
+static void put_pose(writer *out, ek_pose pose)
+{
+    put_double(out, (double)pose.x);
+    put_double(out, (double)pose.y);
+    put_double(out, (double)pose.theta);
+}
+
+static void put_text(writer *out, const char *text)
+{
+    const size_t length = strlen(text), room = sizeof out->bytes - out->count;
+    memcpy(out->bytes + out->count, text, length < room ? length : room);
+    out->count += length < room ? length : room;
+}
+
+static void say_hello(writer *out)
+{
+    put_unsigned(out, VERSION, 2u);
+    put_unsigned(out, sizeof(ek_real), 1u);
+    put_unsigned(out, 0u, 1u);
+    put_unsigned(out, BOARD_POINTS, 4u);
+    put_unsigned(out, BOARD_TARGETS, 4u);
+    put_text(out, about);
+}
+
+static ek_status start_registration(size_t *bytes)
+{
+    ek_arena arena = ek_arena_make(memory.bytes, sizeof memory.bytes);
+    ek_status status = ek_icp_init(&icp, &arena, BOARD_POINTS, BOARD_TARGETS);
+    if (status == EK_OK) {
+        status = ek_index_init(&target, &arena, BOARD_TARGETS, TARGET_CELLS);
+    }
+    *bytes = arena.used;
+    return status == EK_OK ? ek_arena_check(&arena) : status;
+}
+
+static ek_status start_pipeline(size_t *bytes)
+{
+    ek_pipeline_parameters parameters = ek_pipeline_default();
+    parameters.map = 0;
+    parameters.frontend.scan_to_scan = parameters.frontend.scan_to_map = matching;
+    parameters.frontend.points = BOARD_POINTS;
+    parameters.frontend.keyframes = BOARD_KEYFRAMES;
+    parameters.frontend.cells = BOARD_CELLS;
+    const ek_status status = ek_pipeline_bytes(&parameters, bytes);
+    return status == EK_OK ? ek_pipeline_start(&pipeline, memory.bytes, sizeof memory.bytes, &parameters) : status;
+}
+
+static ek_status create_session(reader *in, writer *out)
+{
+    size_t bytes = 0u;
+    const char wanted = (char)take_unsigned(in, 1u);
+    matching = ek_icp_default();
+    matching.max_iterations = (int32_t)take_double(in);
+    matching.min_pairs = (int32_t)take_double(in);
+    matching.epsilon = (ek_real)take_double(in);
+    matching.max_correspondence = (ek_real)take_double(in);
+    matching.one_to_one = take_double(in) != 0.0;
+    kind = 0;
+    if (in->short_by || in->left || (wanted != 'r' && wanted != 'o')) {
+        return EK_OUT_OF_RANGE;
+    }
+    ek_status status = ek_icp_check(&matching);
+    if (status == EK_OK) {
+        status = wanted == 'r' ? start_registration(&bytes) : start_pipeline(&bytes);
+    }
+    kind = status == EK_OK ? wanted : (char)0;
+    put_unsigned(out, bytes, 4u);
+    return status;
+}
+
+static ek_status register_clouds(reader *in, writer *out)
+{
+    const ek_pose guess = take_pose(in);
+    const size_t sources = (size_t)take_unsigned(in, 4u), targets = (size_t)take_unsigned(in, 4u);
+    if (sources > BOARD_POINTS || targets > BOARD_TARGETS) {
+        return EK_TOO_MANY_POINTS;
+    }
+    take_reals(in, points, 2u * (sources + targets));
+    if (in->short_by || in->left) {
+        return EK_BAD_FILE;
+    }
+    ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
+    const uint32_t begin = port_clock_ns();
+    ek_status status = ek_index_build(&target, points + 2u * sources, targets);
+    if (status == EK_OK && sources && targets) {
+        status = ek_icp_register(&icp, &target, points, sources, guess, &matching, NULL, NULL, &match);
+    }
+    const uint32_t taken = port_clock_ns() - begin;
+    put_pose(out, match.target_from_source);
+    put_double(out, (double)match.error);
+    put_unsigned(out, (uint64_t)match.converged, 4u);
+    put_unsigned(out, (uint64_t)match.iterations, 4u);
+    put_unsigned(out, (uint64_t)match.inliers, 4u);
+    put_unsigned(out, taken, 4u);
+    return status;
+}
+
+static ek_status update_pose(reader *in, writer *out)
+{
+    ek_sweep sweep;
+    ek_estimate estimate;
+    ek_scan_parameters *const scan = &pipeline.parameters.scan;
+    memset(&sweep, 0, sizeof sweep);
+    scan->range_min = (ek_real)take_double(in);
+    scan->range_max = (ek_real)take_double(in);
+    scan->base_from_sensor = take_pose(in);
+    sweep.stamp_ns = (int64_t)take_unsigned(in, 8u);
+    sweep.time_increment_ns = (int64_t)take_unsigned(in, 8u);
+    sweep.beams = (size_t)take_unsigned(in, 4u);
+    const uint64_t flags = take_unsigned(in, 4u);
+    sweep.has_odometry = (flags & 1u) != 0u;
+    sweep.has_motion = (flags & 2u) != 0u;
+    if (sweep.has_odometry) {
+        sweep.odom_from_base = take_pose(in);
+    }
+    if (sweep.has_motion) {
+        sweep.start_from_end = take_pose(in);
+    }
+    if (sweep.beams > BOARD_POINTS) {
+        return EK_TOO_MANY_POINTS;
+    }
+    take_reals(in, points, 2u * sweep.beams);
+    if (in->short_by || in->left) {
+        return EK_BAD_FILE;
+    }
+    if (sweep.beams == 0u) { /* one invalid beam: a scan without beams is an error of the core */
+        points[0] = (ek_real)NAN;
+        points[1] = EK_R(0.0);
+        sweep.beams = 1u;
+    }
+    sweep.ranges = points;
+    sweep.angles = points + sweep.beams;
+    ek_status status = ek_scan_check(scan);
+    const uint32_t begin = port_clock_ns();
+    status = status == EK_OK ? ek_pipeline_update(&pipeline, &sweep, &estimate) : status;
+    const uint32_t taken = port_clock_ns() - begin;
+    if (status == EK_OK) {
+        put_pose(out, estimate.start_from_base);
+        put_unsigned(out, taken, 4u);
+    }
+    return status;
+}
+
+static void answer_message(void)
+{
+    static writer out;
+    reader in = {message, line.bytes, 0u};
+    const char type = (char)take_unsigned(&in, 1u);
+    ek_status status = EK_OK;
+    out.count = 0u;
+    put_text(&out, "a");
+    if (type == 'H') {
+        say_hello(&out);
+    } else if (type == 'C') {
+        status = create_session(&in, &out);
+    } else if (type == 'R' && kind == 'r') {
+        status = register_clouds(&in, &out);
+    } else if (type == 'U' && kind == 'o') {
+        status = update_pose(&in, &out);
+    } else {
+        out.count = 0u;
+        put_text(&out, "funknown message, or before C");
+    }
+    if (status != EK_OK) {
+        out.count = 0u;
+        put_text(&out, "f");
+        put_text(&out, ek_status_text(status));
+    }
+    link_answer(&line, out.bytes, out.count);
+}
+
+int main(void)
+{
+    int byte;
+    line.message = message;
+    line.capacity = sizeof message;
+    port_init();
+    while ((byte = port_read()) >= 0) {
+        const int taken = link_take(&line, (unsigned char)byte);
+        if (taken > 0) {
+            answer_message();
+        }
+        for (size_t k = 0; taken && k < line.answer_bytes; k++) {
+            port_write(line.answer[k]);
+        }
+    }
+    return 0;
+}

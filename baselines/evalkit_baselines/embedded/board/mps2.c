@@ -1,0 +1,42 @@
+/* The emulated board: MPS2 with AN386 (Cortex-M4F, 25 MHz), its first UART and a timer. */
+#include "port.h"
+
+#define REGISTER(address) (*(volatile uint32_t *)(address))
+#define UART 0x40004000u
+#define UART_DATA REGISTER(UART)
+#define UART_STATE REGISTER(UART + 0x04u)
+#define UART_CONTROL REGISTER(UART + 0x08u)
+#define UART_DIVIDER REGISTER(UART + 0x10u)
+#define TIMER 0x40000000u
+#define TIMER_CONTROL REGISTER(TIMER)
+#define TIMER_VALUE REGISTER(TIMER + 0x04u)
+#define TIMER_RELOAD REGISTER(TIMER + 0x08u)
+#define TICK_NS 40u
+
+void port_init(void)
+{
+    UART_DIVIDER = 25000000u / 115200u;
+    UART_CONTROL = 3u; /* send and receive */
+    TIMER_RELOAD = 0xffffffffu;
+    TIMER_VALUE = 0xffffffffu;
+    TIMER_CONTROL = 1u;
+}
+
+int port_read(void)
+{
+    while (!(UART_STATE & 2u)) {
+    }
+    return (int)(UART_DATA & 0xffu);
+}
+
+void port_write(unsigned char byte)
+{
+    while (UART_STATE & 1u) {
+    }
+    UART_DATA = byte;
+}
+
+uint32_t port_clock_ns(void)
+{
+    return (0xffffffffu - TIMER_VALUE) * TICK_NS;
+}

@@ -1,0 +1,18 @@
+/* port.h - what a board must provide: a serial line and a clock. mps2.c is the emulated board, host.c this computer. */
+#ifndef PORT_H
+#define PORT_H
+
+#include <stdint.h>
+
+void port_init(void);
+
+/* Wait for a byte of the line; -1 if there is none any more (only on a computer). */
+int port_read(void);
+
+void port_write(unsigned char byte);
+
+/* A clock in nanoseconds that may wrap; only differences count. In an emulator that counts instructions
+ * (-icount shift=0) it is the number of instructions, in steps of 40. */
+uint32_t port_clock_ns(void);
+
+#endif

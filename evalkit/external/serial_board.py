@@ -1,0 +1,205 @@
+"""A board on a serial line as a back end: ``exec:python -m evalkit.external.serial_board /dev/ttyACM0``.
+
+Translates the lines of PROTOCOL.md to the messages of the example firmware
+(``baselines/evalkit_baselines/embedded/board/firmware.c``), with frames that survive loss and damage. ``--command``
+starts a program instead of opening a device: an emulator, or the firmware built for this computer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shlex
+import struct
+import sys
+from array import array
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from evalkit.external.serial_line import BAUDS, Line, LineError, Link, open_command, open_device
+
+VERSION = 1
+KINDS = {"r": "registration", "o": "odometry"}
+REALS = {4: "f", 8: "d"}
+HAS_ODOMETRY, HAS_MOTION = 1, 2
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """What a board says about itself."""
+
+    real: str
+    """``array`` type of its numbers: f or d."""
+    points: int
+    """Largest number of beams or of points of a source."""
+    targets: int
+    kinds: str
+    summary: str
+    parameters: tuple[tuple[str, bool | int | float], ...]
+
+
+def parse_hello(answer: bytes) -> Firmware:
+    """Parse the answer to H; raises LineError."""
+    try:
+        version, real, _, points, targets = struct.unpack_from("<HBBII", answer)
+        kinds, summary, *lines = answer[12:].decode("ascii").splitlines()
+        parameters = tuple((name, parse_default(text)) for name, text in map(str.split, lines))
+        if version != VERSION or real not in REALS or not kinds or set(kinds) - set(KINDS):
+            raise ValueError
+    except (struct.error, ValueError):
+        raise LineError(f"the board answers {answer[:40]!r} to H; is this firmware for version {VERSION}?") from None
+    return Firmware(REALS[real], points, targets, kinds, summary, parameters)
+
+
+def parse_default(text: str) -> bool | int | float:
+    """Return the default of a parameter: true, false, a whole number, or another number."""
+    if text in ("true", "false"):
+        return text == "true"
+    return int(text) if text.lstrip("-").isdigit() else float(text)
+
+
+class Board:
+    """Answers the questions of PROTOCOL.md from a board."""
+
+    def __init__(self, link: Link, kind: str, device: str) -> None:
+        self._link = link
+        self._device = device
+        self.firmware = parse_hello(self._ask(b"H"))
+        self._kind = kind or self.firmware.kinds[0]
+        if self._kind not in self.firmware.kinds:
+            offered = ", ".join(KINDS[one] for one in self.firmware.kinds)
+            raise LineError(f"the firmware is no {KINDS[self._kind]}; it offers: {offered}")
+
+    def answer(self, question: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the answer to a question; raises LineError where the board does not answer or refuses."""
+        ask = question["ask"]
+        if ask == "hello":
+            return self._describe()
+        if ask == "create":
+            return self._create(question["parameters"])
+        if ask == "register":
+            return self._register(question)
+        if ask == "update":
+            return self._update(question)
+        raise LineError(f"no message for the question {ask}")
+
+    def _ask(self, message: bytes) -> bytes:
+        answer = self._link.ask(message)
+        if answer[:1] == b"a":
+            return answer[1:]
+        raise LineError(f"the board refuses: {answer[1:].decode('ascii', 'replace') or 'empty answer'}")
+
+    def _describe(self) -> dict[str, Any]:
+        limits = f"{8 * array(self.firmware.real).itemsize} bits"
+        return {
+            "protocol": 1,
+            "kind": KINDS[self._kind],
+            "summary": f"{self.firmware.summary}, {limits}, at most {self.firmware.points} points",
+            "device": self._device,
+            "parameters": [
+                {
+                    "name": name,
+                    "default": default,
+                    "unit": "m" if name.endswith("_m") else "",
+                    "meaning": "of the firmware",
+                }
+                for name, default in self.firmware.parameters
+            ],
+        }
+
+    def _create(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        numbers = [float(values[name]) for name, _ in self.firmware.parameters]
+        self._ask(b"C" + self._kind.encode() + struct.pack(f"<{len(numbers)}d", *numbers))
+        return {}
+
+    def _reals(self, values: Sequence[float]) -> bytes:
+        content = array(self.firmware.real, values)
+        if sys.byteorder == "big":
+            content.byteswap()
+        return content.tobytes()
+
+    def _register(self, question: Mapping[str, Any]) -> dict[str, Any]:
+        source, target = question["source"], question["target"]
+        self._check(len(source) // 2, self.firmware.points, "points of a source")
+        self._check(len(target) // 2, self.firmware.targets, "points of a target")
+        head = struct.pack("<3d2I", *question["guess"], len(source) // 2, len(target) // 2)
+        answer = self._ask(b"R" + head + self._reals(source) + self._reals(target))
+        *pose, error, converged, iterations, inliers, elapsed_ns = self._unpack("<4d4I", answer)
+        return {
+            "pose": pose,
+            "converged": bool(converged),
+            "iterations": iterations,
+            "error_m": error if math.isfinite(error) else None,
+            "inliers": inliers,
+            "elapsed_ns": elapsed_ns,
+        }
+
+    def _update(self, question: Mapping[str, Any]) -> dict[str, Any]:
+        ranges = [math.inf if one is None else math.nan if one == "nan" else one for one in question["ranges"]]
+        self._check(len(ranges), self.firmware.points, "beams of a scan")
+        odometry, motion = question["odom_from_base"], question["start_from_end"]
+        flags = HAS_ODOMETRY * (odometry is not None) + HAS_MOTION * (motion is not None)
+        poses = [number for pose in (odometry, motion) if pose is not None for number in pose]
+        head = struct.pack("<5d", question["range_min_m"], question["range_max_m"], *question["base_from_sensor"])
+        head += struct.pack("<2q2I", question["stamp_ns"], question["time_increment_ns"], len(ranges), flags)
+        head += struct.pack(f"<{len(poses)}d", *poses)
+        answer = self._ask(b"U" + head + self._reals(ranges) + self._reals(question["angles"]))
+        *pose, elapsed_ns = self._unpack("<3dI", answer)
+        return {"pose": pose, "elapsed_ns": elapsed_ns}
+
+    def _check(self, count: int, most: int, what: str) -> None:
+        if count > most:
+            raise LineError(f"{count} {what}, but the firmware takes at most {most}; build it with more, or send fewer")
+
+    def _unpack(self, layout: str, answer: bytes) -> tuple[Any, ...]:
+        try:
+            return struct.unpack(layout, answer)
+        except struct.error:
+            raise LineError(f"the board answers {len(answer)} bytes, expected {struct.calcsize(layout)}") from None
+
+
+def open_line(arguments: argparse.Namespace) -> Line:
+    """Open the device, or start the command."""
+    if arguments.command:
+        return open_command(shlex.split(arguments.command))
+    return open_device(arguments.device, arguments.baud)
+
+
+def main() -> int:
+    """Answer every line of standard input with a line, until the end of the input."""
+    parser = argparse.ArgumentParser(prog="serial_board", description=__doc__.partition("\n")[0] if __doc__ else "")
+    parser.add_argument("device", nargs="?", help="serial device of the board, such as /dev/ttyACM0")
+    parser.add_argument("--command", help="start this program and talk to its standard input and output instead")
+    parser.add_argument("--baud", type=int, choices=BAUDS, default=115_200)
+    parser.add_argument("--kind", choices=sorted(KINDS.values()), help="default: the first one of the firmware")
+    parser.add_argument("--timeout", type=float, default=0.5, help="seconds until a frame is sent again")
+    parser.add_argument("--tries", type=int, default=20, help="number of times that a frame is sent at most")
+    arguments = parser.parse_args()
+    if bool(arguments.device) == bool(arguments.command):
+        parser.error("give a serial device, or --command")
+    kind = {name: letter for letter, name in KINDS.items()}.get(arguments.kind, "")
+    line = board = link = None
+    try:
+        for question in sys.stdin:
+            try:
+                if board is None:
+                    line = open_line(arguments)
+                    link = Link(line, arguments.timeout, arguments.tries)
+                    board = Board(link, kind, arguments.device or "board behind a program")
+                answer = board.answer(json.loads(question))
+            except LineError as error:
+                answer = {"failed": str(error)}
+            sys.stdout.write(json.dumps(answer) + "\n")
+            sys.stdout.flush()
+    finally:
+        if link is not None and link.repeats:
+            sys.stderr.write(f"serial_board: {link.repeats} frames were sent again\n")
+        if line is not None:
+            line.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,262 @@
+"""Firmware on a serial line: the answers of the core to the bit, over a line that loses and damages bytes."""
+
+import os
+import random
+import select
+import shutil
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.external import serial_line
+from evalkit.external.serial_board import Board, parse_default, parse_hello
+from evalkit.external.serial_line import FIRST, LAST, LineError, Link
+from evalkit.odometry import frontend
+from evalkit.plugins import registry
+from evalkit_baselines.embedded import compiled, registration
+
+CORE = Path(compiled.__file__).parent
+CC = shutil.which("cc") or ""
+EMULATOR, CROSS = shutil.which("qemu-system-arm") or "", shutil.which("arm-none-eabi-gcc") or ""
+
+pty = pytest.importorskip("pty")
+needs_firmware = pytest.mark.skipif(
+    not CC or bool(compiled.compiled_missing()), reason="no C compiler, or the core's modules are not built"
+)
+PARAMETERS = {"max_iterations": 40, "min_pairs": 3, "epsilon": 1e-4, "max_correspondence_m": 0.3, "one_to_one": True}
+
+
+@pytest.fixture(scope="module")
+def firmware(tmp_path_factory):
+    """Return the example firmware as a program of this computer."""
+    program = tmp_path_factory.mktemp("firmware") / "firmware"
+    board = [str(CORE / "board" / name) for name in ("firmware.c", "link.c", "host.c")]
+    flags = ["-std=c99", "-O1", "-ffp-contract=off", "-DBOARD_POINTS=256u", f"-I{CORE / 'include'}"]
+    subprocess.run([CC, *flags, *board, *map(str, (CORE / "src").glob("*.c")), "-lm", "-o", str(program)], check=True)
+    return program
+
+
+class StandIn:
+    """A board behind a pseudo-terminal: every byte is damaged, lost or followed by noise with a probability."""
+
+    def __init__(self, program, harm=0.0):
+        self._program, self._harm, self._random = program, harm, random.Random(0)
+        self._host, device = pty.openpty()
+        self.line = serial_line.open_device(os.ttyname(device), 115200)
+        os.close(device)
+        self._stop = threading.Event()
+        self.harmed = 0
+        self._start()
+
+    def _start(self):
+        self._board = subprocess.Popen([self._program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+        assert self._board.stdin is not None
+        assert self._board.stdout is not None
+        self._pipes = self._board.stdin, self._board.stdout
+        self._thread = threading.Thread(target=self._pump, daemon=True)
+        self._thread.start()
+
+    def restart(self):
+        self._end()
+        self._start()
+
+    def _end(self):
+        self._board.terminate()
+        self._board.wait()
+        self._thread.join()
+        for pipe in self._pipes:
+            pipe.close()
+
+    def _pump(self):
+        ways = {self._host: self._pipes[0].fileno(), self._pipes[1].fileno(): self._host}
+        while self._board.poll() is None:
+            for readable in select.select(list(ways), [], [], 0.02)[0]:
+                content = os.read(readable, 512)
+                if not content:
+                    return
+                os.write(ways[readable], self._damage(content))
+
+    def _damage(self, content):
+        damaged = bytearray()
+        for byte in content:
+            chance = self._random.random()
+            self.harmed += chance < self._harm
+            if chance < self._harm / 3:
+                continue
+            damaged.append(byte ^ (1 << self._random.randrange(8)) if chance < 2 * self._harm / 3 else byte)
+            if 2 * self._harm / 3 <= chance < self._harm:
+                damaged += self._random.randbytes(3)
+        return bytes(damaged)
+
+    def close(self):
+        self._end()
+        self.line.close()
+        os.close(self._host)
+
+
+@pytest.fixture
+def stand_in(firmware):
+    """Make a board with the given probability of harm per byte."""
+    made = []
+
+    def make(harm=0.0):
+        made.append(StandIn(firmware, harm))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def frames(count, every=4):
+    lab = registry.dataset("lab")
+    sequence = lab.make(**{p.name: p.default for p in lab.parameters} | {"laps": 0.05, "seed": 5})
+    for frame in islice(sequence.frames(), count):
+        scan = replace(frame.scan, ranges=frame.scan.ranges[::every], angles=frame.scan.angles[::every])
+        yield replace(frame, scan=replace(scan, time_increment_ns=every * scan.time_increment_ns))
+
+
+def question(frame):
+    scan = frame.scan
+    ranges = [None if np.isinf(one) else "nan" if np.isnan(one) else one for one in scan.ranges.tolist()]
+    return {
+        "ask": "update", "stamp_ns": scan.stamp_ns, "time_increment_ns": scan.time_increment_ns,
+        "range_min_m": scan.range_min_m, "range_max_m": scan.range_max_m,
+        "base_from_sensor": frame.base_from_sensor.row.tolist(), "odom_from_base": frame.odom_from_base.row.tolist(),
+        "start_from_end": frame.start_from_end.row.tolist(), "angles": scan.angles.tolist(), "ranges": ranges,
+    }  # fmt: skip
+
+
+def poses_of_the_core(scans):
+    spec = registry.backend("embedded-pipeline")
+    odometry = frontend.make_odometry(spec, frontend.complete_parameters("embedded-pipeline", spec, PARAMETERS))
+    return [odometry.update(frame).pose.row.tolist() for frame in scans]
+
+
+@needs_firmware
+@pytest.mark.parametrize("harm", [0.0, 3e-4])
+def test_poses_equal_those_of_the_core_to_the_bit_also_over_a_damaged_line(stand_in, harm):
+    line, scans = stand_in(harm), list(frames(15))
+    link = Link(line.line, timeout_s=0.05, tries=40)
+    board = Board(link, "o", "stand-in")
+    board.answer({"ask": "create", "parameters": PARAMETERS})
+    found = [Pose.of(board.answer(question(frame))["pose"]).row.tolist() for frame in scans]
+    assert found == poses_of_the_core(scans)
+    assert (line.harmed > 10 and link.repeats > 5) if harm else line.harmed == 0
+
+
+@needs_firmware
+def test_the_command_registers_as_the_core_does(firmware, tmp_path):
+    name = f"exec:{sys.executable} -m evalkit.external.serial_board --command {firmware}"
+    rng = np.random.default_rng(1)
+    target = Cloud(rng.uniform(-3.0, 3.0, (300, 2)))
+    source = Cloud(Pose(0.05, -0.03, 0.02).transform(target.points[:120]))
+    expected = registration.CompiledIcp(
+        "double", **{p.name: p.default for p in registration.PARAMETERS} | PARAMETERS
+    ).register(target, source, Pose(0.01, 0.0, 0.0))
+    spec = registry.backend(name)
+    made = spec.make(**PARAMETERS, answer_timeout_s=10.0)
+    found = made.register(target, source, Pose(0.01, 0.0, 0.0))
+    assert (found.target_from_source, found.iterations, found.inliers, found.error) == (
+        expected.target_from_source, expected.iterations, expected.inliers, expected.error,
+    )  # fmt: skip
+    nothing = made.register(Cloud(np.zeros((0, 2))), source, Pose(0.5, 0.0, 0.0))
+    assert nothing.target_from_source == Pose(0.5, 0.0, 0.0)
+    assert not nothing.converged
+
+
+@needs_firmware
+def test_a_board_that_restarts_is_an_error_and_noise_before_the_session_is_not(stand_in):
+    line = stand_in()
+    line.line.write(b"\x07noise" * 500)
+    link = Link(line.line, timeout_s=0.2, tries=10)
+    board = Board(link, "o", "stand-in")
+    board.answer({"ask": "create", "parameters": PARAMETERS})
+    line.restart()
+    with pytest.raises(LineError, match="has started again and lost its state"):
+        board.answer(question(next(frames(1))))
+
+
+@needs_firmware
+def test_what_the_firmware_cannot_take_is_refused_with_a_reason(stand_in):
+    line = stand_in()
+    link = Link(line.line, timeout_s=0.2, tries=10)
+    board = Board(link, "o", "stand-in")
+    with pytest.raises(LineError, match="unknown message, or before C"):
+        board.answer(question(next(frames(1))))
+    with pytest.raises(LineError, match="800 beams of a scan, but the firmware takes at most 256"):
+        board.answer(question(next(frames(1, every=1))))
+    with pytest.raises(LineError, match="a parameter is outside its range"):
+        board.answer({"ask": "create", "parameters": PARAMETERS | {"max_iterations": 0}})
+    with pytest.raises(LineError, match="too long for the firmware"):
+        link.ask(b"U" + bytes(60_000))
+    assert board.answer({"ask": "create", "parameters": PARAMETERS}) == {}
+
+
+def test_a_silent_board_is_an_error():
+    reader, writer = os.pipe()[0], os.pipe()[1]
+    with pytest.raises(LineError, match=r"no answer from the board in 3 tries of 0.01 s"):
+        Link(serial_line.Line(reader, writer), timeout_s=0.01, tries=3).ask(b"H")
+
+
+def test_frames_and_checksums_are_the_published_ones():
+    assert serial_line.encode_cobs(bytes([0x11, 0x22, 0x00, 0x33])) == bytes([3, 0x11, 0x22, 2, 0x33])
+    assert serial_line.encode_frame(5, FIRST | LAST, b"123456789")[:3] == bytes([16, 5, 3])
+    for length in (0, 1, 253, 254, 255, 507, 508, 509, 600):
+        for content in (bytes(length), b"\x01" * length, random.Random(length).randbytes(length)):
+            coded = serial_line.encode_cobs(content)
+            assert 0 not in coded
+            assert serial_line.decode_cobs(coded) == content
+
+
+def test_no_frame_with_one_damaged_byte_is_taken():
+    frame = serial_line.encode_frame(9, LAST, bytes(range(60)))[:-1]
+    assert serial_line.decode_frame(frame) == (9, LAST, bytes(range(60)))
+    for at in range(len(frame)):
+        for other in range(1, 256):
+            if other != frame[at]:
+                assert serial_line.decode_frame(frame[:at] + bytes([other]) + frame[at + 1 :]) is None
+
+
+def test_a_greeting_of_another_version_is_refused():
+    assert parse_hello(b"\x01\x00\x04\x00" + bytes(8) + b"o\nmine\nsize 3\nlimit 0.5\n").parameters == (
+        ("size", 3), ("limit", 0.5),
+    )  # fmt: skip
+    assert parse_default("true") is True
+    assert parse_default("-2") == -2
+    for answer in (b"", b"\x02\x00\x04\x00" + bytes(8) + b"o\nmine\n", b"\x01\x00\x04\x00" + bytes(8) + b"x\nmine\n"):
+        with pytest.raises(LineError, match="is this firmware for version 1"):
+            parse_hello(answer)
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not EMULATOR or not CROSS, reason="no qemu-system-arm, or no arm-none-eabi-gcc")
+def test_the_emulated_cortex_m4f_gives_the_bits_of_this_computer(tmp_path):
+    subprocess.run([CORE / "board" / "build", tmp_path], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "evalkit_baselines.embedded.scanlog", "lab", "lab.eksl", "--limit", "20"],
+        cwd=tmp_path, check=True,
+    )  # fmt: skip
+    sources = [str(CORE / "main.c"), *map(str, (CORE / "src").glob("*.c")), "-lm", "-o", str(tmp_path / "here")]
+    flags = ["-std=c99", "-O2", "-ffp-contract=off", "-DEK_PORTABLE", f"-I{CORE / 'include'}"]
+    for suffix, precision in (("", []), ("-float", ["-DEK_FLOAT"])):
+        subprocess.run(["cc", *flags, *precision, *sources], check=True)
+        subprocess.run(["./here", "--bits", "lab.eksl", "here.bits"], cwd=tmp_path, check=True)
+        words = ["evalkit-run", "--bits", "lab.eksl", "board.bits"]
+        subprocess.run(
+            [
+                EMULATOR, "-M", "mps2-an386", "-display", "none", "-monitor", "none", "-serial", "none",
+                "-kernel", f"evalkit-run{suffix}.elf",
+                "-semihosting-config", ",".join(["enable=on,target=native", *(f"arg={word}" for word in words)]),
+            ],
+            cwd=tmp_path, check=True, timeout=120,
+        )  # fmt: skip
+        assert (tmp_path / "board.bits").read_text() == (tmp_path / "here.bits").read_text()
