@@ -1,4 +1,4 @@
-"""Run ``paper-slam`` on recordings and print the errors on their relations: ``tests/baselines/slam/recordings.py``.
+"""Run a SLAM on recordings and print the errors on their relations: ``tests/baselines/slam/recordings.py``.
 
 ``intel-exact``: the 3,361 scans of intel with exact stamps; MRPT's scans, whose stamps are matched by odometry, are
 left out (it reads ``$EVALKIT_DATA/sources``). ``--band N`` repeats each N times with noise of 0.1 mm on every range: it
@@ -23,7 +23,7 @@ from evalkit.core.scan import Frame
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.relations import compute_estimated_motions, select_part, symmetric_errors
 from evalkit.plugins import registry
-from evalkit_baselines.slam import paper_slam
+from evalkit.plugins.protocols import Slam
 from evalkit_datasets.building import intel
 from evalkit_datasets.building.log_lines import format_scan, iter_log, source_scan
 
@@ -37,10 +37,15 @@ HEAD = (
 
 def main() -> int:
     """Print a row for each run."""
-    parser = argparse.ArgumentParser(description="Errors of paper-slam on recordings.")
+    parser = argparse.ArgumentParser(description="Errors of a SLAM on recordings.")
+    parser.add_argument("--method", default="paper-slam", choices=("paper-slam", "embedded-slam"))
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="numbers for parameters of the method")
     parser.add_argument("recordings", nargs="*", default=list(RECORDINGS), help=f"of {', '.join(RECORDINGS)}")
     parser.add_argument("--band", type=int, default=0, help="further runs with noise of 0.1 mm")
     arguments = parser.parse_args()
+    spec = registry.backend(arguments.method)
+    given = {name: float(value) for name, value in (one.split("=") for one in arguments.set)}
+    parameters = {each.name: type(each.default)(given.get(each.name, each.default)) for each in spec.parameters}
     sys.stdout.write(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}\n")
     for name in arguments.recordings:
         sequence = registry.dataset(name.split("-", maxsplit=1)[0]).make()
@@ -49,7 +54,8 @@ def main() -> int:
         if relations is None:
             raise ValueError(f"{name} has no relations")
         for seed in range(arguments.band + 1):
-            run(name if not seed else f"{name}, noise {seed}", shaken(frames, seed), relations)
+            slam = spec.make(**parameters)
+            run(name if not seed else f"{name}, noise {seed}", slam, shaken(frames, seed), relations)
     return 0
 
 
@@ -78,9 +84,9 @@ def shaken(frames: Sequence[Frame], seed: int) -> list[Frame]:
     return [replace(frame, scan=replace(frame.scan, ranges=ranges)) for frame, ranges in zip(frames, kept, strict=True)]
 
 
-def run(name: str, frames: Sequence[Frame], relations: Relations) -> None:
+def run(name: str, slam: Slam, frames: Sequence[Frame], relations: Relations) -> None:
     """Run once and print the row."""
-    slam, estimates, spent = paper_slam.make(), [], []
+    estimates, spent = [], []
     for frame in frames:
         begun = time.process_time()
         estimates.append(slam.update(frame))
@@ -97,7 +103,7 @@ def run(name: str, frames: Sequence[Frame], relations: Relations) -> None:
     cells = (
         name, f"{len(frames):,}", f"{covered.sum():,}", f"{100.0 * covered.mean():.1f} %", *parts,
         f"{sum(one.accepted for one in closures)} of {len(closures)}", str(sum(bool(e.corrected) for e in estimates)),
-        str(sum(e.accepted is False for e in estimates)), f"{np.median(spent):.1f} / {max(spent):.0f}",
+        str(sum(e.accepted is False for e in estimates)), f"{np.median(spent):.2f} / {max(spent):.1f}",
     )  # fmt: skip
     sys.stdout.write(f"| {' | '.join(cells)} |\n")
     sys.stdout.flush()

@@ -1,10 +1,13 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+import pytest
 
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
+from evalkit.core.se2 import Floats
+from evalkit_baselines import paper
 from evalkit_baselines.slam.second_try import SecondTry
 
 CORNER = Cloud(np.concatenate([np.column_stack([np.linspace(0, 4, 80), np.zeros(80)]),
@@ -37,4 +40,25 @@ def test_of_two_poor_answers_the_one_with_more_points_on_the_target_is_taken():
         narrow = Answer(near, 0.3)
         answer = SecondTry(Answer(wide, 0.2), narrow).register(CORNER, CORNER, guess)
         assert answer.target_from_source == right
-        assert narrow.calls == [guess]
+        assert narrow.calls[0] == guess
+        assert {(call.x, call.y) for call in narrow.calls} == {(0.1, 0.0)}
+
+
+@pytest.mark.parametrize("turn_deg", [-56.0, 56.0])
+def test_a_heading_far_off_is_found_back(turn_deg):
+    icp = paper.MAP_LINE.make
+    settings = {each.name: each.default for each in paper.MAP_LINE.parameters}
+    room = np.concatenate([square(0.0, 0.0, 5.0, 4.0), square(1.0, 0.5, 0.6, 0.8), square(3.0, 2.8, 0.4, 1.2)])
+    true = Pose(2.0, 1.8, 0.3)
+    target, source = Cloud(room), Cloud(true.inverse().transform(room))
+    wide, narrow = icp(**settings), icp(**{**settings, "max_correspondence_m": 0.3})
+    match = SecondTry(wide, narrow).register(target, source, true @ Pose(0.25, 0.1, np.radians(turn_deg)))
+    gap = match.target_from_source.inverse() @ true
+    assert np.hypot(gap.x, gap.y) < 0.001 and abs(gap.theta) < 0.001
+
+
+def square(x: float, y: float, width: float, depth: float) -> Floats:
+    """Return points (N, 2) every 2.5 cm around a rectangle."""
+    along, up = np.arange(0.0, width, 0.025), np.arange(0.0, depth, 0.025)
+    sides = [(along, 0 * along), (along, 0 * along + depth), (0 * up, up), (0 * up + width, up)]
+    return np.concatenate([np.column_stack(side) for side in sides]) + [x, y]

@@ -7,7 +7,9 @@
 #define MIN_STEP EK_R(0.1)   /* m */
 #define SEEING EK_R(0.065)
 #define POOR EK_R(0.1)       /* m: a larger mean distance is doubted */
-#define NEAR EK_R(0.15)      /* m: of two answers, the one with more points within it is taken */
+#define NEAR EK_R(0.15)      /* m: of several answers, the one with most points within it is taken */
+
+static const ek_real TURNS[] = {EK_R(0.0), EK_R(-12.0), EK_R(12.0), EK_R(-24.0), EK_R(24.0)}; /* deg: of further tries */
 
 void ek_slam_start_wheels(ek_slam *slam)
 {
@@ -80,17 +82,26 @@ static size_t count_near(const ek_slam *slam, const ek_index *target, ek_pose po
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match)
 {
     ek_icp_parameters narrow = slam->parameters.matcher;
-    ek_match second;
     ek_status status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, guess, &narrow, NULL, NULL,
                                        match);
     if (status != EK_OK || !(match->error > POOR)) {
         return status;
     }
     narrow.max_correspondence = slam->parameters.fine_correspondence;
-    status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, guess, &narrow, NULL, NULL, &second);
-    if (status == EK_OK &&
-        count_near(slam, target, second.target_from_source) > count_near(slam, target, match->target_from_source)) {
-        *match = second;
+    size_t most = count_near(slam, target, match->target_from_source);
+    for (size_t k = 0; k < sizeof TURNS / sizeof TURNS[0]; k++) {
+        const ek_pose turn = {EK_R(0.0), EK_R(0.0), TURNS[k] * EK_PI / EK_R(180.0)};
+        ek_match other;
+        status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, ek_se2_compose(guess, turn),
+                                 &narrow, NULL, NULL, &other);
+        if (status != EK_OK) {
+            return status;
+        }
+        const size_t near = count_near(slam, target, other.target_from_source);
+        if (near > most) {
+            *match = other;
+            most = near;
+        }
     }
-    return status;
+    return EK_OK;
 }

@@ -30,8 +30,8 @@ ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *
 /* Compare the motion between the last two keyframes as matched with that of the wheels. */
 void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *open, int known);
 
-/* Match the projected scan with a target; where the answer fits poorly, try again with near pairs, and take the better
- * one. */
+/* Match the projected scan with a target; where the answer fits poorly, try again with near pairs from five
+ * headings, and take the best one. */
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match);
 
 /* Match the projected scan with the last one and with the map; fills stages and odom_from_base. */
