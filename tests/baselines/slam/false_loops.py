@@ -18,7 +18,6 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
 from evalkit.plugins import registry
-from evalkit_baselines.slam import paper_slam
 
 TRUE_M, TRUE_DEG = 0.5, 5.0
 PLACE_M, PLACE_DEG, LOOP_M, DELAY_M = 1.0, 45.0, 20.0, 6.0
@@ -55,6 +54,7 @@ def main() -> int:
     """Drive and print; returns 1 where a false loop was accepted in an aliasing world."""
     parser = argparse.ArgumentParser(description="Count false loop closures.")
     parser.add_argument("drives", type=int, nargs="?", default=2, help="of each world")
+    parser.add_argument("--method", default="paper-slam", choices=("paper-slam", "embedded-slam"))
     parser.add_argument("--first-seed", type=int, default=1000)
     parser.add_argument("--worlds", nargs="*", default=list(WORLDS), choices=list(WORLDS))
     arguments = parser.parse_args()
@@ -75,17 +75,18 @@ def main() -> int:
     for world in arguments.worlds:
         count = Count()
         for seed in range(arguments.first_seed, arguments.first_seed + arguments.drives):
-            drive(count, world, seed)
+            drive(count, world, seed, arguments.method)
         false += count.false if world in ALIASING else 0
         sys.stdout.write(count.row(world) + "\n")
         sys.stdout.flush()
     return 1 if false else 0
 
 
-def drive(count: Count, world: str, seed: int) -> None:
+def drive(count: Count, world: str, seed: int, method: str) -> None:
     """Drive once and add to the count."""
     sequence = registry.dataset(world).make(seed=seed, **WORLDS[world])
-    slam = paper_slam.make()
+    spec = registry.backend(method)
+    slam = spec.make(**{each.name: each.default for each in spec.parameters})
     for frame in sequence.frames():
         slam.update(frame)
     final, true = slam.trajectory(), sequence.truth().trajectory

@@ -39,7 +39,9 @@ def main() -> int:
     """Print a row for each run."""
     parser = argparse.ArgumentParser(description="Errors of a SLAM on recordings.")
     parser.add_argument("--method", default="paper-slam", choices=("paper-slam", "embedded-slam"))
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="numbers for parameters of the method")
+    parser.add_argument(
+        "--set", nargs="*", default=[], metavar="NAME=VALUE", help="numbers for parameters of the method"
+    )
     parser.add_argument("recordings", nargs="*", default=list(RECORDINGS), help=f"of {', '.join(RECORDINGS)}")
     parser.add_argument("--band", type=int, default=0, help="further runs with noise of 0.1 mm")
     arguments = parser.parse_args()

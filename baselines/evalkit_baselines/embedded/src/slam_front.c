@@ -7,7 +7,10 @@
 #define MIN_STEP EK_R(0.1)   /* m */
 #define SEEING EK_R(0.065)
 #define POOR EK_R(0.1)       /* m: a larger mean distance is doubted */
+#define MIN_SHARE EK_R(0.8)  /* a smaller share of points in pairs is doubted too */
 #define NEAR EK_R(0.15)      /* m: of several answers, the one with most points within it is taken */
+#define FARTHEST EK_R(0.5)   /* m, and 36 deg: a further try that ends farther from the guess does not count */
+#define FARTHEST_THETA (EK_R(36.0) * EK_PI / EK_R(180.0))
 
 static const ek_real TURNS[] = {EK_R(0.0), EK_R(-12.0), EK_R(12.0), EK_R(-24.0), EK_R(24.0)}; /* deg: of further tries */
 
@@ -79,12 +82,20 @@ static size_t count_near(const ek_slam *slam, const ek_index *target, ek_pose po
     return near;
 }
 
+/* 1 where a further try has not left its place. */
+static int is_close(ek_pose guess, ek_pose answer)
+{
+    const ek_pose gap = ek_se2_between(guess, answer);
+    return gap.x * gap.x + gap.y * gap.y <= FARTHEST * FARTHEST && EK_FABS(gap.theta) <= FARTHEST_THETA;
+}
+
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match)
 {
     ek_icp_parameters narrow = slam->parameters.matcher;
     ek_status status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, guess, &narrow, NULL, NULL,
                                        match);
-    if (status != EK_OK || !(match->error > POOR)) {
+    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
+    if (status != EK_OK || (paired && !(match->error > POOR))) {
         return status;
     }
     narrow.max_correspondence = slam->parameters.fine_correspondence;
@@ -98,7 +109,7 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek
             return status;
         }
         const size_t near = count_near(slam, target, other.target_from_source);
-        if (near > most) {
+        if (near > most && is_close(guess, other.target_from_source)) {
             *match = other;
             most = near;
         }
