@@ -170,6 +170,33 @@ def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_compariso
         np.testing.assert_allclose(scan.ranges, np.linspace(2.0, 4.0, 200), atol=1e-4)
 
 
+def test_millimetres_beyond_a_maximum_in_metres_are_noticed(tmp_path):
+    bag = Bag("mcap")
+    for k in range(12):
+        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), range_min=0.1, range_max=12.0)
+    (found,) = [one for one in inspect_recording(bag.write(tmp_path)).findings if one.level == "problem"]
+    assert (
+        found.what == "100 % of the ranges lie beyond the maximum of 12 m: millimetres or centimetres taken for metres?"
+    )
+
+
+def test_mirrored_angles_are_noticed_against_the_odometry_and_the_advice_mends_them(tmp_path):
+    """A lidar turns on the spot in a room; its driver writes clockwise angles as if they were counter-clockwise."""
+    bag = Bag("mcap")
+    directions = np.linspace(-1.5, 1.5, 301)
+    for k in range(40):
+        way = -directions + math.radians(4.0) * k
+        room = 3.0 + np.cos(2 * way) + 0.5 * np.sin(5 * way) + 0.3 * np.cos(11 * way + 1.0)
+        bag.scan(T0 + k * PERIOD, room, angle_min=-1.5, angle_max=1.5, angle_increment=0.01, time_increment=0.0)
+        bag.odom(T0 + k * PERIOD, 0.0, yaw=math.radians(4.0) * k)
+    path = bag.write(tmp_path)
+    (found,) = [one for one in inspect_recording(path).findings if one.level == "problem"]
+    assert found.what.startswith("the scans rotate -1.0")
+    assert "the lidar's angles are mirrored" in found.what
+    scan = next(RosBag(str(path), fields=found.advice.split("'")[1].removeprefix("fields=")).frames()).scan
+    np.testing.assert_allclose(scan.angles, -directions, atol=1e-6)
+
+
 # --- damaged indexes
 
 

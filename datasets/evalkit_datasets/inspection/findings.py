@@ -68,6 +68,12 @@ class LidarStats:
 MAX_MEDIAN_M, MIN_MEDIAN_M = 200.0, 0.02
 """Median range of a scan beyond which the unit is doubted."""
 
+MAX_BEYOND = 0.5
+"""Share of finite ranges beyond the declared maximum from which the unit is doubted."""
+
+FIELDS = "fields=ranges=ranges first=angle_min step=angle_increment"
+"""The parameter of the bag reader that names the fields of a LaserScan, to add a unit or a direction to them."""
+
 MIN_RATE_HZ, MAX_RATE_HZ, MIN_RATED = 0.02, 500.0, 10
 """Scans per second beyond which the unit of time is doubted, of at least so many scans."""
 
@@ -174,11 +180,12 @@ def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[Inspecti
 
 def _check_units(lidar: LidarStats) -> Iterator[InspectionFinding]:
     """Check whether ranges and times have the order of magnitude of a lidar's."""
-    middle, rate = lidar.returns.median_m, lidar.timing.rate_hz
-    if middle > MAX_MEDIAN_M:
-        what = f"the median range is {middle:.0f} m: millimetres or centimetres taken for metres?"
-        bag = "--set 'fields=ranges=ranges first=angle_min step=angle_increment range_unit=mm'"
-        yield _problem(lidar.topic, what, f'a bag: {bag}; a text log: unit = "mm" in [scan]')
+    middle, rate, beyond = lidar.returns.median_m, lidar.timing.rate_hz, lidar.returns.beyond_maximum
+    if middle > MAX_MEDIAN_M or beyond > MAX_BEYOND:
+        far = f"{100 * beyond:.0f} % of the ranges lie beyond the maximum of {lidar.range_max_m or 0.0:g} m"
+        what = f"the median range is {middle:.0f} m" if beyond <= MAX_BEYOND else far
+        advice = f"a bag: --set '{FIELDS} range_unit=mm'; a text log: unit = \"mm\" in [scan]"
+        yield _problem(lidar.topic, f"{what}: millimetres or centimetres taken for metres?", advice)
     elif 0.0 < middle < MIN_MEDIAN_M:
         what = f"the median range is {1e3 * middle:.1f} mm: metres taken for millimetres?"
         yield _problem(lidar.topic, what, 'a bag: record metres; a text log: unit = "m" in [scan]')
@@ -209,7 +216,10 @@ def _check_ranges(lidar: LidarStats) -> Iterator[InspectionFinding]:
     if len(found.beams) > 1:
         yield _warning(about, f"the number of beams changes: {', '.join(map(str, found.beams[:6]))}")
     if found.hits < 0.5:
-        yield _warning(about, f"only {100 * found.hits:.0f} % of the beams are hits")
+        advice = (
+            "a point cloud: its band of heights may miss the walls, or its unit is not m" if found.nan > 0.5 else ""
+        )
+        yield _warning(about, f"only {100 * found.hits:.0f} % of the beams are hits", advice)
     if found.repeated > 0:
         yield _warning(about, f"{found.repeated} scans are identical to the previous one")
     if found.still > 0.95:
@@ -278,8 +288,11 @@ def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]
 def _check_turning(turn: TurnComparison | None, about: str) -> Iterator[InspectionFinding]:
     if turn is not None and not 0.85 <= turn.scale <= 1.15:
         what = f"the scans rotate {turn.scale:.2f} times as much as the odometry ({turn.pairs} turns)"
-        wrong = "check the sign of its heading and of the lidar's angles"
-        yield _warning(about, what, wrong if turn.scale < 0 else "check wheel base and clock")
+        if turn.scale < 0.0:
+            mend = f"a bag: --set '{FIELDS} clockwise'; a text log: clockwise = true in [scan]"
+            yield _problem(about, f"{what}: the lidar's angles are mirrored, or the odometry's heading", mend)
+        else:
+            yield _warning(about, what, "check wheel base and clock")
     elif turn is not None and turn.spread_deg > 1.5:
         what = f"its rotations differ from those of the scans by {turn.spread_deg:.1f} deg ({turn.pairs} turns)"
         yield _note(about, what, "a weak initial guess for registrations")
