@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from evalkit.commands.study.design import DesignAxis, Model, make_fractional
 from evalkit.commands.study.effects import ModelFit
+from evalkit.core.grid import OccupancyGrid
+from evalkit.metrics.consistency import find_corners
 from evalkit.metrics.images import ssim
 from evalkit.stats.intervals import wilson_interval
 from evalkit.stats.paired_tests import adjust_by_holm
@@ -35,6 +38,21 @@ def test_the_structural_similarity_is_that_of_scikit_image():
     )
     inside = slice(5, -5)  # borders are continued differently
     np.testing.assert_allclose(ssim(one, other)[inside, inside], expected[inside, inside], atol=1e-9)
+
+
+def test_the_corners_of_a_map_are_the_harris_corners_of_scikit_image():
+    """A room with a block in it: eight corners, each one cell inside the angle of its walls."""
+    feature = pytest.importorskip("skimage.feature", reason="scikit-image is not installed")
+    occupied = np.zeros((120, 160), dtype=bool)
+    for low, high, left, right in ((10, 110, 10, 150), (40, 70, 50, 90)):
+        occupied[[low, high], left : right + 1] = occupied[low : high + 1, [left, right]] = True
+    log_odds = np.where(occupied, 3.0, -3.0).astype(np.float32)
+    found = find_corners(OccupancyGrid(log_odds, np.ones_like(occupied), 0.05, 0.0, 0.0)) / 0.05 - 0.5
+    edges = -ndimage.gaussian_laplace(occupied.astype(float), 1.0)
+    response = feature.corner_harris(edges, method="k", k=0.05, sigma=1.5)
+    expected = feature.corner_peaks(response, min_distance=4, threshold_rel=0.1)[:, ::-1]
+    assert len(expected) == 8
+    np.testing.assert_allclose(sorted(found.tolist()), sorted(expected.tolist()), atol=0.5)
 
 
 def test_intervals_of_a_model_are_those_of_statsmodels_with_hc3():
