@@ -6,17 +6,23 @@
 #define UART_DATA REGISTER(UART)
 #define UART_STATE REGISTER(UART + 0x04u)
 #define UART_CONTROL REGISTER(UART + 0x08u)
+#define UART_INTERRUPT REGISTER(UART + 0x0cu)
 #define UART_DIVIDER REGISTER(UART + 0x10u)
 #define TIMER 0x40000000u
 #define TIMER_CONTROL REGISTER(TIMER)
 #define TIMER_VALUE REGISTER(TIMER + 0x04u)
 #define TIMER_RELOAD REGISTER(TIMER + 0x08u)
 #define TICK_NS 40u
+#define NVIC_ENABLE REGISTER(0xE000E100u)
+#define NVIC_CLEAR REGISTER(0xE000E280u)
+#define RECEIVED 2u /* of UART_STATE and UART_INTERRUPT; interrupt 0 */
 
 void port_init(void)
 {
     UART_DIVIDER = 25000000u / 115200u;
-    UART_CONTROL = 3u; /* send and receive */
+    UART_CONTROL = 11u; /* send, receive, interrupt when received */
+    __asm volatile("cpsid i"); /* interrupts only wake the processor: there is no handler */
+    NVIC_ENABLE = 1u;
     TIMER_RELOAD = 0xffffffffu;
     TIMER_VALUE = 0xffffffffu;
     TIMER_CONTROL = 1u;
@@ -24,8 +30,11 @@ void port_init(void)
 
 int port_read(void)
 {
-    while (!(UART_STATE & 2u)) {
+    while (!(UART_STATE & RECEIVED)) {
+        __asm volatile("wfi");
     }
+    UART_INTERRUPT = RECEIVED;
+    NVIC_CLEAR = 1u;
     return (int)(UART_DATA & 0xffu);
 }
 
