@@ -36,11 +36,13 @@ class Usage:
     def exceeds(self, limit_s: float, begin: Usage | None = None) -> bool:
         """Whether a time limit, counted from ``begin``, is exceeded: by a child that works, or that waits.
 
-        A child that got some CPU time, but less than it needs, is on a busy machine: it has ``BUSY`` times the limit.
+        A child that got less CPU time than it needs, but some, or that waited for a core, is on a busy machine: it has
+        ``BUSY`` times the limit.
         """
         wall_s = self.wall_s - (begin.wall_s if begin else 0.0)
         cpu_s = self.cpu_s - (begin.cpu_s if begin else 0.0)
-        starved = IDLE * limit_s < cpu_s < WORKING * limit_s
+        waited_s = self.waited_s - (begin.waited_s if begin else 0.0)
+        starved = IDLE * limit_s < max(cpu_s, waited_s) and cpu_s < WORKING * limit_s
         return wall_s > (BUSY * limit_s if starved else limit_s)
 
 

@@ -62,6 +62,12 @@ def test_a_child_that_gets_too_little_cpu_time_has_three_times_its_limit(wall_s,
     assert usage.Usage(100.0 + wall_s, 50.0 + cpu_s, 0).exceeds(10.0, begin) is exceeded
 
 
+def test_a_child_that_waits_for_a_core_without_any_cpu_time_has_three_times_its_limit():
+    assert usage.Usage(11.0, 0.1, 0, 0.1).exceeds(10.0)  # it sleeps
+    assert not usage.Usage(11.0, 0.1, 0, 5.0).exceeds(10.0)
+    assert usage.Usage(31.0, 0.1, 0, 5.0).exceeds(10.0)
+
+
 def test_nothing_starts_on_a_system_without_process_groups(tmp_path, monkeypatch):
     subprocesses._require_process_groups()  # supported here
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("something was started"))

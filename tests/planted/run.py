@@ -132,21 +132,39 @@ def code_hash() -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
-def read_findings(file: Path, code: str) -> tuple[int | None, list[Finding]]:
-    """The seed and the findings of an earlier run of the same code, or none."""
+def read_findings(file: Path, code: str | None) -> tuple[int | None, list[Finding]]:
+    """The seed and the findings of an earlier run of the same code (None: of any), or none; the last of each build."""
     lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    if not lines or (head := json.loads(lines[0])).get("code") != code:
+    if not lines or ((head := json.loads(lines[0])).get("code") != code and code is not None):
         return None, []
     rows = [json.loads(line) for line in lines[1:]]
-    return head["seed"], [Finding(**{**row, "texts": tuple(row["texts"])}) for row in rows]
+    findings = [Finding(**{**row, "texts": tuple(row["texts"])}) for row in rows]
+    return head["seed"], list({(one.source, one.label): one for one in findings}.values())
 
 
-def as_markdown(findings: Sequence[Finding]) -> Iterator[str]:
-    """The table of a documentation page: every fault of every source with what was found, and how long it took."""
-    for source in dict.fromkeys(one.source for one in findings):
-        yield f"\n## {source}\n\n| Build | Verdict | First text | CPU time |\n|---|---|---|---|"
+def as_page(findings: Sequence[Finding], seed: int | None) -> Iterator[str]:
+    """The page of the documentation: every build of every source with what was found, and how long it took."""
+    yield "---\ntitle: Planted faults\n---\n\n# Planted faults\n"
+    yield (
+        "What `evalkit validate` says about libraries with one planted fault each, and about correct builds. Written\n"
+        f"by `python tests/planted/run.py --markdown` from the results of `make planted` with seed {seed}. How they\n"
+        "are built: [validate](validate.md#5-what-it-would-have-found). *named*: found, and the report begins with\n"
+        "the name that was expected; *found*: with another one.\n"
+    )
+    yield "| Source | Faults | Run | Found | Named | Correct builds run | False alarms |\n|---|---|---|---|---|---|---|"
+    sources = [source for source in LIBRARIES if any(one.source == source for one in findings)]
+    for source in sources:
+        faults = [one for one in findings if one.source == source and one.name]
+        correct = [one for one in findings if one.source == source and not one.name]
+        planted = sum(bool(one.name) for one in LIBRARIES[source])
+        found, named = sum(one.found for one in faults), sum(one.named for one in faults)
+        alarms = sum(one.found for one in correct)
+        yield f"| `{source}` | {planted} | {len(faults)} | {found} | {named} | {len(correct)} | {alarms} |"
+    for source in sources:
+        yield f"\n## {source}\n\n| Build | Verdict | Found by | CPU time |\n|---|---|---|---|"
         for one in sorted((one for one in findings if one.source == source), key=_order):
-            text = re.sub(r"[|`<>]", " ", (one.first or ("nothing",))[-1 if not one.named else _naming(one)])[:150]
+            text = (one.first or ("nothing",))[-1 if not one.named else _naming(one)]
+            text = " ".join(re.sub(r"[|`<>*_\[\]]|/\S*/", " ", text).split())[:150]
             yield f"| {one.label} | {one.verdict} | {text} | {one.seconds:.0f} s |"
 
 
@@ -182,17 +200,18 @@ def main() -> int:
     )
     parser.add_argument("--options", default="", help="of the compiler for builds with a fault, such as '-O2 -DSINGLE'")
     parser.add_argument("--out", type=Path, default=ROOT / "reports" / "build" / "planted.jsonl")
-    parser.add_argument("--markdown", action="store_true", help="print the kept results as a table, and run nothing")
+    parser.add_argument("--markdown", action="store_true", help="print the kept results as a page, and run nothing")
     given = parser.parse_args()
     os.nice(5)
     code = code_hash()
+    if given.markdown:
+        kept_seed, findings = read_findings(given.out, None)
+        print("\n".join(as_page(findings, kept_seed)))
+        return 0
     kept_seed, findings = read_findings(given.out, code)
     seed = next((one for one in (given.seed, kept_seed) if one is not None), int(time.time()) % 100_000)
     if seed != kept_seed:
         findings = []
-    if given.markdown:
-        print("\n".join(as_markdown(findings)))
-        return 0
     given.out.parent.mkdir(parents=True, exist_ok=True)
     if not findings:
         given.out.write_text(json.dumps({"code": code, "seed": seed}) + "\n", encoding="utf-8")
