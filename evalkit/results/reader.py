@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -93,6 +94,7 @@ def load_results_json(folder: Path) -> dict[str, Any]:
         )
     try:
         check_seal(content)
+        json.dumps(content, ensure_ascii=False, allow_nan=False).encode()  # raises for NaN and half a character
     except ValueError as error:
         raise StoreError(str(path), str(error), "write the report again") from error
     _check_keys(path, content)

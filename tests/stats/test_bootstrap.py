@@ -9,8 +9,11 @@ import pytest
 from scipy import stats
 
 from evalkit.stats.bootstrap import (
+    Series,
     block_length,
     bootstrap_interval,
+    bootstrap_score,
+    compute_statistic,
     draw_block_means,
     draw_block_rows,
     expanded_percentile_interval,
@@ -24,6 +27,22 @@ def test_a_block_is_ten_seconds_and_at_most_a_fifth():
     assert block_length(200, 0.1) == 40
     assert block_length(1000) == 10
     assert block_length(3, 0.1) == 1
+
+
+@pytest.mark.parametrize(
+    ("statistic", "value"), [("rms", 5.0), ("mean", 13.0 / 3.0), ("median", 5.0), ("inverse", 3.0 / 13.0)]
+)
+def test_each_statistic_of_a_small_series(statistic, value):
+    series = Series(np.arange(3), np.array([1.0, 5.0, 7.0]), statistic, None)
+    assert compute_statistic(series) == pytest.approx(value, rel=1e-12)
+
+
+def test_draws_of_a_score_lie_around_it_in_its_own_unit():
+    series = Series(np.arange(300), np.random.default_rng(3).normal(4.0, 1.0, 300), "inverse", None)
+    plain = bootstrap_score(series, 0.25, np.random.default_rng(0))
+    scaled = bootstrap_score(series, 250.0, np.random.default_rng(0))
+    assert np.median(plain.values) == pytest.approx(0.25, rel=0.02)
+    assert scaled.values == pytest.approx(1000.0 * plain.values)
 
 
 def test_blocks_of_one_agree_with_the_interval_of_independent_values():

@@ -89,6 +89,14 @@ def test_the_difference_does_not_depend_on_the_unit():
     assert millimetres.runs_needed() == metres.runs_needed()
 
 
+def test_twice_the_noise_makes_the_detectable_difference_twice_as_large():
+    noise = np.random.default_rng(5).normal(0.0, 0.001, 8)
+    noise -= noise.mean()
+    small, large = (paired_runs(np.exp(0.1 + factor * noise), np.ones(8)).detectable for factor in (1.0, 2.0))
+    assert large / small == pytest.approx(2.0, rel=0.01)
+    assert 0.0005 < small < 0.005  # of the size of the noise, in the unit of the values
+
+
 def test_the_number_of_runs_that_settles_is_the_first_with_the_power():
     found = paired_runs(np.exp([0.0, 0.3, 0.5]), [1.0, 1.0, 1.0])
     needed = found.runs_needed()

@@ -5,7 +5,7 @@ import io
 import sys
 
 import pytest
-from rich.progress import Progress
+from rich.progress import Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -51,8 +51,10 @@ def test_what_a_progress_bar_shows_is_no_mark_up():
     lines.show("[bold]:x:[/bold] \x1b[2J", "0:01 left")
     lines.bar.refresh()
     (task,) = lines.bar.tasks
-    (cell,) = [column(task) for column in lines.bar.columns if type(column).__name__ == "TextColumn"]
-    assert cell.plain == "0:01 left  [bold]:x:[/bold] \x1b[2J"  # a text; the console shows its control characters
+    (column,) = (one for one in lines.bar.columns if isinstance(one, TextColumn))
+    assert (
+        column.render(task).plain == "0:01 left  [bold]:x:[/bold] \x1b[2J"
+    )  # a text; the console shows its control characters
 
 
 def test_a_fault_of_the_machine_anywhere_is_one_line(capsys, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -132,10 +133,23 @@ def load_selection(
         return _select(folder, load_results_json(folder), sequences, methods, metrics, scans)
 
 
+def _check_parts(content: dict[str, Any]) -> None:
+    """Raises KeyError, TypeError or AttributeError where a part that a format reads is missing or of another type."""
+    itemgetter("title", "description", "command")(content)
+    for verdict in content["verdicts"]:
+        tuple(itemgetter("sequence", "sentences")(verdict)[1])
+    for name in ("runs", "intervals", "differences"):
+        for one in content.get(name, ()):
+            hash(itemgetter("sequence", "method")(one))
+    for name in ("sequences", "methods"):
+        content[name].items()
+
+
 def _select(
     folder: Path, content: dict[str, Any], sequences: Sequence[str], methods: Sequence[str], metrics: Sequence[str],
     scans: bool,
 ) -> ExportSelection:  # fmt: skip
+    _check_parts(content)
     known = {one["name"]: one for one in content["metrics"]}
     for kind, wanted, names in (
         ("sequence", sequences, content["sequences"]), ("method", methods, content["methods"]),

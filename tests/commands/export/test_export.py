@@ -1,7 +1,9 @@
 """Exports of a finished comparison, read back by independent readers."""
 
 import csv
+import hashlib
 import json
+import math
 import os
 import re
 import shutil
@@ -553,6 +555,25 @@ def test_an_export_removes_nothing_that_it_did_not_write(finished_folder, tmp_pa
     assert (first / "notes.txt").read_text() == elsewhere.read_text() == "mine"
     assert not bag.is_symlink()
     assert bag.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "problem"),
+    [
+        ("verdicts", None, "is not complete"),
+        ("verdicts", [{"sequence": "lab", "sentences": 3}], "is not complete"),
+        ("methods", {"wheel": math.nan}, "not JSON compliant"),
+        ("title", "\ud800", "surrogates not allowed"),
+    ],
+)
+def test_results_of_a_stranger_with_a_part_of_another_type_are_one_line(finished_folder, name, value, problem):
+    path = finished_folder / "results.json"
+    content = json.loads(path.read_text(encoding="utf-8")) | {name: value}
+    del content["sha256"]
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    path.write_text(json.dumps({**content, "sha256": hashlib.sha256(text.encode()).hexdigest()}), encoding="utf-8")
+    with pytest.raises(StoreError, match=problem):
+        load_selection(finished_folder)
 
 
 @pytest.mark.parametrize("content", [{}, {"metrics": 3}, {"metrics": [], "sequences": 1, "methods": [], "runs": None}])

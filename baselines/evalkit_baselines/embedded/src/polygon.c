@@ -132,7 +132,7 @@ static int add_wedge(outline *line, const beam_end *from, const beam_end *to, ek
 /* 1 if more neighbouring beams turn counter-clockwise than clockwise, otherwise -1. */
 static ek_real find_direction(const ek_window *window, const ek_view *view, const ek_real *points, size_t count)
 {
-    beam_end last, next;
+    beam_end last = {0}, next;
     int known = 0, balance = 0;
     for (size_t i = 0; i < count; i++) {
         if (locate(window, view, points + 2u * i, &next)) {
@@ -156,7 +156,7 @@ uint32_t ek_window_fill_outline(ek_window *window, const ek_view *view, const ek
     outline line = {window, view, find_direction(window, view, points, count), EK_R(0.0), EK_R(0.0), EK_R(0.0),
                     (int32_t)window->lines, -1};
     const ek_real narrowest = EK_COS(widest_gap);
-    beam_end first, last, next;
+    beam_end first = {0}, last = {0}, next;
     uint32_t left_out = 0u;
     size_t first_beam = count, last_beam = count;
     int reached = 0, first_reached = 0;

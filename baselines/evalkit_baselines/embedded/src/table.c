@@ -153,7 +153,11 @@ static void count_search(ek_table *table, const ek_index *index, uint32_t column
     }
     uint32_t *const entry = table->entry + EK_TILE * table->tile[cell] +
                             EK_TABLE_SPLIT * (row % EK_TABLE_SPLIT) + column % EK_TABLE_SPLIT;
-    if (*entry == CROWDED || ++*entry < EK_TABLE_PATIENCE) {
+    if (*entry == CROWDED) {
+        return;
+    }
+    (*entry)++;
+    if (*entry < EK_TABLE_PATIENCE) {
         return;
     }
     if (table->blocks == table->block_capacity) {
