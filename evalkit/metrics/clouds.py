@@ -7,13 +7,20 @@ import numpy as np
 from evalkit.core.arrays import Bools
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.consistency import NO_HIT, NO_OVERLAP, collect_all_hits, collect_hits
+from evalkit.metrics.consistency import (
+    MAX_HITS,
+    MAX_PLACES,
+    NO_HIT,
+    NO_OVERLAP,
+    collect_all_hits,
+    collect_hits,
+    sample_all_neighbourhoods,
+    sample_neighbourhoods,
+)
 from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, Neighbourhoods, compute_neighbourhoods, thin_evenly
 from evalkit.metrics.surfaces import find_all_wall_pieces
 from evalkit.metrics.table import Evidence, make_metrics, make_score
 
-MAX_HITS = 20_000
-MAX_PLACES = 1000
 MIN_M = 1e-3
 """Smallest standard deviation of a neighbourhood: exact lines would have an infinite entropy."""
 
@@ -39,8 +46,11 @@ def mean_map_entropy(points: Floats, radius_m: float = PATCH_M) -> tuple[float, 
 
     With the number of these places, and their share of all examined places.
     """
-    points = thin_evenly(points, MAX_HITS)
-    values, enough = entropies(compute_neighbourhoods(points, thin_evenly(points, MAX_PLACES), radius_m))
+    return _average_entropies(sample_neighbourhoods(points, radius_m))
+
+
+def _average_entropies(around: Neighbourhoods) -> tuple[float, int, float]:
+    values, enough = entropies(around)
     return (float(values[enough].mean()) if enough.any() else 0.0), int(enough.sum()), float(enough.mean())
 
 
@@ -80,7 +90,7 @@ def _score_mean_map_entropy(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
-    value, places, share = mean_map_entropy(points)
+    value, places, share = _average_entropies(sample_all_neighbourhoods(evidence))
     if share < MIN_SHARE:
         return Score(
             None, places, f"only {100.0 * share:.0f} % of the hits have {MIN_HITS} others within {PATCH_M:g} m"

@@ -12,7 +12,13 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.maps import nearest_distances_m
-from evalkit.metrics.neighbourhoods import build_kd_tree, compute_neighbourhoods, thin_evenly
+from evalkit.metrics.neighbourhoods import (
+    PATCH_M,
+    Neighbourhoods,
+    build_kd_tree,
+    compute_neighbourhoods,
+    thin_evenly,
+)
 from evalkit.metrics.table import (
     Evidence,
     MissingMap,
@@ -56,8 +62,16 @@ def wall_thicknesses(hits: Floats) -> tuple[Floats, float]:
     The thickness is sqrt(lambda_min) of the hits within 0.5 m of a hit, where lambda_max > 9 lambda_min. At most 20,000
     hits and 1,000 places, evenly spaced in the order of time.
     """
+    return _measure_thicknesses(sample_neighbourhoods(hits))
+
+
+def sample_neighbourhoods(hits: Floats, radius_m: float = PATCH_M) -> Neighbourhoods:
+    """Return the neighbourhoods of at most 20,000 of the hits (N, 2), N > 0, around at most 1,000 of them."""
     points = thin_evenly(hits, MAX_HITS)
-    places = compute_neighbourhoods(points, thin_evenly(points, MAX_PLACES))
+    return compute_neighbourhoods(points, thin_evenly(points, MAX_PLACES), radius_m)
+
+
+def _measure_thicknesses(places: Neighbourhoods) -> tuple[Floats, float]:
     return np.sqrt(places.small[places.flat]), float(places.flat.mean())
 
 
@@ -160,6 +174,12 @@ def collect_all_hits(evidence: Evidence) -> Floats:
     return collect_hits(evidence.mapped)
 
 
+@cached
+def sample_all_neighbourhoods(evidence: Evidence) -> Neighbourhoods:
+    """Return the neighbourhoods of the hits of all mapped scans, of which there is at least one."""
+    return sample_neighbourhoods(collect_all_hits(evidence))
+
+
 def look_up_cells(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
     """Return the log-odds (N,) at points (N, 2), and which points (N,) lie in observed cells."""
     cells = np.floor((points - [grid.origin_x, grid.origin_y]) / grid.resolution_m).astype(np.int64)
@@ -202,7 +222,7 @@ def _score_wall_share(evidence: Evidence) -> Score:
 
 @cached
 def _compute_thicknesses(evidence: Evidence) -> tuple[Floats, float]:
-    return wall_thicknesses(collect_all_hits(evidence))
+    return _measure_thicknesses(sample_all_neighbourhoods(evidence))
 
 
 def _score_enclosed_areas(grid: OccupancyGrid) -> Score:
