@@ -6,9 +6,12 @@ The frames are described in ``baselines/evalkit_baselines/embedded/board/link.h`
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import select
+import signal
 import subprocess
+import sys
 import time
 import zlib
 from dataclasses import dataclass, field
@@ -20,6 +23,8 @@ LAST, FIRST, NO_SESSION, TOO_LONG = 1, 2, 4, 8
 CHECKSUM_BYTES = 4
 MAX_CODED_BYTES = 4 * DATA_BYTES
 """More bytes without a zero are noise."""
+
+PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 BAUDS = (9600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800, 500_000, 576_000, 921_600, 1_000_000, 2_000_000)
 
@@ -90,14 +95,27 @@ def open_device(path: str, baud: int) -> Line:
 
 
 def open_command(words: list[str]) -> Line:
-    """Start a program whose standard input and output are the line."""
+    """Start a program whose standard input and output are the line.
+
+    On Linux it ends with this process, however that ends: evalkit kills a program that does not answer in time.
+    """
     try:
-        process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+        process = subprocess.Popen(
+            words,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            preexec_fn=_end_with_parent if sys.platform == "linux" else None,  # noqa: PLW1509 - one thread
+        )
     except OSError as error:
         raise LineError(f"{words[0]}: {error.strerror}; correct the command") from None
     if process.stdin is None or process.stdout is None:
         raise LineError(f"{words[0]}: no pipes")
     return Line(os.dup(process.stdout.fileno()), os.dup(process.stdin.fileno()), process)
+
+
+def _end_with_parent() -> None:
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def encode_cobs(content: bytes) -> bytes:
