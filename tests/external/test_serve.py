@@ -39,3 +39,19 @@ def test_a_library_gives_its_own_answers_as_a_program(tmp_path):
     assert [(one.target_from_source, one.error, one.inliers) for one in first.history] == [
         (one.target_from_source, one.error, one.inliers) for one in second.history
     ]
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler 'cc' here")
+@pytest.mark.parametrize("source", ["serve.c", "program.c"])
+def test_an_error_that_is_no_number_is_no_number_with_fast_arithmetic_too(tmp_path, source):
+    """Points 1 km apart make no pairs within 2 m, so that there is no error to answer."""
+    sources = [C / source, C / "icp.c", *([C / "library.c"] if source == "serve.c" else [])]
+    program = tmp_path / "icp"
+    words = ["cc", "-std=c99", "-O3", "-ffast-math", "-I", INCLUDE]
+    subprocess.run([*map(str, [*words, *sources, "-o", program]), "-lm"], check=True)
+    spec = registry.backend(f"exec:{program}")
+    made = spec.make(**{one.name: one.default for one in spec.parameters} | {"max_correspondence_m": 2.0})
+    near = Cloud(np.random.default_rng(1).uniform(-3.0, 3.0, (20, 2)))
+    match = made.register(near, Cloud(near.points + 1000.0), Pose(0.0, 0.0, 0.0))
+    assert (match.converged, match.inliers) == (False, 0)
+    assert not np.isfinite(match.error)

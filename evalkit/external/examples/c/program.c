@@ -3,7 +3,6 @@
  * The protocol's promises (order of keys, no spaces, plain ASCII) make a JSON library unnecessary.
  */
 #define _POSIX_C_SOURCE 200809L
-#include <math.h>
 
 #include "icp.h"
 #include "lines.h"
@@ -40,7 +39,7 @@ static void answer_register(const char *line, icp_settings settings, cloud cloud
                                start, NULL, NULL);
     long long elapsed = now_ns() - begun;
     char error[32] = "null";
-    if (isfinite(m.error_m))
+    if (is_finite(m.error_m))
         snprintf(error, sizeof error, "%.17g", m.error_m);
     printf("{\"pose\":[%.17g,%.17g,%.17g],\"converged\":%s,\"iterations\":%d,\"error_m\":%s,\"inliers\":%d,"
            "\"elapsed_ns\":%lld}\n",

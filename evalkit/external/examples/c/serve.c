@@ -4,7 +4,6 @@
  *     evalkit validate 'exec:qemu-aarch64 ./mine'                            or 'exec:ssh board ./mine'
  */
 #define _POSIX_C_SOURCE 200809L
-#include <math.h>
 
 #include "evalkit_backend.h"
 #include "lines.h"
@@ -67,7 +66,7 @@ static void *create(const char *line, int *traced)
 static void print_pose(const evalkit_pose *pose, double error_m, int32_t inliers)
 {
     printf("\"pose\":[%.17g,%.17g,%.17g],\"inliers\":%d,\"error_m\":", pose->x, pose->y, pose->theta, (int)inliers);
-    printf(isfinite(error_m) ? "%.17g" : "null", error_m);
+    printf(is_finite(error_m) ? "%.17g" : "null", error_m);
 }
 
 static void record(void *entries, double error_m, int32_t inliers, const evalkit_pose *pose)
