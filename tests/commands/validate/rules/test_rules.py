@@ -5,7 +5,10 @@ import importlib.util
 import json
 import re
 import signal
+import subprocess
 import sys
+import time
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -15,6 +18,7 @@ from evalkit import cli
 from evalkit.commands.validate.rules import (
     odometry_fixture,
     odometry_rules,
+    process_state,
     range_rules,
     registration_rules,
     resource_rules,
@@ -214,6 +218,14 @@ def test_a_back_end_that_exhausts_the_memory_is_terminated():
 def test_a_leak_is_detected_in_a_separate_process():
     checked = runner.check("faulty_backends:LEAKS", only=("memory",))
     assert outcomes(checked)["memory"] == "failed"
+
+
+def test_calls_of_a_slow_program_are_counted_by_elapsed_time_because_they_cost_this_process_none(monkeypatch):
+    monkeypatch.setattr(resource_rules, "PROGRAM_BUDGET_S", 0.1)
+    with subprocess.Popen(["sleep", "60"]) as program:
+        found = resource_rules.measure(object, lambda _: partial(time.sleep, 0.005), process_state.StateWatch())
+        program.kill()
+    assert found.size * resource_rules.BATCHES == 40  # the fewest: 0.1 s are 20 calls of 5 ms; by CPU time thousands
 
 
 def test_a_back_end_that_does_not_start_is_not_checked_further():
