@@ -133,10 +133,10 @@ def expanded_percentile_interval(
     The plain percentile interval is too narrow for few blocks n: by the factor sqrt(n / (n - 1)), and because it uses
     the normal instead of Student's t distribution.
     """
-    from scipy import stats
+    from scipy.special import ndtr, stdtrit
 
     freedom = max(blocks - 1.0, 1.0)
-    tail = stats.norm.cdf(math.sqrt((freedom + 1.0) / freedom) * stats.t.ppf(0.5 - confidence / 2.0, freedom))
+    tail = ndtr(math.sqrt((freedom + 1.0) / freedom) * stdtrit(freedom, 0.5 - confidence / 2.0))
     low, high = np.quantile(drawn, [tail, 1.0 - tail])
     return Interval(value, float(low), float(high), support, confidence)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 CONFIDENCE = 0.95
@@ -37,9 +38,13 @@ def wilson_interval(successes: int, trials: int, confidence: float = CONFIDENCE)
 
     Raises ValueError without a trial, or if ``successes`` is not between 0 and ``trials``.
     """
-    from scipy import stats
+    from scipy.special import ndtri
 
     if not 0 <= successes <= trials or trials == 0:
         raise ValueError(f"successes: expected 0 to {trials} of at least one trial, got {successes}")
-    bounds = stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
-    return Interval(successes / trials, float(bounds.low), float(bounds.high), trials, confidence)
+    share, z = successes / trials, float(ndtri(0.5 + confidence / 2.0))
+    centre = (share + z**2 / (2.0 * trials)) / (1.0 + z**2 / trials)
+    half = z / (1.0 + z**2 / trials) * math.sqrt(share * (1.0 - share) / trials + (z / (2.0 * trials)) ** 2)
+    low = 0.0 if successes == 0 else centre - half
+    high = 1.0 if successes == trials else centre + half
+    return Interval(share, low, high, trials, confidence)

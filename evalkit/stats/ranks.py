@@ -41,9 +41,9 @@ class NotTested:
 
 def compute_ranks(errors: ArrayLike) -> Floats:
     """Return the rank (N, K) of K methods on each of N sequences (N, K): 1 for the least error, ties share the mean."""
-    from scipy import stats
-
-    return np.asarray(stats.rankdata(np.asarray(errors, dtype=np.float64), axis=1))
+    table = np.asarray(errors, dtype=np.float64)
+    own, others = table[:, :, np.newaxis], table[:, np.newaxis, :]
+    return np.asarray(0.5 + (others < own).sum(axis=2) + 0.5 * (others == own).sum(axis=2))
 
 
 def friedman_test(errors: ArrayLike, alpha: float = 0.05) -> FriedmanTest | NotTested:
@@ -52,14 +52,14 @@ def friedman_test(errors: ArrayLike, alpha: float = 0.05) -> FriedmanTest | NotT
     With Nemenyi's critical difference q sqrt(K (K + 1) / 6 N) (Demsar, JMLR 7, 2006). An infinite error is a failure
     and shares the last rank. Fewer than 8 sequences or 3 methods are not tested.
     """
-    from scipy import stats
-
     table = np.asarray(errors, dtype=np.float64)
     sequences, methods = table.shape
     if sequences < MIN_SEQUENCES:
         return NotTested(f"ranks with a critical difference need at least {MIN_SEQUENCES} sequences, found {sequences}")
     if methods < MIN_METHODS:
         return NotTested(f"a test of ranks needs at least {MIN_METHODS} methods, found {methods}")
+    from scipy import stats
+
     ranks = compute_ranks(table)
     statistic, p = (0.0, 1.0) if (ranks == ranks[:, :1]).all() else stats.friedmanchisquare(*ranks.T)
     q = stats.studentized_range.ppf(1.0 - alpha, methods, np.inf) / math.sqrt(2.0)

@@ -119,6 +119,6 @@ def _mean_and_error(series: Floats) -> tuple[float, float]:
 
 @cache
 def _critical(freedom: int, confidence: float) -> float:
-    from scipy import stats
+    from scipy.special import stdtrit
 
-    return float(stats.t.ppf(0.5 + confidence / 2.0, freedom))
+    return float(stdtrit(freedom, 0.5 + confidence / 2.0))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,6 +17,20 @@ def test_wilson_gives_the_published_interval():
     assert _bounds(wilson_interval(81, 263)) == pytest.approx((0.2553, 0.3662), abs=5e-5)
     assert _bounds(wilson_interval(15, 148)) == pytest.approx((0.0624, 0.1605), abs=5e-5)
     assert _bounds(wilson_interval(0, 20)) == pytest.approx((0.0, 0.1611), abs=5e-5)
+
+
+def test_intervals_need_no_scipy_stats_which_takes_as_long_to_import_as_a_small_comparison_computes():
+    code = (
+        "import sys\n"
+        "import numpy as np\n"
+        "from evalkit.stats import bootstrap, intervals, ranks, runs\n"
+        "intervals.wilson_interval(1, 3)\n"
+        "bootstrap.expanded_percentile_interval(0.0, np.arange(9.0), 9, 9)\n"
+        "runs.runs_interval([1.0, 2.0, 4.0])\n"
+        "ranks.compute_ranks([[1.0, 2.0]])\n"
+        "print('scipy.stats' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
 
 
 @given(st.integers(1, 200).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))

@@ -45,7 +45,7 @@ def basin(
 
     Write a page and a JSON file. Exit code 1 if a back end raised an error or ended its process.
     """
-    from evalkit.commands.basin import scenes, sequences  # noqa: PLC0415 - imports scipy.stats
+    from evalkit.commands.basin import scenes, sequences  # noqa: PLC0415 - imports scipy
     from evalkit.commands.basin import trials as basin_trials  # noqa: PLC0415 - as above
     from evalkit.commands.basin.convergence import Criterion  # noqa: PLC0415 - as above
     from evalkit.commands.basin.result import make_result  # noqa: PLC0415 - as above

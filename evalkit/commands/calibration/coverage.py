@@ -167,13 +167,13 @@ def expected_coverage(runs: int, population: int) -> float:
     Below three runs, which have no interval, 0.95. Drawn without replacement, the variance of a mean of ``runs``
     of ``population`` values is smaller by the factor ``1 - runs / population`` (Cochran, Sampling Techniques, 2.2).
     """
-    from scipy import stats  # noqa: PLC0415 - slow to import
+    from scipy.special import stdtr, stdtrit  # noqa: PLC0415 - slow to import
 
     if runs < MIN_RUNS:
         return CONFIDENCE
     freedom, share = runs - 1, 1.0 - runs / population
-    critical = stats.t.ppf(0.5 + CONFIDENCE / 2.0, freedom)
-    return float(2.0 * stats.t.cdf(critical / math.sqrt(share), freedom) - 1.0)
+    critical = stdtrit(freedom, 0.5 + CONFIDENCE / 2.0)
+    return float(2.0 * stdtr(freedom, critical / math.sqrt(share)) - 1.0)
 
 
 def _interval_within(values: Sequence[float], draws: Sequence[BootstrapDraws | None]) -> Interval | None:

@@ -37,7 +37,7 @@ def study(
     Finished points are kept: repeat the command to continue an interrupted study.
     """
     from evalkit.commands.study.config import load_study  # noqa: PLC0415 - as above
-    from evalkit.commands.study.result import StudyResult, run_study_tasks  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.commands.study.result import StudyResult, run_study_tasks  # noqa: PLC0415 - loads scipy
 
     options.add_working_directory()
     plan = load_study(file, f"evalkit study {shlex.quote(str(file))}")

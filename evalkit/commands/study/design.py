@@ -12,7 +12,6 @@ from itertools import combinations, count, product
 from operator import xor
 
 import numpy as np
-from scipy.stats import qmc
 
 from evalkit.core.arrays import Ints
 from evalkit.core.se2 import Floats
@@ -162,6 +161,8 @@ def make_space_filling(factors: int, points: int, rng: np.random.Generator, kind
     """Space-filling points (N, K) within (0, 1): "sobol" (scrambled) or "latin" (hypercube)."""
     if kind == "latin":
         return _draw_hypercube(factors, points, rng)
+    from scipy.stats import qmc  # noqa: PLC0415 - slow to import
+
     drawn = qmc.Sobol(factors, scramble=True, seed=rng).random_base2(max(points - 1, 1).bit_length())
     return np.asarray(drawn[:points])
 
@@ -268,6 +269,8 @@ def _update_inverse(inverse: Floats, column: Floats, sign: float) -> Floats:
 
 
 def _draw_hypercube(factors: int, points: int, rng: np.random.Generator) -> Floats:
+    from scipy.stats import qmc  # noqa: PLC0415 - slow to import
+
     return np.asarray(qmc.LatinHypercube(factors, seed=rng).random(points))
 
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from evalkit.commands.study.design import Model
 from evalkit.core.arrays import Bools
@@ -173,7 +173,7 @@ class ModelFit:
     def _interval(self, contrast: Floats, confidence: float = CONFIDENCE) -> Interval:
         value = float(contrast @ self._coefficients)
         spread = float(np.sqrt(max(float(contrast @ self._covariance @ contrast), 0.0)))
-        half = spread * float(stats.t.ppf(0.5 + confidence / 2.0, self._free))
+        half = spread * float(stdtrit(self._free, 0.5 + confidence / 2.0))
         return Interval(value, value - half, value + half, len(self.response), confidence)
 
     def _mask(self, term: tuple[int, ...]) -> Bools:

@@ -50,8 +50,8 @@ def tune(
 
     Finished runs are kept: repeat the command to continue an interrupted search.
     """
-    from evalkit.commands.tune.result import TuningResult  # noqa: PLC0415 - loads matplotlib and scipy.stats
-    from evalkit.commands.tune.search_loop import make_held_out_experiment  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.commands.tune.result import TuningResult  # noqa: PLC0415 - loads scipy
+    from evalkit.commands.tune.search_loop import make_held_out_experiment  # noqa: PLC0415 - loads scipy
     from evalkit.config.experiment_toml import format_experiment  # noqa: PLC0415 - as above
     from evalkit.report import build_comparison  # noqa: PLC0415 - as below
 
@@ -73,7 +73,7 @@ def tune(
 
 def _read_tuning(what: list[str], on: list[str], held_out: list[str], budget: int | None, setting: list[str]) -> Tuning:
     """The tuning of a file, or of back ends and data sets named on the command line."""
-    from evalkit.commands.tune import config  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.commands.tune import config  # noqa: PLC0415 - loads scipy
 
     if what[0].endswith(FILE):
         if len(what) > 1 or on or held_out or budget is not None or setting:
@@ -92,7 +92,7 @@ def _read_tuning(what: list[str], on: list[str], held_out: list[str], budget: in
 
 def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tuple[SearchResult, ...]:
     """The results of the search; exit code 3 if ``collect`` and a result is missing."""
-    from evalkit.commands.tune import search_loop  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.commands.tune import search_loop  # noqa: PLC0415 - loads scipy
 
     for tunable in tuning.methods:
         if tunable.missing:

@@ -141,7 +141,7 @@ def validate(
     does not hold. A data set has rules alone, a mapper lockstep alone. --only determinism takes any number of back
     ends, none for every installed one.
     """
-    from evalkit.commands.validate import plan, printing, run  # noqa: PLC0415 - imports scipy.stats and matplotlib
+    from evalkit.commands.validate import plan, printing, run  # noqa: PLC0415 - imports scipy and matplotlib
 
     _add_module_path(*(backends or []), reference, *(peer or []))
     group = "rules" if rule else _parse_only(only)

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
 from evalkit.commands.validate.equivalence.diagnosis import (
@@ -256,6 +255,8 @@ class ObservedStep:
 
     def _weighted(self) -> Mistake | None:
         """A least-squares step whose pairs weigh by their distance, with any scale."""
+        from scipy.optimize import minimize_scalar  # noqa: PLC0415 - slow to import, and only for this mistake
+
         moved = se2.transform(self.before, self.source)
         p, q = moved[self.pairs[:, 0]], self.target[self.pairs[:, 1]]
         distance = np.linalg.norm(p - q, axis=1)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
+from scipy.special import stdtrit
 
 from evalkit.core import se2
 from evalkit.core.pose import Pose
@@ -142,7 +142,7 @@ def interval(quantity: str, unit: str, values: ArrayLike, scans: ArrayLike, marg
     if n < 2:
         low, high, method = -math.inf, math.inf, "fewer than two scans"
     elif n < MIN_FOR_BOOTSTRAP:
-        half = float(stats.t.ppf(0.5 + LEVEL / 2.0, n - 1) * series.std(ddof=1) / math.sqrt(n))
+        half = float(stdtrit(n - 1, 0.5 + LEVEL / 2.0) * series.std(ddof=1) / math.sqrt(n))
         low, high, method = float(series.mean()) - half, float(series.mean()) + half, "Student's t"
     else:
         low, high = _block_interval(series, np.random.default_rng(0))
