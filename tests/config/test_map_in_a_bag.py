@@ -23,7 +23,7 @@ map_start = "1,0,0"
 """
 
 
-def test_a_comparison_in_the_map_of_a_bag_tracks_from_its_start(tmp_path, monkeypatch, strangers):
+def test_a_comparison_in_the_map_of_a_bag_tracks_from_its_start(tmp_path, monkeypatch, strangers, scoring_in_threads):
     """The box of the sequence, from 0 to 8 m and -2 to 2 m, walls one cell thick; the drive starts at x = 1 m."""
     monkeypatch.chdir(tmp_path)
     log_odds = np.full((82, 162), -3.0, dtype=np.float32)

@@ -16,6 +16,8 @@ from evalkit.io.map_server import write_map
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
 
+pytestmark = pytest.mark.usefixtures("scoring_in_threads")
+
 DRIVE = "laps = 0.02\n"
 COARSE = "[mapper]\nresolution_m = 0.25\n"
 

@@ -9,6 +9,8 @@ from typer.testing import CliRunner
 from evalkit.commands.realtime.command import realtime
 from evalkit.core.errors import UnknownName
 
+pytestmark = pytest.mark.usefixtures("scoring_in_threads")
+
 ARGUMENTS = ["wheel-odometry", "--on", "lab laps=0.05", "--factors", "1,1e6", "--repetitions", "1"]
 
 
