@@ -18,12 +18,13 @@ import psutil
 
 from evalkit.core.errors import BackendFailed, brief
 from evalkit.execution.subprocesses import signal_name
+from evalkit.execution.usage import Usage
 from evalkit.io import untrusted_io
 
 MAX_ANSWER_BYTES = 1 << 20
 """Limit of one answer."""
 
-EXIT_WAIT_S = 0.5
+EXIT_WAIT_S, LATE_POLL_S = 0.5, 0.05
 CHUNK_BYTES = 1 << 16
 
 
@@ -56,7 +57,7 @@ class Program:
 
     def exchange(self, question: bytes) -> bytes:
         """Send a line and return the line that the program answers; raises BackendFailed."""
-        end = time.monotonic() + self.answer_timeout_s
+        asked, used_ns = time.monotonic(), self.cpu_ns()
         waiting, received = memoryview(question), bytearray()
         with selectors.DefaultSelector() as selector:
             selector.register(self._stdout, selectors.EVENT_READ)
@@ -67,8 +68,9 @@ class Program:
                 )
             selector.register(self._stdin, selectors.EVENT_WRITE)
             while waiting or not received.endswith(b"\n"):
-                ready = selector.select(max(end - time.monotonic(), 0.0))
-                if not ready or time.monotonic() > end:
+                left_s = asked + self.answer_timeout_s - time.monotonic()
+                ready = selector.select(max(left_s, LATE_POLL_S))
+                if time.monotonic() - asked > self.answer_timeout_s and self._is_late(asked, used_ns):
                     what = f"no answer within {self.answer_timeout_s:g} s"
                     raise self._failure(what, "see where it hangs, or set a larger answer_timeout_s")
                 for key, _ in ready:
@@ -77,6 +79,11 @@ class Program:
                     elif not (waiting := waiting[self._write(waiting) :]):
                         selector.unregister(self._stdin)
         return bytes(received)
+
+    def _is_late(self, asked: float, used_ns: int) -> bool:
+        """Whether the time of an answer is over; a program that others keep from computing has more: ``Usage``."""
+        used = Usage(time.monotonic() - asked, 1e-9 * (self.cpu_ns() - used_ns), resident_bytes=0)
+        return used.exceeds(self.answer_timeout_s)
 
     def read(self, line: bytes) -> dict[str, Any]:
         """Parse the line of an answer; raises BackendFailed with the program's own message where it has one."""

@@ -118,6 +118,20 @@ def test_a_program_with_an_invalid_answer_fails_with_a_reason(program, run_backe
     assert len(steps) == 0
 
 
+def test_a_program_that_others_keep_from_computing_has_three_times_its_limit(program, run_backend):
+    """It computes 0.1 s and answers the first scan after 0.4 s; the limit is 0.3 s. One that waits at ease has less."""
+    starved = f"""
+    end = time.process_time() + 0.1
+    while x == 0.0 and time.process_time() < end: pass
+    time.sleep(0.3 * (x == 0.0))
+    {ANSWER}
+    """
+    outcome, steps = run_backend(program(starved), answer_timeout_s=0.3)
+    assert (outcome.status, len(steps)) == ("complete", len(run_backend.truth))
+    outcome, _ = run_backend(program(f"time.sleep(0.4)\n{ANSWER}"), answer_timeout_s=0.3)
+    assert "no answer within 0.3 s" in reason(outcome)
+
+
 def test_a_program_may_flood_its_standard_error_and_still_answer(program, run_backend):
     outcome, steps = run_backend(program("sys.stderr.write('x' * 500_000)\n" + ANSWER))
     assert (outcome.status, len(steps)) == ("complete", len(run_backend.truth))
