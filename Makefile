@@ -26,8 +26,9 @@ report-quick: $(VENV)/evalkit system  ## run a small comparison in under 60 s: r
 system:  ## install the system libraries that Open3D needs, where that is possible
 	@.ci/system-packages open3d
 
-# Two more than there are cores: some tests wait for a limit or a browser.
+# Two more than there are cores, because some tests wait for a limit or a browser; each computes with one thread.
 WORKERS ?= $$($(PYTHON) -c 'import os; print(min(os.cpu_count() + 2, 6))')
+test test-all: export OPENBLAS_NUM_THREADS := 1
 test: $(VENV)/test  ## run the tests, and print the ten slowest
 	@.ci/system-packages open3d browser
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations=10
