@@ -55,6 +55,7 @@ class RegistrationFixture:
 
     ``parameters``, ``given``: what it declares, and the complete values it is made with. ``elsewhere``: the arguments
     of ``state_rules.answers_elsewhere``, by which another process finds the same back end; {} if none can.
+    ``note_progress``: what a rule of several long calls calls before each; the time limit counts from there.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class RegistrationFixture:
         self.asked_s = math.inf
         self.watch = StateWatch()
         self.worn: Registration | None = None  # the object of the endurance run
+        self.note_progress: Callable[[], object] = lambda: None
 
     def make(self) -> Registration:
         """A new object."""

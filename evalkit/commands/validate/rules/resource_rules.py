@@ -114,13 +114,13 @@ def _measure(
     noise = CHILD_NOISE_BYTES if psutil.Process().children() else NOISE_BYTES
     instances = growth / (made - 10) if growth > noise else 0.0
     call = calls(make())
-    before = watch.expected()
     started = clock()
     warm_up = 0
     while warm_up < 30 or (warm_up < 500 and clock() - started < 0.1 * budget_s):
         call()
         warm_up += 1
     each_s = max((clock() - started) / warm_up, 1e-6)
+    before = watch.expected()  # what earlier objects had open has been closed meanwhile
     size = int(np.clip(budget_s / each_s, 40, CALLS)) // BATCHES
     with _counted_output() as output:
         heap, shortest = _run_batches(call, size)

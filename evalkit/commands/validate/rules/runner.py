@@ -69,9 +69,10 @@ def check(
 ) -> RuleReport:
     """The results of all rules for a back end: a registered name, "module:SPEC", or a spec.
 
-    ``limit_s``: wall clock limit of one rule (s); ``memory_mib``: memory limit of the process; ``only``: names of the
-    rules, () for all; ``seed``: of the drawn questions. Raises NotInstalled if the back end cannot run here,
-    BackendFailed if it is a file of results, BadParameter or UnknownName for parameters and rules.
+    ``limit_s``: wall clock limit of one rule (s), or of each call where a rule makes a few long ones; ``memory_mib``:
+    memory limit of the process; ``only``: names of the rules, () for all; ``seed``: of the drawn questions. Raises
+    NotInstalled if the back end cannot run here, BackendFailed if it is a file of results, BadParameter or UnknownName
+    for parameters and rules.
     """
     address, spec = address_of(backend), spec_of(backend)
     if spec.recorded:
@@ -203,7 +204,9 @@ def main() -> int:
     fixture = load_fixture(request["address"], request["parameters"], request["seed"])
     with (folder / RESULTS).open("a", encoding="utf-8", buffering=1) as file:
         for name in request["rules"]:
-            file.write(json.dumps({"begun": name}) + "\n")
+            begun = json.dumps({"begun": name}) + "\n"
+            file.write(begun)
+            fixture.note_progress = partial(file.write, begun)
             try:
                 result: dict[str, Any] = asdict(check_rule(RULES[kind][name], fixture))
             except NotInstalled as error:

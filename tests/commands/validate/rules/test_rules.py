@@ -209,6 +209,12 @@ def test_a_hang_is_terminated_and_breaks_the_rule_in_time():
     assert checked.broken[1].observed == "wall: no answer for 3 s"
 
 
+def test_the_limit_of_a_rule_of_several_long_calls_counts_for_each():
+    """Eight calls of 0.4 s: in all more than three times 0.6 s, which a busy machine is granted."""
+    checked = runner.check("faulty_backends:SLOW", only=("large",), limit_s=0.6)
+    assert outcomes(checked) == {"large": "passed", "alive": "passed", "in-time": "passed"}
+
+
 def test_a_back_end_that_exhausts_the_memory_is_terminated():
     checked = runner.check("faulty_backends:HOGS", only=("empty",), memory_mib=300)
     assert checked.broken[0].observed == "used more than 300 MiB"
