@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from evalkit.core import se2
+from evalkit.core.ground_truth import Relations
 from evalkit.core.run_result import LostTrack
 from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.relations import compute_estimated_motions, symmetric_errors
 from evalkit.metrics.table import Evidence, MatchedPoses
 from evalkit.metrics.track import MAX_M, WINDOW_S
 from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
@@ -22,9 +25,11 @@ def add_recovery(evidence: Evidence, lost: LostTrack | None) -> LostTrack | None
 
     In a known map a pose is right near the truth, and a run is lost where it is farther than ``MAX_M`` from it.
     Elsewhere the motion since ``WINDOW_S`` before the loss must agree with the true one. The last ``WINDOW_S`` at least
-    must be right. Without a true trajectory nothing is known.
+    must be right. Without a true trajectory the measured relations decide, without both nothing is known.
     """
     in_map = isinstance(evidence.matched, MatchedPoses) and evidence.matched.is_in_map
+    if lost is not None and evidence.truth.trajectory is None and evidence.truth.relations is not None:
+        return _find_again_by_relations(evidence.run.estimate, evidence.truth.relations, lost)
     if evidence.truth.trajectory is None or (lost is None and not in_map):
         return lost
     estimate = evidence.run.estimate
@@ -56,6 +61,31 @@ def _find_earlier(lost: LostTrack | None, metres: Floats, seconds: Floats) -> Lo
     if not len(far) or (lost is not None and lost.at_s <= seconds[far[0]]):
         return lost
     return LostTrack(float(seconds[far[0]]), f"{metres[far[0]]:.2f} m away from the ground truth in the known map")
+
+
+def _find_again_by_relations(estimate: Trajectory, relations: Relations, lost: LostTrack) -> LostTrack:
+    """Return the loss with the end of the first right relation that spans it and that no wrong one follows.
+
+    A relation spans the loss if it begins ``WINDOW_S`` or more before it and ends later. Wrong ones count if they span
+    it too or begin after that end: what begins in between says nothing about the time after.
+    """
+    motions, covered = compute_estimated_motions(estimate, relations)
+    if not covered.any():
+        return lost
+    metres, turn = symmetric_errors(motions, relations.first_from_second[covered]).T
+    ends = np.sort(np.stack([relations.first_ns[covered], relations.second_ns[covered]], axis=1), axis=1)
+    steps = np.hypot(*np.diff(estimate.poses[:, :2], axis=0).T)
+    path = np.diff(np.interp(ends, estimate.stamps_ns, np.concatenate([[0.0], np.cumsum(steps)])), axis=1)[:, 0]
+    begin_s, end_s = ((ends - estimate.stamps_ns[0]) * 1e-9).T
+    right = (metres <= np.maximum(RIGHT_M, RIGHT_SHARE * path)) & (turn <= RIGHT_RAD)
+    spans = (begin_s <= lost.at_s - WINDOW_S) & (end_s > lost.at_s)
+    within = (begin_s >= lost.at_s) & ~right
+    after_s = max(end_s[spans & ~right].max(initial=lost.at_s), begin_s[within].max(initial=lost.at_s))
+    found = end_s[spans & right & (end_s > after_s)]
+    last_s = (estimate.stamps_ns[-1] - estimate.stamps_ns[0]) * 1e-9
+    if not len(found) or last_s - found.min() < WINDOW_S:
+        return lost
+    return replace(lost, recovered_at_s=float(found.min()))
 
 
 def _is_motion_right(own: Floats, true: Floats, seconds: Floats, lost: LostTrack) -> Floats:

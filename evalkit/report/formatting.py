@@ -120,8 +120,18 @@ def format_gap(metric: Metric, value: float, best: float) -> str:
 
 def format_loss(lost: LostTrack) -> str:
     """Return when a run lost the track, and when it was found again."""
+    return f"lost {format_loss_times(lost)}"
+
+
+def format_loss_times(lost: LostTrack) -> str:
+    """Return the time of a loss, and that from which on the track was right again."""
     found = "" if lost.recovered_at_s is None else f", found at {lost.recovered_at_s:.0f} s"
-    return f"lost at {lost.at_s:.0f} s{found}"
+    return f"at {lost.at_s:.0f} s{found}"
+
+
+def count_losses(lost: int, found: int, runs: int) -> str:
+    """Return how many of several runs lost the track, and how many of these found it again."""
+    return f"{lost} of {runs} runs lost, {found} found again" if runs > 1 and lost else ""
 
 
 def join_words(words: Iterable[str]) -> str:

@@ -186,7 +186,7 @@ def lost_pill(
         yield from same(what, int(count), len(table))
     for name in filter(None, (method, *(listed or "").split(", "))):
         yield from same(f"{name} {what}", name in table, True)
-    for name, seconds in re.findall(r"(?:^|, | and )(\S+) \(at (\d+) s\)", where):
+    for name, seconds in re.findall(r"(?:^|, | and )(\S+) \(at (\d+) s(?:, found at \d+ s)?\)", where):
         yield from same(f"{method} on {name}", seconds, f"{table[method][name]:.0f}")
     if what.startswith("did") and where and not re.fullmatch(r"\d+ sequences", where):
         yield from same(f"{method} on", set(re.findall(r"(?:^|, | and )(.+?) \(", where)), set(table[method]))

@@ -31,6 +31,7 @@ class Found:
     expected: int = 0
     lost_s: float | None = None
     lost_runs: int = 0
+    found_runs: int = 0
     tuned: bool = False
     perturbed: bool = False
     guessed: float = 0.0
@@ -98,6 +99,7 @@ class Facts:
         found.guessed = median(guessed) if guessed else 0.0
         lost = [run["lost_at_s"] for run in runs if run["lost_at_s"] is not None]
         found.lost_runs = len(lost)
+        found.found_runs = sum(run["recovered_at_s"] is not None for run in runs)
         if lost and not runtime and not (found.perturbed and 2 * len(lost) < len(runs)):
             found.lost_s = min(lost)
         return found

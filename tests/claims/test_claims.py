@@ -41,8 +41,9 @@ def _perturbed(records, scans=0):
     ]  # fmt: skip
 
 
-def _lost(records, at_s):
-    return [replace(one, scores=replace(one.scores, lost=LostTrack(at_s, "a jump of 4 m"))) for one in records]
+def _lost(records, at_s, found_s=None):
+    lost = LostTrack(at_s, "a jump of 4 m", found_s)
+    return [replace(one, scores=replace(one.scores, lost=lost)) for one in records]
 
 
 def _maps(record, **measures):
@@ -95,7 +96,7 @@ def _cases(record, build):
     whole = [one for name in "ab" for one in (record(name, "hall", {"ate_rmse_m": 0.1}, seed=s) for s in (None, 1, 2))]
     yield build(_perturbed(whole))
     partly = _perturbed(_seeds(record, "a", clear[0]))
-    yield build([*_lost(partly[:1], 5.0), *partly[1:], *_perturbed(_seeds(record, "b", clear[1]))])
+    yield build([*_lost(partly[:1], 5.0, 31.0), *partly[1:], *_perturbed(_seeds(record, "b", clear[1]))])
     yield build(_maps(record, a=(0.1, 20.0, 5.0, 0.02), b=(0.2, 60.0, 9.0, 0.05), wheel=(0.4, 90.0, 20.0, 0.09)))
     yield build(_maps(record, a=(0.1, 90.0, 5.0, 0.02), b=(0.2, 60.0, 9.0, 0.05)))
     rooms = [_seeds(record, name, own, room=room) for room, scale in (("room", 1.0), ("yard", 2.0), ("hall", 0.5))

@@ -50,6 +50,14 @@ def lost_in_part(facts: Facts, where: str, listed: str) -> Iterator[str]:
         yield from same("fewer than half", 0 < 2 * int(count) < int(every) and found[name].perturbed, True)
 
 
+@kind(IN_VERDICTS, rf"Found the track again: (?P<listed>.+?){END}")
+def found_again(facts: Facts, where: str, listed: str) -> Iterator[str]:
+    found = facts.find(where, facts.deciding(where) or "")
+    stated = {name: (int(n), int(of)) for name, n, of in re.findall(r"(?:^|, | and )(.+?) in (\d+) of (\d+)", listed)}
+    true = {name: (one.found_runs, one.lost_runs) for name, one in found.items() if one.found_runs}
+    yield from same("found again", stated, true)
+
+
 @kind(IN_VERDICTS, rf"The reference method: (?P<clauses>.+?){END}")
 def reference(facts: Facts, where: str, clauses: str) -> Iterator[str]:
     metric = facts.deciding(where) or ""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit.core import se2
-from evalkit.core.ground_truth import Truth
+from evalkit.core.ground_truth import Relations, Truth
 from evalkit.core.map_start import MapStart
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, LostTrack, RunResult
@@ -65,3 +65,28 @@ def test_a_map_of_another_place_does_not_move_a_frame():
     moved = MapStart(Pose(5.0, -2.0, 0.7), 1, 0.0, True, 0.9)
     poses = se2.compose(moved.map_from_start.inverse().row, TRUE)
     assert judge(poses, None, moved) is None
+
+
+def judge_by_relations(poses, begin_s, end_s, lost=LOST):
+    """Relations that the truth gives between times in seconds; without a true trajectory."""
+    true = Trajectory(STAMPS, TRUE)
+    first, second = (np.asarray(each) * 1_000_000_000 for each in (begin_s, end_s))
+    relations = Relations(first, second, se2.between(true.at(first), true.at(second)))
+    steps = np.zeros(len(STAMPS), dtype=STEP)
+    steps["stamp_ns"], (steps["x"], steps["y"], steps["theta"]) = STAMPS, poses.T
+    run = RunResult(steps, len(steps))
+    return add_recovery(
+        Evidence(run, Truth("measured", relations=relations), match_trajectories(run.estimate, None)), lost
+    )
+
+
+def test_without_a_true_trajectory_relations_across_the_loss_tell_that_it_was_found_again():
+    across = [0, 2, 4, 6], [25, 30, 35, 45]
+    assert judge_by_relations(shifted(195, 320), *across) == LostTrack(20.0, "planted", 35.0)
+    assert judge_by_relations(shifted(195, 600), *across) == LOST
+    assert judge_by_relations(shifted(195, 320), [0], [55]) == LOST  # known for 5 s only: less than a window
+    assert judge_by_relations(shifted(195, 320), [25, 40], [30, 50]) == LOST  # none of them spans the loss
+    assert judge_by_relations(shifted(195, 320), [0, 25], [35, 45]) == LostTrack(20.0, "planted", 35.0)
+    again = shifted(195, 320)
+    again[400:, 1] += 3.0
+    assert judge_by_relations(again, [*across[0], 38], [*across[1], 42]) == LOST

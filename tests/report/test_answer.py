@@ -151,9 +151,9 @@ def test_degenerate_data_do_not_count_and_are_compared_with_the_baseline(build, 
 
 
 def test_a_lost_track_is_named_except_where_the_geometry_explains_it(build, three):
-    def lost_on(sequence):
+    def lost_on(sequence, found_s=None):
         records = [
-            replace(run, scores=replace(run.scores, lost=LostTrack(28.4, "it slipped")))
+            replace(run, scores=replace(run.scores, lost=LostTrack(28.4, "it slipped", found_s)))
             if (run.method, run.sequence) == ("c", sequence)
             else run
             for run in three
@@ -164,6 +164,7 @@ def test_a_lost_track_is_named_except_where_the_geometry_explains_it(build, thre
         )
 
     assert "c lost the track on lab (at 28 s)" in lost_on("lab")
+    assert "c lost the track on lab (at 28 s, found at 40 s)" in lost_on("lab", 40.2)
     assert not any("lost" in text for text in lost_on("hall"))
 
 

@@ -14,7 +14,7 @@ from evalkit.report.analysis.ranking import mark
 from evalkit.report.analysis.scores import NuisanceBand
 from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.report.analysis.verdict import compute_verdict
-from evalkit.report.formatting import format_gap, join_words
+from evalkit.report.formatting import count_losses, format_gap, join_words
 
 
 def verdict(comparison, sequence="room"):
@@ -271,6 +271,22 @@ def test_a_recording_is_judged_by_its_perturbed_runs(record, build):
     assert "Lost the track" not in lose(0)[1]
     assert lose(3)[0] == ()
     assert "Lost the track and not ranked: a at 9 s (a jump)." in lose(3)[1]
+    assert "Found the track again" not in lose(3)[1]
+
+
+def test_methods_that_found_a_lost_track_again_are_counted(record, build):
+    losses = [LostTrack(9.0, "a jump", 20.0), LostTrack(12.0, "slip"), None]
+    runs = [
+        replace(run, scores=replace(run.scores, lost=lost))
+        for run, lost in zip(_seeds(record, "a", [0.01, 0.011, 0.012]), losses, strict=True)
+    ]
+    comparison = build([*runs, *_seeds(record, "b", [0.02, 0.021, 0.022])])
+    score = analyse_sequence(comparison, "room").deciding.of("a")
+    assert (score.lost_runs, score.found_runs) == (2, 1)
+    said = _verdict_text(comparison)
+    assert "Lost the track and not ranked: a at 9 s (a jump). Found the track again: a in 1 of 2." in said
+    assert count_losses(score.lost_runs, score.found_runs, score.expected) == "2 of 3 runs lost, 1 found again"
+    assert count_losses(1, 1, 1) == count_losses(0, 0, 3) == ""
 
 
 def test_methods_that_lost_the_track_are_not_ranked(record, build):

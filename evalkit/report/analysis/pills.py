@@ -12,7 +12,7 @@ from evalkit.report.analysis.pairwise import is_clearly_worse
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.verdict import SequenceVerdict
-from evalkit.report.formatting import join_words
+from evalkit.report.formatting import format_loss_times, join_words
 from evalkit.results.run_record import RunRecord
 
 MAX_NAMED = 4
@@ -86,7 +86,7 @@ def _find_lost(sequences: Iterable[SequenceAnalysis]) -> dict[str, list[str]]:
     for sequence in sequences:
         for score in sequence.deciding.scores if sequence.deciding and not sequence.card.degenerate else ():
             if score.lost is not None:
-                grouped.setdefault(score.method, []).append(f"{sequence.label} (at {score.lost.at_s:.0f} s)")
+                grouped.setdefault(score.method, []).append(f"{sequence.label} ({format_loss_times(score.lost)})")
     return grouped
 
 

@@ -58,8 +58,9 @@ class MethodScore:
     ``draws``: bootstrap draws of each value, None where the metric has none. ``interval``: the median over the runs
     with its 95 % interval: over three or more runs by Student's t; of one run by its draws, which describes this run
     alone; else None. ``lost``: the first loss of the track in its runs, None if they held it; perturbed runs of a
-    recording count as held if fewer than half lost it. ``lost_runs``: how many lost it. ``tuned``: settings of the
-    method were chosen on this data set. ``perturbed``: the repetitions are perturbations of a recording.
+    recording count as held if fewer than half lost it. ``lost_runs``: how many lost it; ``found_runs``: how many
+    of these found it again. ``tuned``: settings of the method were chosen on this data set. ``perturbed``: the
+    repetitions are perturbations of a recording.
     """
 
     method: str
@@ -77,6 +78,7 @@ class MethodScore:
     tuned: bool = False
     perturbed: bool = False
     lost_runs: int = 0
+    found_runs: int = 0
 
     @property
     def band(self) -> NuisanceBand | None:
@@ -113,7 +115,10 @@ def compute_score(
         run.scores.by_metric[metric.name].value for run in unfinished(runs) if metric.name in run.scores.by_metric
     ]
     values = tuple(value for _, value, _ in known)
-    perturbed, lost_runs = runs[0].spec.sequence.perturbed, sum(run.scores.lost is not None for run in runs)
+    perturbed, losses = (
+        runs[0].spec.sequence.perturbed,
+        [run.scores.lost for run in runs if run.scores.lost is not None],
+    )
     support = int(median(support for *_, support in known)) if known else 0
     draws = tuple(bootstrap.draws(run, metric.name) for run, *_ in known)
     return MethodScore(
@@ -129,11 +134,12 @@ def compute_score(
         draws,
         runs_interval(values) if len(values) > 1 else _compute_interval(values, draws, support),
         None
-        if metric.group == "runtime" or metric.slam_only or (perturbed and 2 * lost_runs < len(runs))
+        if metric.group == "runtime" or metric.slam_only or (perturbed and 2 * len(losses) < len(runs))
         else find_loss(runs),
         tuned and metric.group != "runtime",
         perturbed,
-        lost_runs,
+        len(losses),
+        sum(loss.recovered_at_s is not None for loss in losses),
     )
 
 

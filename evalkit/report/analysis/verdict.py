@@ -250,9 +250,12 @@ def _describe_lost(ranking: Ranking) -> str:
     listed = join_words(f"{method} at {loss.at_s:.0f}\u00a0s ({strip_full_stop(loss.reason)})" for method, loss in lost)
     partly = [score for score in ranking.scores if score.lost_runs and score.lost is None]
     some = join_words(f"{score.method} in {score.lost_runs} of {score.expected}" for score in partly)
+    found = [score for score in ranking.scores if score.found_runs]
+    again = join_words(f"{score.method} in {score.found_runs} of {score.lost_runs}" for score in found)
     sentences = (
         f"Lost the track and not ranked: {listed}." if lost else "",
         f"Lost the track in fewer than half of the perturbed runs: {some}." if partly else "",
+        f"Found the track again: {again}." if found else "",
     )
     return " ".join(filter(None, sentences))
 

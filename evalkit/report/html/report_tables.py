@@ -13,7 +13,7 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.formatting import capitalise, format_amount, format_loss, format_number
+from evalkit.report.formatting import capitalise, count_losses, format_amount, format_loss, format_number
 from evalkit.report.html.blocks import Block, Cell, Chips, Column, Table, Text, Tone
 from evalkit.report.html.palette import Stroke
 from evalkit.results.run_record import RunRecord
@@ -125,7 +125,8 @@ def _describe_state(sequence: SequenceAnalysis, label: str, repeated: bool) -> l
     score = sequence.deciding.of(label) if sequence.deciding else None
     chips: list[tuple[str, Tone]] = []
     if score is not None and score.lost is not None:
-        chips.append((format_loss(score.lost), "bad"))
+        counted = count_losses(score.lost_runs, score.found_runs, score.expected)
+        chips.append(("; ".join(filter(None, (format_loss(score.lost), counted))), "bad"))
     if sequence.is_behind(label):
         chips.append(("worse than the baseline", "warn"))
     if not repeated and (broken := unfinished(sequence.runs[label])):
