@@ -143,7 +143,7 @@ def optimise_truncated(graph: PoseGraph, trusted: Bools, limit: float = SLOW_GAT
         weights = np.where(trusted, 1.0, _truncated_weights(chi, mu, limit))
         solution = optimise(solution.graph, weights, max_iterations=1 if is_large else max_iterations)
         iterations += solution.iterations
-        if mu > 1e4 or not ((weights > 1e-3) & (weights < 1.0 - 1e-3)).any():
+        if mu > 1e4 or not ((weights > 0.0) & (weights < 1.0)).any():  # small weights are not yet decided
             break
         mu *= growth if is_large else _GNC_STEP
     kept = np.where(trusted | (solution.graph.chi_squares() <= limit), 1.0, 0.0)

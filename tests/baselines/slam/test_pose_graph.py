@@ -275,3 +275,21 @@ def test_a_step_of_a_graph_of_100_000_poses_takes_bounded_time():
     assert time.process_time() - began < 15.0  # measured: 1 s
     assert solution.iterations == 1
     np.testing.assert_allclose(solution.graph.poses[-1], poses[-1], atol=1e-3)
+
+
+@pytest.mark.parametrize("count", [1_000, pytest.param(100_000, marks=pytest.mark.thorough)])
+def test_a_loop_that_is_metres_off_takes_none_of_the_right_ones_with_it(count):
+    """A chain of motions of 1 m, two loops that agree with it and with each other, and one 4 m short of both."""
+    far = count * 6 // 10
+    first, second = np.r_[np.arange(count - 1), 0, 1, 0], np.r_[np.arange(1, count), far, far + 1, far + 2]
+    motions = np.zeros((count + 2, 3))
+    motions[:, 0] = [*np.ones(count - 1), far + 0.3, far + 0.3, far - 4.0]
+    information = np.tile(np.diag([2.5e3, 2.5e3, 3.6e4]), (count + 2, 1, 1))
+    poses = np.column_stack([np.arange(count, dtype=np.float64), np.zeros((count, 2))])
+    began = time.process_time()
+    solution = pose_graph.optimise_truncated(
+        PoseGraph(poses, first, second, motions, information), np.arange(count + 2) < count - 1
+    )
+    assert time.process_time() - began < 60.0  # measured: 5 s for 100,000 poses
+    np.testing.assert_array_equal(solution.weights[-3:], [1.0, 1.0, 0.0])
+    np.testing.assert_allclose(solution.graph.poses[far, 0], far + 0.3, atol=0.02)

@@ -53,7 +53,7 @@ static int truncate_weights(ek_pose_graph *graph, ek_real mu)
         weight = weight < EK_R(0.0) ? EK_R(0.0) : weight < EK_R(1.0) ? weight : EK_R(1.0);
         weight = chi <= low ? EK_R(1.0) : chi >= high ? EK_R(0.0) : weight;
         graph->loop[l].weight = weight;
-        undecided |= weight > EK_R(1e-3) && weight < EK_R(1.0) - EK_R(1e-3);
+        undecided |= weight > EK_R(0.0) && weight < EK_R(1.0); /* small weights are not yet decided */
     }
     return undecided;
 }
