@@ -5,7 +5,9 @@ Only the registration is timed: clouds are converted before, and libraries that 
 Open3D's tree, which cannot be kept. So compare rows with "+ index" with each other, and rows without. "+ table" is a
 lasting target that was registered with before. The rows of cKDTree are its nearest-neighbour queries alone.
 The pairing differs (one-to-one in the core and the NumPy reference, many-to-one in the others) and KISS-ICP uses
-robust weights; clouds, guess, largest distance and iterations are the same.
+robust weights; clouds, guess, largest distance and iterations are the same. Karto's matcher (karto-scanmatcher, under
+the GPL) takes scans and no clouds: its rows match one scan of the lab, from the same error of the guess, with as many
+scans before it as have that number of beams; it searches, so that there are no iterations.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from scipy.spatial import cKDTree
 from evalkit import Cloud, Pose
 from evalkit.commands.diff import benchmark
 from evalkit.commands.diff.benchmark import BenchmarkSeries
+from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.odometry import planar3d
@@ -162,6 +165,39 @@ def kiss_icp_methods(target: Floats, source: Floats, guess: Pose) -> Calls:
     return {"KISS-ICP": lambda: align(voxels), "KISS-ICP + index": lambda: align(make_map())}
 
 
+def karto_methods(targets: int) -> Calls:
+    """Return Karto's correlative matcher on scans of the lab with at least ``targets`` beams."""
+    import karto_scanmatcher as karto
+
+    lab = registry.dataset("lab")
+    sequence = lab.make(**{p.name: p.default for p in lab.parameters})
+    truth = sequence.truth().trajectory
+    if truth is None:
+        raise ValueError("lab: no true trajectory")
+
+    def describe_scan(number: int, frame: Frame, off: Pose) -> Any:
+        scan, limit = frame.scan, frame.scan.range_max_m
+        step = (scan.angles[-1] - scan.angles[0]) / (len(scan.angles) - 1)
+        sensor = karto.LaserScanConfig(
+            scan.angles[0], scan.angles[-1], step, scan.range_min_m, limit + 2.0, limit, "lidar"
+        )
+        ranges = np.where(np.isfinite(scan.ranges), scan.ranges, limit + 1.0).tolist()  # beyond the limit: not used
+        at = karto.Pose2(*(Pose.of(truth.at([scan.stamp_ns])[0]) @ off @ frame.base_from_sensor).row)
+        return karto.LocalizedRangeScan(sensor, ranges, at, at, number, scan.stamp_ns * 1e-9)
+
+    kept, beams, last = [], 0, None
+    for number, frame in enumerate(sequence.frames()):
+        last = describe_scan(number, frame, GUESS_OFF)
+        if beams >= targets:
+            break
+        kept.append(describe_scan(number, frame, Pose()))
+        beams += len(frame.scan.ranges)
+    config = karto.ScanMatcherConfig()
+    config.search_size, config.range_threshold = 2.0 * LARGEST_M, frame.scan.range_max_m
+    matcher = karto.Wrapper(config)
+    return {"Karto, its own scans": lambda: matcher.match_scan(last, kept, True, True)}
+
+
 def methods(target: Floats, source: Floats, guess: Pose) -> Calls:
     """Return all installed methods; the core is first, because the others are compared with it."""
     calls = core_methods("double", REFERENCE, target, source, guess)
@@ -173,6 +209,8 @@ def methods(target: Floats, source: Floats, guess: Pose) -> Calls:
         calls |= open3d_methods(target, source, guess)
     if importlib.util.find_spec("kiss_icp"):
         calls |= kiss_icp_methods(target, source, guess)
+    if importlib.util.find_spec("karto_scanmatcher"):
+        calls |= karto_methods(len(target))
     return calls
 
 

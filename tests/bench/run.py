@@ -25,12 +25,15 @@ SCRIPTS = ("overhead", "backends", "registration", "normals", "mapper", "metrics
 
 @dataclass(frozen=True)
 class Aim:
-    """The largest median of a series; with ``beside`` the least ratio of the series to the series ``beside``."""
+    """The largest median of a series; with ``beside`` the least ratio of the series to the series ``beside``, or with
+    ``at_most`` the largest.
+    """
 
     benchmark: str
     series: str
     limit: float
     beside: str = ""
+    at_most: bool = False
 
 
 def registration_aims(points: int, lasting_ms: float, built_ms: float) -> tuple[Aim, ...]:
@@ -55,12 +58,14 @@ AIMS: tuple[Aim, ...] = (
     Aim("overhead", "around a scan of paper", 20.0),
     *registration_aims(5000, 0.12, 0.35),
     *registration_aims(50_000, 0.15, 0.6),
+    Aim("registration", "embedded, 50000 points", 1.25, "embedded, 5000 points", at_most=True),
     Aim("normals", "core, 5000 points", 2.0),
     Aim("normals", "NumPy, 5000 points", 3.0, "core, 5000 points"),
     Aim("mapper", "core, room 10 x 8 m, at once again", 300.0),
     Aim("mapper", "core, 12 m all round, at once again", 630.0),
     Aim("mapper", "core, polygon, 12 m all round, at once again", 100.0),
     Aim("metrics", "together", 500.0),
+    Aim("growth", "memory of a further scan", 400.0),
 )
 
 
@@ -83,7 +88,8 @@ def row(aim: Aim, measured: Mapping[str, Benchmark]) -> tuple[str, str, str, str
     else:
         ratio = series.median / other.median
         low, high = low / other.median, high / other.median
-        found, wanted, met = f"{ratio:.3g} x", f">= {aim.limit:g} x", ratio >= aim.limit
+        met = ratio <= aim.limit if aim.at_most else ratio >= aim.limit
+        found, wanted = f"{ratio:.3g} x", f"{'<=' if aim.at_most else '>='} {aim.limit:g} x"
     return f"{aim.benchmark}: {figure}", found, f"{low:.3g} - {high:.3g}", wanted, "met" if met else "missed"
 
 

@@ -1,6 +1,9 @@
 """Benchmark files: written, loaded and compared."""
 
+import importlib.util
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -125,3 +128,24 @@ def test_the_command_exits_with_1_if_something_became_slower(tmp_path, middle, c
     assert shown.exit_code == code
     assert "| speed | a/b | 0.9974 ms |" in shown.stdout
     assert json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)["regressions"] == code
+
+
+def test_make_bench_compares_medians_and_their_ratios_with_the_aims():
+    spec = importlib.util.spec_from_file_location("bench_run", Path(__file__).parents[2] / "bench" / "run.py")
+    assert spec is not None
+    assert spec.loader is not None
+    run = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = run  # dataclasses look their module up
+    spec.loader.exec_module(run)
+    series = (BenchmarkSeries("small", "ms", (2.0,)), BenchmarkSeries("large", "ms", (3.0,)))
+    measured = {"speed": Benchmark("speed", series)}
+    verdicts = {
+        run.Aim("speed", "small", 2.0): ("2 ms", "<= 2", "met"),
+        run.Aim("speed", "large", 2.0): ("3 ms", "<= 2", "missed"),
+        run.Aim("speed", "large", 1.4, "small"): ("1.5 x", ">= 1.4 x", "met"),
+        run.Aim("speed", "large", 1.4, "small", at_most=True): ("1.5 x", "<= 1.4 x", "missed"),
+        run.Aim("speed", "lost", 1.0): ("", "1", "not measured"),
+    }
+    for aim, (found, wanted, verdict) in verdicts.items():
+        _, median, _, limit, said = run.row(aim, measured)
+        assert (median, limit, said) == (found, wanted, verdict)
