@@ -1,5 +1,7 @@
 """Firmware on a serial line: the answers of the core to the bit, over a line that loses and damages bytes."""
 
+import importlib.machinery
+import importlib.util
 import os
 import random
 import select
@@ -278,3 +280,31 @@ def test_the_emulated_cortex_m4f_gives_the_bits_of_this_computer(tmp_path):
             cwd=tmp_path, check=True, timeout=120,
         )  # fmt: skip
         assert (tmp_path / "board.bits").read_text() == (tmp_path / "here.bits").read_text()
+
+
+def load_figures():
+    """Return board/figures as a module."""
+    loader = importlib.machinery.SourceFileLoader("figures", str(CORE / "board" / "figures"))
+    module = importlib.util.module_from_spec(importlib.util.spec_from_loader("figures", loader))
+    loader.exec_module(module)
+    return module
+
+
+def test_a_scan_above_its_weighted_tallies_is_counted(capsys):
+    figures = load_figures()
+    one_of_each = [1.0] * len(figures.KINDS)
+    allowed = sum(figures.WEIGHTS["-float"])
+    there = [[allowed, 800.0], [allowed + 40.0, 800.0], [0.5 * allowed, 800.0]]
+    assert figures.check_scans("drawn", "-float", there, [one_of_each] * 3) == 1
+    assert "drawn, float: 3 scans, 1 above" in capsys.readouterr().out
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not EMULATOR or not CROSS, reason="no qemu-system-arm, or no arm-none-eabi-gcc")
+def test_no_scan_on_the_emulated_cortex_m4f_takes_more_instructions_than_its_bound():
+    words = [sys.executable, CORE / "board" / "figures", "--seed", "5", "--sessions", "5", "--bound", "500"]
+    printed = subprocess.run(words, capture_output=True, text=True, check=True, timeout=600).stdout
+    for precision in ("double", "float"):
+        assert f"random, {precision}: 100 scans, 0 above their weighted tallies" in printed
+        assert f"{precision}: no tally exceeds its bound in 10000 random scans" in printed
+    assert printed.count(" B | ") == 2 * len(load_figures().CONFIGURATIONS)

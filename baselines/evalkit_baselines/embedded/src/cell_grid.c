@@ -1,4 +1,5 @@
 #include "ek/cell_grid.h"
+#include "ek/tally.h"
 
 #include <string.h>
 
@@ -10,6 +11,7 @@
 
 ek_status ek_bounds_compute(const ek_real *xy, size_t count, ek_bounds *bounds)
 {
+    EK_COUNT(EK_SLOTS, count);
     ek_real left = EK_MAX_COORDINATE, right = -EK_MAX_COORDINATE, bottom = EK_MAX_COORDINATE, top = -EK_MAX_COORDINATE;
     for (size_t i = 0; i < count; i++) {
         const ek_real x = xy[2u * i], y = xy[2u * i + 1u];
@@ -31,6 +33,7 @@ ek_status ek_bounds_compute(const ek_real *xy, size_t count, ek_bounds *bounds)
 /* Cover a bounding box and a border of `share` of its size with cells of width `cell`; 0 if max_cells are too few. */
 static int cover(ek_cell_grid *grid, const ek_bounds *bounds, ek_real cell, ek_real share, size_t max_cells)
 {
+    EK_COUNT(EK_SLOTS, 8u); /* as much work as so many points */
     const ek_real per_cell = EK_R(1.0) / cell;
     const ek_real beside = EK_FLOOR(share * (bounds->right - bounds->left) * per_cell);
     const ek_real below = EK_FLOOR(share * (bounds->top - bounds->bottom) * per_cell);

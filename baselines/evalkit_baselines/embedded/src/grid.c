@@ -1,5 +1,6 @@
 #include "ek/grid.h"
 #include "ek/polygon.h"
+#include "ek/tally.h"
 
 #include <string.h>
 
@@ -188,6 +189,7 @@ static void add_block(ek_grid *grid, uint32_t row, uint32_t word, int16_t *cells
     for (uint32_t k = 0; k < WORD; k++, cells += grid->parameters.columns) {
         const size_t at = (size_t)(row + k) * grid->window.words + word;
         const uint32_t hit = grid->window.ends[at], freed = crossed[k] & ~hit;
+        EK_COUNT(EK_FILLED, (freed | hit) != 0u);
         if (freed == UINT32_MAX) {
             free_word(cells, odds[0], odds[2]);
             grid->touched_cells += WORD;
@@ -210,6 +212,7 @@ static void apply_window(ek_grid *grid)
     const ek_grid_parameters *const p = &grid->parameters;
     const int16_t odds[4] = {to_thousandths(p->l_free), to_thousandths(p->l_occ), to_thousandths(p->l_min),
                              to_thousandths(p->l_max)};
+    EK_COUNT(EK_WORDS, (size_t)grid->window.lines * grid->window.words);
     for (uint32_t row = 0; row < grid->window.lines; row += WORD) {
         const int64_t to_row = (int64_t)grid->window_bottom + row - grid->bottom;
         if (to_row < 0 || to_row >= (int64_t)p->rows) {

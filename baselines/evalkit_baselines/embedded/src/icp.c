@@ -2,6 +2,7 @@
 #include "ek/fit.h"
 #include "ek/normals.h"
 #include "ek/table.h"
+#include "ek/tally.h"
 
 #include <string.h>
 
@@ -286,7 +287,10 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
         ek_table_attach(target->table, target);
     }
     move_source(icp, padded, pose, limit, target->cells.margin);
+    EK_COUNT(EK_POINTS, padded);
     while (match.iterations < parameters->max_iterations && !match.converged) {
+        EK_COUNT(EK_ITERATIONS, 1u);
+        EK_COUNT(EK_POINTS, padded);
         match.queries += update_neighbours(icp, target, normals, count, limit);
         match.inliers = select_pairs(icp, count, limit, parameters->one_to_one);
         if (match.inliers < parameters->min_pairs) {

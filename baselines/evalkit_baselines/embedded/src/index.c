@@ -1,4 +1,5 @@
 #include "ek/index.h"
+#include "ek/tally.h"
 
 #include <string.h>
 
@@ -35,6 +36,8 @@ static void count_cells(ek_index *index, const ek_real *xy, size_t count)
     uint32_t *const EK_RESTRICT counts = index->start + 2;
     uint32_t *const EK_RESTRICT cells = index->scratch;
     size_t occupied = 0u;
+    EK_COUNT(EK_CELLS, (size_t)frame.rows * frame.columns + 2u);
+    EK_COUNT(EK_SLOTS, count);
     memset(index->start, 0, ((size_t)frame.rows * frame.columns + 2u) * sizeof(uint32_t));
     for (size_t i = 0; i < count; i++) {
         const uint32_t cell = ek_cell_grid_index(&frame, xy + 2u * i);
@@ -49,6 +52,8 @@ static void scatter(ek_index *index, const ek_real *xy, size_t count)
 {
     const size_t cells = (size_t)index->cells.rows * index->cells.columns;
     uint32_t *const EK_RESTRICT next = index->start + 1;
+    EK_COUNT(EK_CELLS, cells);
+    EK_COUNT(EK_SLOTS, count);
     for (size_t cell = 1; cell <= cells; cell++) {
         index->start[cell] += index->start[cell - 1u];
     }
@@ -117,6 +122,7 @@ static int grid_suits_points(const ek_index *index)
         return 0;
     }
     int left = 0, right = 0;
+    EK_COUNT(EK_CELLS, rows);
     for (uint32_t row = 0; row < rows && !(left && right); row++) {
         const uint32_t *const line = start + (size_t)row * columns;
         left |= line[across] > line[0];
@@ -143,6 +149,8 @@ static inline void compare_slots(const ek_index *index, uint32_t from, uint32_t 
     const ek_real *const EK_RESTRICT xy = index->xy;
     ek_real best = found->best, second = found->second;
     uint32_t slot = found->slot;
+    EK_COUNT(EK_ROWS, 1u);
+    EK_COUNT(EK_CANDIDATES, to - from);
     for (uint32_t k = from; k < to; k++) {
         const ek_real dx = xy[2u * k] - x, dy = xy[2u * k + 1u] - y, squared = dx * dx + dy * dy;
         const ek_real worse = squared > best ? squared : best;
@@ -161,8 +169,11 @@ static uint32_t find_lowest_id(const ek_index *index, const ek_cell_box *box, ek
     uint32_t slot = EK_NONE;
     for (int32_t row = box->bottom; row <= box->top; row++) {
         const uint32_t base = (uint32_t)row * index->cells.columns;
+        const uint32_t from = index->start[base + (uint32_t)box->left];
         const uint32_t to = index->start[base + (uint32_t)box->right + 1u];
-        for (uint32_t k = index->start[base + (uint32_t)box->left]; k < to; k++) {
+        EK_COUNT(EK_ROWS, 1u);
+        EK_COUNT(EK_CANDIDATES, to - from);
+        for (uint32_t k = from; k < to; k++) {
             const ek_real dx = index->xy[2u * k] - x, dy = index->xy[2u * k + 1u] - y;
             if (dx * dx + dy * dy <= best && (slot == EK_NONE || index->id[k] < index->id[slot])) {
                 slot = k;
@@ -196,6 +207,7 @@ ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_re
     }
     candidates found;
     ek_cell_box box;
+    EK_COUNT(EK_SEARCHES, 1u);
     /* far from the points rounding errors are larger; without this term the search would not end */
     const ek_real margin = index->cells.margin + EK_R(16.0) * EK_EPSILON * (EK_FABS(x) + EK_FABS(y));
     ek_real border = search_square(index, x, y, radius, margin, &box, &found), best = EK_SQRT(found.best);

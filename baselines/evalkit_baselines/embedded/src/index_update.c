@@ -1,4 +1,5 @@
 #include "ek/index_update.h"
+#include "ek/tally.h"
 
 #include <string.h>
 
@@ -32,6 +33,8 @@ static inline void copy_pair(ek_real *into, size_t to, const ek_real *out_of, si
 static void sort_by_digit(uint32_t *digits, const uint32_t *cells, const uint32_t *from, uint32_t *into, uint32_t count,
                     unsigned shift)
 {
+    EK_COUNT(EK_CELLS, 2u * DIGITS);
+    EK_COUNT(EK_SLOTS, 2u * count);
     memset(digits, 0, (DIGITS + 1u) * sizeof(uint32_t));
     for (uint32_t i = 0; i < count; i++) {
         digits[(cells[i] >> shift & (DIGITS - 1u)) + 1u]++;
@@ -49,6 +52,7 @@ static void sort_by_cell(ek_index_updater *updater, const ek_index *index, const
                          uint32_t **order, uint32_t **cells)
 {
     const uint32_t last = index->cells.rows * index->cells.columns - 1u;
+    EK_COUNT(EK_SLOTS, 2u * count);
     uint32_t *sorted = updater->order, *other = updater->order + updater->capacity;
     for (uint32_t i = 0; i < count; i++) {
         index->scratch[i] = ek_cell_grid_index(&index->cells, xy + 2u * (size_t)i);
@@ -72,6 +76,7 @@ static void count_insertions(ek_index *index, const uint32_t *cells, uint32_t co
 {
     const uint32_t *const start = index->start;
     uint32_t last = EK_NONE;
+    EK_COUNT(EK_SLOTS, index->count + count);
     memset(before, 0, (index->count + 1u) * sizeof(uint32_t));
     for (uint32_t j = 0; j < count; j++) {
         const uint32_t cell = cells[j], end = start[cell + 1u];
@@ -92,6 +97,7 @@ static void copy_kept_slots(ek_index_updater *updater, const ek_index *index, ui
     uint32_t *const EK_RESTRICT new_id = updater->id;
     const size_t count = index->count;
     size_t written = 0u, met = 0u;
+    EK_COUNT(EK_SLOTS, count);
     for (size_t k = 0; k < count; k++) {
         const uint32_t now = id[k] - removed, leaves = id[k] < removed;
         written += gone[k];
@@ -120,6 +126,7 @@ static void shift_starts(ek_index *index, const uint32_t *added_cells, uint32_t 
                          uint32_t removed)
 {
     const uint32_t entries = index->cells.rows * index->cells.columns + 1u;
+    EK_COUNT(EK_CELLS, entries + BLOCK);
     uint32_t change[BLOCK] = {0u}, i = 0u, j = 0u, by = 0u;
     for (uint32_t block = 0; block < entries; block += BLOCK) {
         uint32_t *const start = index->start + block;
@@ -145,6 +152,7 @@ static void insert_points(ek_index_updater *updater, const ek_index *index, uint
                           const uint32_t *order, const uint32_t *cells, uint32_t count)
 {
     uint32_t slot = 0u, last = EK_NONE;
+    EK_COUNT(EK_SLOTS, count);
     for (uint32_t j = count; j-- > 0u;) {
         slot = (cells[j] == last ? slot : index->start[cells[j] + 1u]) - 1u;
         last = cells[j];
@@ -169,6 +177,7 @@ static void update_in_place(ek_index_updater *updater, ek_index *index, uint32_t
 {
     const uint32_t kept = (uint32_t)index->count - removed;
     uint32_t *order, *cells, *const gone = index->scratch, last = EK_NONE;
+    EK_COUNT(EK_SLOTS, 2u * removed);
     sort_by_cell(updater, index, xy, count, &order, &cells);
     count_insertions(index, cells, count, gone);
     copy_kept_slots(updater, index, removed, gone);
@@ -191,6 +200,7 @@ static void update_in_place(ek_index_updater *updater, ek_index *index, uint32_t
 static ek_status rebuild(ek_index_updater *updater, ek_index *index, size_t removed, const ek_real *xy, size_t count)
 {
     const size_t kept = index->count - removed;
+    EK_COUNT(EK_SLOTS, index->count + count);
     for (size_t k = 0; k < index->count; k++) {
         if (index->id[k] >= removed) {
             copy_pair(updater->xy, index->id[k] - removed, index->xy, k);

@@ -1,4 +1,5 @@
 #include "ek/pipeline.h"
+#include "ek/tally.h"
 
 #include <string.h>
 
@@ -59,6 +60,7 @@ ek_status ek_pipeline_update(ek_pipeline *pipeline, const ek_sweep *sweep, ek_es
         return EK_NULL_POINTER;
     }
     const ek_pipeline_parameters *const p = &pipeline->parameters;
+    EK_COUNT(EK_SCANS, 1u);
     ek_status status = ek_motion_project(&pipeline->frontend.motion, &pipeline->scan, sweep, &p->scan, p->deskew);
     if (status != EK_OK) {
         return status;

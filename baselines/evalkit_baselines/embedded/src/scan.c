@@ -1,4 +1,5 @@
 #include "ek/scan.h"
+#include "ek/tally.h"
 
 #include <string.h>
 
@@ -142,6 +143,7 @@ ek_status ek_scan_project(ek_scan *scan, const ek_sweep *sweep, const ek_scan_pa
     if (status != EK_OK) {
         return status;
     }
+    EK_COUNT(EK_BEAMS, sweep->beams);
     const ek_pose mount = parameters->base_from_sensor;
     const ek_real c = EK_COS(mount.theta), s = EK_SIN(mount.theta);
     const ek_arc arc = make_arc(sweep->beams > 1u ? start_from_end : NULL);

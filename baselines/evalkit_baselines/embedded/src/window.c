@@ -1,4 +1,5 @@
 #include "ek/window.h"
+#include "ek/tally.h"
 
 #include <string.h>
 
@@ -17,6 +18,7 @@ static inline void mark(uint32_t *line, uint32_t from, uint32_t to)
 {
     uint32_t word = from / WORD;
     uint32_t mask = UINT32_MAX << (from % WORD);
+    EK_COUNT(EK_STEPS, 1u + to / WORD - word);
     for (; word < to / WORD; word++) {
         line[word] |= mask;
         mask = UINT32_MAX;
@@ -64,6 +66,7 @@ uint32_t ek_window_mark_beams(ek_window *window, const ek_view *view, const ek_r
     uint32_t left_out = 0u;
     const ek_real limit = (ek_real)window->lines;
     const int32_t column = (int32_t)view->start_x, row = (int32_t)view->start_y;
+    EK_COUNT(EK_STEPS, count);
     for (size_t i = 0; i < count; i++) {
         const ek_real u = points[2u * i], v = points[2u * i + 1u];
         const ek_real x = view->c * u - view->s * v + view->x, y = view->s * u + view->c * v + view->y;

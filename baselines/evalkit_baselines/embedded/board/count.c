@@ -1,0 +1,377 @@
+/* count - the work of each scan, over a recording or over random scans. On a board (BOARD_COUNT, with port.h) a
+ * line per scan has its instructions and the depth of its stack in bytes; compiled with EK_TALLY it has the tallies of
+ * its loops, and a scan that exceeds their bound is an error. Both see the same bits, and hence the same loops, if
+ * compiled with EK_PORTABLE. Usage:
+ *
+ *     count sizes CONFIGURATION        print the bytes of the struct and of its memory, and the bounds of the tallies
+ *     count log CONFIGURATION FILE     a recording (scanlog.h)
+ *     count random SEED SESSIONS       sessions of 20 random scans with random parameters
+ *     count bound SEED SESSIONS        the same, and print only the number of scans and the largest share of each bound
+ */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "ek/pipeline.h"
+#include "ek/scanlog.h"
+#include "ek/tally.h"
+
+#define MAX_BEAMS 2048u
+#define RANDOM_BEAMS 96u
+#define SCANS 20
+
+/* Beams, keyframes, cells of the local map's index (0: as many as points need), side of the map in cells (0: no map). */
+typedef struct {
+    const char *name;
+    uint32_t points, keyframes, cells, side;
+    double resolution, range_max; /* m */
+} configuration;
+
+static const configuration configurations[] = {
+    {"default", 2048u, 10u, 0u, 1024u, 0.05, 12.0},
+    {"1600", 1600u, 10u, 0u, 512u, 0.05, 12.0},
+    {"1600-no-map", 1600u, 10u, 0u, 0u, 0.05, 12.0},
+    {"360", 360u, 5u, 8192u, 256u, 0.1, 8.0},
+};
+
+static ek_pipeline pipeline;
+static ek_real ranges[MAX_BEAMS], angles[MAX_BEAMS];
+static void *memory;
+static uint64_t state; /* of the random numbers */
+
+/* Random number in [low, high); the same on every processor (Marsaglia 2003, xorshift64). */
+static double uniform(double low, double high)
+{
+    state ^= state << 13;
+    state ^= state >> 7;
+    state ^= state << 17;
+    return low + (high - low) * ((double)(state >> 11) / 9007199254740992.0);
+}
+
+static uint32_t whole(uint32_t low, uint32_t high) /* both included */
+{
+    return (uint32_t)uniform((double)low, (double)high + 1.0);
+}
+
+static int fail(const char *what, ek_status status)
+{
+    fprintf(stderr, "count: %s: %s\n", what, ek_status_text(status));
+    return 1;
+}
+
+static int begin(const ek_pipeline_parameters *parameters)
+{
+    size_t bytes;
+    free(memory);
+    memory = NULL;
+    ek_status status = ek_pipeline_bytes(parameters, &bytes);
+    if (status == EK_OK) {
+        memory = malloc(bytes + EK_ALIGNMENT); /* newlib aligns to 8 bytes */
+        unsigned char *const aligned = (unsigned char *)memory + (EK_ALIGNMENT - (uintptr_t)memory % EK_ALIGNMENT);
+        status = memory ? ek_pipeline_start(&pipeline, aligned, bytes, parameters) : EK_TOO_LITTLE_MEMORY;
+    }
+    return status == EK_OK ? 0 : fail("start", status);
+}
+
+static ek_pipeline_parameters configured(const configuration *chosen)
+{
+    ek_pipeline_parameters parameters = ek_pipeline_default();
+    parameters.frontend.points = chosen->points;
+    parameters.frontend.keyframes = chosen->keyframes;
+    parameters.frontend.cells = chosen->cells;
+    parameters.map = chosen->side > 0u;
+    if (parameters.map) {
+        parameters.grid.columns = parameters.grid.rows = chosen->side;
+        parameters.grid.left = parameters.grid.bottom = -(int32_t)(chosen->side / 2u);
+        parameters.grid.resolution = EK_R(chosen->resolution);
+        parameters.grid.range_max = EK_R(chosen->range_max);
+    }
+    return parameters;
+}
+
+#ifdef EK_TALLY
+uint64_t ek_tally[EK_TALLIES];
+static double largest[EK_TALLIES]; /* share of the bound */
+
+static uint64_t smaller(uint64_t a, uint64_t b)
+{
+    return a < b ? a : b;
+}
+
+/* How often a search looks around: in squares of twice the size each, from 0.75 of a cell of at least 1 mm to the limit,
+ * and once more where two points are equally near. */
+static uint64_t looks_of_search(ek_real limit)
+{
+    uint64_t looks = 3u;
+    for (double radius = 0.00075; radius < (double)limit + 0.01; radius *= 2.0) {
+        looks++;
+    }
+    return looks;
+}
+
+/* The bounds of README.md; for maps that do not roll, from beams, and limits of correspondences above 0. */
+static void bound(uint64_t most[EK_TALLIES])
+{
+    const ek_frontend *const f = &pipeline.frontend;
+    const ek_icp_parameters *const stage[2] = {&f->parameters.scan_to_scan, &f->parameters.scan_to_map};
+    const uint64_t beams = f->parameters.points, points[2] = {beams, beams * f->parameters.keyframes};
+    const uint64_t cells[2] = {f->last.cell_capacity, f->local_map.cell_capacity};
+    const uint64_t lines = pipeline.parameters.map ? pipeline.grid.window.lines : 0u, words = lines / EK_WORD;
+    memset(most, 0, EK_TALLIES * sizeof *most);
+    most[EK_SCANS] = 1u;
+    most[EK_BEAMS] = beams;
+    for (int k = 0; k < 2; k++) {
+        const uint64_t iterations = (uint64_t)stage[k]->max_iterations, searches = beams * iterations;
+        const uint64_t looks = looks_of_search(stage[k]->max_correspondence);
+        const uint64_t across = 6u * (uint64_t)(1000.0 * ((double)stage[k]->max_correspondence + 0.01)); /* 1 mm */
+        most[EK_ITERATIONS] += iterations;
+        most[EK_POINTS] += EK_PADDED(beams) * (iterations + 1u);
+        most[EK_SEARCHES] += searches;
+        most[EK_ROWS] += searches * smaller(across + 2u * looks, looks * cells[k]);
+        most[EK_CANDIDATES] += searches * looks * points[k];
+    }
+    most[EK_SLOTS] = 22u * beams + 9u * points[1] + 16000u;
+    most[EK_CELLS] = 5u * cells[0] + 7u * cells[1] + 4500u;
+    most[EK_STEPS] = lines ? beams * (lines / 2u + 18u + words) : 0u;
+    most[EK_WORDS] = most[EK_FILLED] = lines * words;
+}
+
+static void print_bound(void)
+{
+    uint64_t most[EK_TALLIES];
+    bound(most);
+    for (int k = 0; k < EK_TALLIES; k++) {
+        printf(" %llu", (unsigned long long)most[k]);
+    }
+}
+
+static int update(const ek_sweep *sweep, int silent)
+{
+    ek_estimate estimate;
+    uint64_t most[EK_TALLIES];
+    memset(ek_tally, 0, sizeof ek_tally);
+    const ek_status status = ek_pipeline_update(&pipeline, sweep, &estimate);
+    bound(most);
+    int exceeded = 0;
+    for (int k = 0; k < EK_TALLIES; k++) {
+        const double share = most[k] ? (double)ek_tally[k] / (double)most[k] : 0.0;
+        largest[k] = share > largest[k] ? share : largest[k];
+        exceeded |= ek_tally[k] > most[k];
+        if (ek_tally[k] > most[k]) {
+            fprintf(stderr, "count: tally %d is %llu, above its bound of %llu\n", k, (unsigned long long)ek_tally[k],
+                    (unsigned long long)most[k]);
+        }
+        if (!silent) {
+            printf("%s%llu", k ? " " : "", (unsigned long long)ek_tally[k]);
+        }
+    }
+    if (!silent) {
+        putchar('\n');
+    }
+    return exceeded ? 1 : status == EK_OK ? 0 : fail("update", status);
+}
+
+static void print_shares(void)
+{
+    for (int k = 0; k < EK_TALLIES; k++) {
+        printf("%s%.4f", k ? " " : "", largest[k]);
+    }
+    putchar('\n');
+}
+#elif defined(BOARD_COUNT)
+#include "port.h"
+
+#define PAINT 0xA5A5A5A5u
+#define PAINTED 4096 /* words; more than a scan needs */
+
+static void print_bound(void)
+{
+}
+
+static void print_shares(void)
+{
+}
+
+/* One scan: instructions, and bytes of the stack below this function. Nothing interrupts the emulated processor. */
+static int __attribute__((noinline)) update(const ek_sweep *sweep, int silent)
+{
+    ek_estimate estimate;
+    volatile uint32_t *here, *deepest;
+    __asm volatile("mov %0, sp" : "=r"(here));
+    for (deepest = here - PAINTED; deepest < here; deepest++) {
+        *deepest = PAINT;
+    }
+    const uint32_t from = port_clock_ns();
+    const ek_status status = ek_pipeline_update(&pipeline, sweep, &estimate);
+    const uint32_t taken = port_clock_ns() - from;
+    for (deepest = here - PAINTED; deepest < here && *deepest == PAINT;) {
+        deepest++;
+    }
+    if (!silent) {
+        printf("%lu %lu\n", (unsigned long)taken, (unsigned long)(here - deepest) * sizeof *here);
+    }
+    return status == EK_OK ? 0 : fail("update", status);
+}
+#else
+#error "compile with EK_TALLY or BOARD_COUNT"
+#endif
+
+static int run_log(const configuration *chosen, const char *path)
+{
+    ek_scanlog log;
+    ek_sweep sweep;
+    FILE *const file = fopen(path, "rb");
+    ek_status status = file ? ek_scanlog_open(file, &log) : EK_BAD_FILE;
+    if (status != EK_OK || log.max_beams > MAX_BEAMS) {
+        return fail(path, status == EK_OK ? EK_TOO_MANY_POINTS : status);
+    }
+    ek_pipeline_parameters parameters = configured(chosen);
+    parameters.scan.range_min = log.range_min;
+    parameters.scan.range_max = log.range_max;
+    parameters.scan.base_from_sensor = log.base_from_sensor;
+    int failed = begin(&parameters);
+    while (!failed && status == EK_OK) {
+        status = ek_scanlog_next(file, &log, ranges, angles, &sweep);
+        failed = status == EK_OK ? update(&sweep, 0) : status == EK_END_OF_FILE ? 0 : fail(path, status);
+    }
+    fclose(file);
+    return failed;
+}
+
+static ek_pipeline_parameters drawn_parameters(void)
+{
+    ek_pipeline_parameters parameters = ek_pipeline_default();
+    ek_icp_parameters *const stages[2] = {&parameters.frontend.scan_to_scan, &parameters.frontend.scan_to_map};
+    parameters.scan.range_max = EK_R(uniform(3.0, 12.0));
+    parameters.scan.base_from_sensor.x = EK_R(uniform(-0.3, 0.3));
+    parameters.frontend.points = whole(8u, RANDOM_BEAMS);
+    parameters.frontend.keyframes = whole(1u, 4u);
+    parameters.frontend.cells = whole(0u, 1u) ? whole(16u, 2048u) : 0u;
+    parameters.frontend.keyframe_distance = EK_R(whole(0u, 1u) ? 0.0 : 0.3);
+    parameters.frontend.min_inliers = (int32_t)whole(2u, 10u);
+    for (int k = 0; k < 2; k++) {
+        stages[k]->max_iterations = (int32_t)whole(1u, 40u);
+        stages[k]->epsilon = EK_R(whole(0u, 1u) ? 0.0 : 1e-4);
+        stages[k]->max_correspondence = EK_R(uniform(0.05, 1.0));
+        stages[k]->one_to_one = (int32_t)whole(0u, 1u);
+        stages[k]->min_pairs = (int32_t)whole(2u, 5u);
+    }
+    parameters.map = whole(0u, 3u) > 0u;
+    parameters.clear_no_returns = (int32_t)whole(0u, 1u);
+    parameters.grid.columns = parameters.grid.rows = 32u * whole(1u, 5u);
+    parameters.grid.left = parameters.grid.bottom = -32 * (int32_t)whole(1u, 3u);
+    parameters.grid.resolution = EK_R(uniform(0.05, 0.2));
+    parameters.grid.range_max = parameters.scan.range_max;
+    return parameters;
+}
+
+typedef enum { ROOM, ANYWHERE, CIRCLE, CLUSTER, ONE_PLACE, WALL, KINDS } scan_kind;
+
+/* Range in a room of 8 m x 6 m around the start. */
+static double range_in_room(double x, double y, double c, double s)
+{
+    const double across = ((c > 0.0 ? 4.0 : -4.0) - x) / (c < 0.0 || c > 0.0 ? c : 1e-9);
+    const double up = ((s > 0.0 ? 3.0 : -3.0) - y) / (s < 0.0 || s > 0.0 ? s : 1e-9);
+    return across < up ? across : up;
+}
+
+/* Draw the beams of a scan: of a room, or of a kind that makes searches look at many cells or at many points. */
+static void draw_scan(scan_kind kind, int number, size_t beams, double range_max)
+{
+    const double shift = (double)number * uniform(0.0, 0.1), place = uniform(1.0, 3.0), spread = uniform(1e-4, 0.02);
+    for (size_t k = 0; k < beams; k++) {
+        double angle = 2.0 * (double)EK_PI * (double)k / (double)beams - (double)EK_PI, range = place;
+        if (kind == ROOM || kind == WALL) {
+            angle = kind == WALL ? 0.4 * angle : angle;
+            const double c = (double)EK_COS(EK_R(angle)), s = (double)EK_SIN(EK_R(angle));
+            range = range_in_room(0.5 * shift, -0.3 * shift, c, s) + uniform(-0.02, 0.02);
+        } else if (kind == ANYWHERE) {
+            range = uniform(0.1, 1.1 * range_max);
+        } else if (kind == CLUSTER) { /* the first beam widens the cells, so that the others share one */
+            angle = k ? uniform(-spread, spread) : 3.0;
+            range = k ? 1.0 + uniform(-spread, spread) + (number % 2 ? 0.04 : 0.0) : 0.99 * range_max;
+        } else if (kind == ONE_PLACE) {
+            angle = 0.0;
+        }
+        const uint32_t odd = whole(0u, 199u);
+        ranges[k] = EK_R(odd == 0u ? (double)NAN : odd == 1u ? (double)INFINITY : odd == 2u ? 0.01 : range);
+        angles[k] = EK_R(angle);
+    }
+}
+
+static int run_random(uint64_t seed, long sessions, int silent)
+{
+    int failed = 0;
+    state = seed * 0x9E3779B97F4A7C15u + 1u;
+    for (long session = 0; session < sessions && !failed; session++) {
+        const ek_pipeline_parameters parameters = drawn_parameters();
+        const scan_kind kind = (scan_kind)whole(0u, KINDS); /* KINDS: another one for each scan */
+        failed = begin(&parameters);
+        for (int number = 0; number < SCANS && !failed; number++) {
+            ek_sweep sweep;
+            memset(&sweep, 0, sizeof sweep);
+            sweep.stamp_ns = (int64_t)(number + 1) * 100000000;
+            sweep.beams = whole(0u, 3u) ? parameters.frontend.points : whole(1u, (uint32_t)parameters.frontend.points);
+            sweep.time_increment_ns = whole(0u, 1u) ? 0 : 50000;
+            sweep.ranges = ranges;
+            sweep.angles = angles;
+            sweep.has_odometry = (int32_t)whole(0u, 1u);
+            sweep.odom_from_base.x = EK_R(uniform(-0.5, 0.5));
+            sweep.odom_from_base.theta = EK_R(uniform(-0.3, 0.3));
+            draw_scan(kind == KINDS ? (scan_kind)whole(0u, KINDS - 1u) : kind, number, sweep.beams,
+                      (double)parameters.scan.range_max);
+            failed = update(&sweep, silent);
+        }
+    }
+    if (silent && !failed) {
+        printf("%ld\n", sessions * SCANS);
+        print_shares();
+    }
+    return failed;
+}
+
+static const configuration *find(const char *name)
+{
+    for (size_t k = 0; k < sizeof configurations / sizeof *configurations; k++) {
+        if (strcmp(configurations[k].name, name) == 0) {
+            return &configurations[k];
+        }
+    }
+    fprintf(stderr, "count: no configuration %s\n", name);
+    return NULL;
+}
+
+static int print_sizes(const configuration *chosen)
+{
+    size_t bytes;
+    const ek_pipeline_parameters parameters = configured(chosen);
+    const ek_status status = ek_pipeline_bytes(&parameters, &bytes);
+    if (status != EK_OK || begin(&parameters)) {
+        return status == EK_OK ? 1 : fail(chosen->name, status);
+    }
+    printf("%lu %lu", (unsigned long)sizeof pipeline, (unsigned long)bytes);
+    print_bound();
+    putchar('\n');
+    return 0;
+}
+
+int main(int argc, char **argv)
+{
+#ifdef BOARD_COUNT
+    port_init();
+#endif
+    const char *const what = argc > 1 ? argv[1] : "";
+    const int sizes = strcmp(what, "sizes") == 0 && argc == 3, log = strcmp(what, "log") == 0 && argc == 4;
+    const int silent = strcmp(what, "bound") == 0;
+    int failed = 2;
+    if (sizes || log) {
+        const configuration *const chosen = find(argv[2]);
+        failed = !chosen ? 1 : sizes ? print_sizes(chosen) : run_log(chosen, argv[3]);
+    } else if ((silent || strcmp(what, "random") == 0) && argc == 4) {
+        failed = run_random(strtoull(argv[2], NULL, 10), strtol(argv[3], NULL, 10), silent);
+    } else {
+        fprintf(stderr, "usage: count sizes CONFIGURATION | log CONFIGURATION FILE | random|bound SEED SESSIONS\n");
+    }
+    free(memory);
+    return failed;
+}

@@ -1,0 +1,33 @@
+/* tally.h - count the passes of the loops of a scan, to check a bound of its work (board/count.c).
+ *
+ * Compiled in with -DEK_TALLY, for a program that defines ek_tally; otherwise nothing is left of it.
+ */
+#ifndef EK_TALLY_H
+#define EK_TALLY_H
+
+#include <stdint.h>
+
+typedef enum {
+    EK_SCANS,      /* calls of ek_pipeline_update */
+    EK_BEAMS,      /* beams, in the loops that run once per scan */
+    EK_ITERATIONS, /* of a registration */
+    EK_POINTS,     /* points of an iteration, and once before the first */
+    EK_SEARCHES,   /* of a nearest neighbour */
+    EK_ROWS,       /* rows of cells in searches */
+    EK_CANDIDATES, /* points compared in searches */
+    EK_SLOTS,      /* points in loops that build or update an index */
+    EK_CELLS,      /* cells in such loops */
+    EK_STEPS,      /* of beams through the window of the map: lines and words */
+    EK_WORDS,      /* of the window */
+    EK_FILLED,     /* words with marks, that change 32 cells of the map */
+    EK_TALLIES
+} ek_tally_kind;
+
+#ifdef EK_TALLY
+extern uint64_t ek_tally[EK_TALLIES];
+#define EK_COUNT(kind, passes) (ek_tally[kind] += (uint64_t)(passes))
+#else
+#define EK_COUNT(kind, passes) ((void)0)
+#endif
+
+#endif
