@@ -154,10 +154,12 @@ static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openn
         return EK_OK;
     }
     const ek_status status = ek_slam_match(slam, target, *pose, match);
-    *accepted = status == EK_OK && match->inliers >= slam->parameters.min_inliers;
-    if (*accepted) {
-        *pose = ek_openness_limit(open, match->target_from_source, *pose);
+    const ek_pose limited = status == EK_OK ? ek_openness_limit(open, match->target_from_source, *pose) : *pose;
+    if (status == EK_OK && slam->gated && !ek_slam_is_believed(slam->scan.count, *pose, limited, match)) {
+        match->inliers = 0;
     }
+    *accepted = status == EK_OK && match->inliers >= slam->parameters.min_inliers;
+    *pose = *accepted ? limited : *pose;
     return status;
 }
 
@@ -262,6 +264,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     estimate->odom_from_base = identity;
     estimate->scan_to_scan = estimate->scan_to_map = none;
     slam->corrected = 0;
+    slam->gated = p->odometry_gate && sweep->has_odometry;
     status = ek_slam_track(slam, &prior, estimate, &work);
     if (status != EK_OK || !is_near(estimate->odom_from_base)) {
         return status == EK_OK ? EK_OUT_OF_RANGE : status;

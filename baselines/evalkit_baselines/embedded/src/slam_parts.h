@@ -8,6 +8,7 @@
 #define ek_slam_prepare EK_NAME(slam_prepare)
 #define ek_slam_observe_wheels EK_NAME(slam_observe_wheels)
 #define ek_slam_match EK_NAME(slam_match)
+#define ek_slam_is_believed EK_NAME(slam_is_believed)
 #define ek_slam_init EK_NAME(slam_init)
 #define ek_slam_track EK_NAME(slam_track)
 #define ek_slam_draw EK_NAME(slam_draw)
@@ -33,6 +34,9 @@ void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *o
 /* Match the projected scan with a target; where the answer fits poorly, try again with near pairs from five
  * headings, and take the best one. */
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match);
+
+/* 0 where a match of a scan contradicts the odometry that its guess comes from (odometry_gate.py). */
+int ek_slam_is_believed(size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
 
 /* Match the projected scan with the last one and with the map; fills stages and odom_from_base. */
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work);
