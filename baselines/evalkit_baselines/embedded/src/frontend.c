@@ -57,17 +57,10 @@ ek_status ek_frontend_init(ek_frontend *frontend, ek_arena *arena, const ek_fron
     memset(frontend, 0, sizeof *frontend);
     frontend->parameters = *parameters;
     const size_t points = parameters->points, all = points * parameters->keyframes;
-    status = ek_icp_init(&frontend->icp, arena, points, all);
-    if (status == EK_OK) {
-        status = ek_index_init(&frontend->last, arena, points, cells_for(points));
-    }
-    if (status == EK_OK) {
-        status =
-            ek_index_init(&frontend->local_map, arena, all, parameters->cells ? parameters->cells : cells_for(all));
-    }
-    if (status == EK_OK) {
-        status = ek_index_updater_init(&frontend->updater, arena, all);
-    }
+    status = ek_index_init(&frontend->local_map, arena, all, parameters->cells ? parameters->cells : cells_for(all));
+    status = status == EK_OK ? ek_index_init(&frontend->last, arena, points, cells_for(points)) : status;
+    status = status == EK_OK ? ek_icp_init(&frontend->icp, arena, points, all) : status;
+    status = status == EK_OK ? ek_index_updater_init(&frontend->updater, arena, all) : status;
     frontend->keyframe = (ek_real *)ek_arena_alloc(arena, 2u * points, sizeof(ek_real));
     frontend->keyframe_counts = (size_t *)ek_arena_alloc(arena, parameters->keyframes, sizeof(size_t));
     return status;

@@ -51,14 +51,14 @@ static void sort_by_digit(uint32_t *digits, const uint32_t *cells, const uint32_
 static void sort_by_cell(ek_index_updater *updater, const ek_index *index, const ek_real *xy, uint32_t count,
                          uint32_t **order, uint32_t **cells)
 {
-    const uint32_t last = index->cells.rows * index->cells.columns - 1u;
+    const uint64_t last = (uint64_t)index->cells.rows * index->cells.columns - 1u; /* wider than any shift */
     EK_COUNT(EK_SLOTS, 2u * count);
     uint32_t *sorted = updater->order, *other = updater->order + updater->capacity;
     for (uint32_t i = 0; i < count; i++) {
         index->scratch[i] = ek_cell_grid_index(&index->cells, xy + 2u * (size_t)i);
         sorted[i] = i;
     }
-    for (unsigned shift = 0; shift < 32u && last >> shift; shift += DIGIT_BITS) { /* least significant digit first */
+    for (unsigned shift = 0; last >> shift; shift += DIGIT_BITS) { /* least significant digit first */
         sort_by_digit(updater->digits, index->scratch, sorted, other, count, shift);
         uint32_t *const swap = sorted;
         sorted = other;

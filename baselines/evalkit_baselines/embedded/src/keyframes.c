@@ -37,12 +37,6 @@ ek_status ek_keyframes_init(ek_keyframes *keyframes, ek_arena *arena, size_t cap
     return EK_OK;
 }
 
-void ek_keyframes_reset(ek_keyframes *keyframes)
-{
-    keyframes->count = 0u;
-    ek_pose_graph_reset(&keyframes->graph);
-}
-
 /* Information of a step over a path, in the frame of the scan at its end. */
 static ek_sym3 step_information(const ek_drift *drift, ek_real path, const ek_openness *open)
 {
@@ -103,12 +97,11 @@ void ek_keyframes_measure(ek_keyframes *keyframes, ek_work *work)
     const ek_pose_graph *const graph = &keyframes->graph;
     ek_real *const apart = keyframes->apart;
     const size_t last = keyframes->count - 1u;
-    int changed = 1;
     for (size_t k = 0; k < last; k++) {
         apart[k] = EK_APART;
     }
     apart[last] = EK_R(0.0);
-    for (size_t pass = 0; changed && pass <= graph->loop_count; pass++) {
+    for (int changed = 1; changed;) { /* no shortest way takes a loop twice: one pass a loop, and one that changes nothing */
         changed = 0;
         for (size_t k = last; k > 0u; k--) {
             shorten(apart + k - 1u, apart[k] + step_length(keyframes, k));

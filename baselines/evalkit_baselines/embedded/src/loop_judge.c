@@ -80,13 +80,6 @@ ek_status ek_loop_finder_init(ek_loop_finder *finder, ek_arena *arena, const ek_
     return status;
 }
 
-void ek_loop_finder_reset(ek_loop_finder *finder)
-{
-    finder->phase = EK_FINDER_IDLE;
-    finder->tried = finder->looks_near = 0;
-    finder->next_place = 0u;
-}
-
 /* The nearest keyframe that is far apart through the graph, within the radius that the drift since then allows. */
 static size_t nearest_place(const ek_loop_finder *finder, const ek_keyframes *keyframes)
 {

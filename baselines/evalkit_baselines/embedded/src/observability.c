@@ -29,10 +29,11 @@ ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, cons
 {
     ek_openness open = {EK_R(1.0), EK_R(0.0), EK_R(0.0)};
     const size_t cells = ek_thin(thinner, xy, count, VOXEL, observer->thinned, work);
-    if (cells < NEIGHBOURS || ek_index_build(&observer->index, observer->thinned, cells) != EK_OK ||
-        ek_normals_compute(&observer->index, NEIGHBOURS, EK_FAR, observer->normals) != EK_OK) {
+    if (cells < NEIGHBOURS) {
         return open;
     }
+    ek_index_build(&observer->index, observer->thinned, cells);
+    ek_normals_compute(&observer->index, NEIGHBOURS, EK_FAR, observer->normals);
     ek_work_spend(work, NORMAL_WORK * (uint64_t)cells);
     ek_real xx = EK_R(0.0), xy_sum = EK_R(0.0), yy = EK_R(0.0);
     for (size_t k = 0; k < cells; k++) {

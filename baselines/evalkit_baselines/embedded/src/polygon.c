@@ -58,8 +58,7 @@ static void add_edge(outline *line, ek_real x, ek_real y)
     line->high = to - 1 > line->high ? to - 1 : line->high;
     for (int32_t row = from; row < to; row++) {
         const ek_real at = low_x + ((ek_real)row + EK_R(0.5) - low_y) * slope + EK_R(0.5);
-        const ek_real inside = at > EK_R(0.0) ? at : EK_R(0.0);
-        const uint32_t cell = inside < limit ? (uint32_t)(int32_t)inside : window->lines;
+        const uint32_t cell = at < limit ? (uint32_t)(int32_t)at : window->lines; /* both ends lie in the window: at > 0 */
         if (cell < window->lines) {
             window->outline[(size_t)row * window->words + cell / WORD] ^= (uint32_t)1 << (cell % WORD);
         }

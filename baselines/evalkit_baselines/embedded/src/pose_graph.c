@@ -182,7 +182,7 @@ static void weigh_loops(ek_pose_graph *graph, ek_work *work)
     for (size_t l = 0; l < graph->loop_count; l++) {
         ek_loop_edge *const loop = graph->loop + l;
         graph->chi[l] = ek_pose_graph_chi(loop, graph->moved);
-        if (phi > EK_R(0.0) && !solver->predict) {
+        if (phi > EK_R(0.0)) {
             const ek_real share = EK_R(2.0) * phi / (phi + graph->chi[l]);
             loop->weight = share < EK_R(1.0) ? share * share : EK_R(1.0);
         }

@@ -95,9 +95,7 @@ ek_status ek_scanlog_next(FILE *file, const ek_scanlog *log, ek_real *ranges, ek
     if (next == EOF) {
         return ferror(file) ? EK_BAD_FILE : EK_END_OF_FILE;
     }
-    if (ungetc(next, file) == EOF) {
-        return EK_BAD_FILE;
-    }
+    (void)ungetc(next, file); /* of one character it cannot fail */
     memset(sweep, 0, sizeof *sweep);
     if (!read_i64(file, &sweep->stamp_ns) || !read_i64(file, &sweep->time_increment_ns) || !read_u32(file, &beams) ||
         !read_u32(file, &flags) || beams > log->max_beams || (flags & ~(HAS_ODOMETRY | HAS_MOTION)) != 0u) {

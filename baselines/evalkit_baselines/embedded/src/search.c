@@ -39,8 +39,8 @@ static void fit_angles(ek_search *search)
         const ek_real x = search->xy[2u * i], y = search->xy[2u * i + 1u], range = EK_SQRT(x * x + y * y);
         reach = range > reach ? range : reach;
     }
-    const ek_real half = EK_R(0.5) * cell / reach;
-    search->step = EK_R(2.0) * ASIN(half < EK_R(1.0) ? half : EK_R(1.0));
+    const ek_real half = EK_R(0.5) * cell / reach; /* at most a half */
+    search->step = EK_R(2.0) * ASIN(half);
     if (search->window.theta < EK_PI) {
         const uint32_t count = (uint32_t)(search->window.theta / search->step + ROUNDING);
         search->angles = 2u * count + 1u;

@@ -74,8 +74,8 @@ static size_t cells_for(size_t points)
 static ek_status init_front(ek_slam *slam, ek_arena *arena, const ek_slam_parameters *p)
 {
     const size_t most = p->points > p->map_points ? p->points : p->map_points;
-    ek_status status = ek_scan_init(&slam->scan, arena, p->points);
-    status = status == EK_OK ? ek_icp_init(&slam->icp, arena, p->points, most) : status;
+    ek_status status = ek_icp_init(&slam->icp, arena, p->points, most);
+    status = status == EK_OK ? ek_scan_init(&slam->scan, arena, p->points) : status;
     status = status == EK_OK ? ek_icp_init_lines(&slam->icp, arena) : status;
     status = status == EK_OK ? ek_index_init(&slam->last, arena, p->points, cells_for(p->points)) : status;
     status = status == EK_OK ? ek_index_init(&slam->map_index, arena, p->map_points, cells_for(p->map_points)) : status;
@@ -201,7 +201,7 @@ static ek_status check_points(const ek_scan *scan)
 {
     for (size_t k = 0; k < 2u * scan->count; k++) {
         if (!(EK_FABS(scan->hits[k]) <= NEAR_LIMIT)) {
-            return isfinite(scan->hits[k]) ? EK_OUT_OF_RANGE : EK_NOT_FINITE;
+            return EK_OUT_OF_RANGE; /* ek_scan_project leaves out what is not finite */
         }
     }
     return EK_OK;

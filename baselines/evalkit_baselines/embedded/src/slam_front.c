@@ -98,7 +98,7 @@ static int is_close(ek_pose guess, ek_pose answer)
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match)
 {
     ek_icp_parameters narrow = slam->parameters.matcher;
-    ek_status status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, guess, &narrow, NULL, NULL,
+    const ek_status status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, guess, &narrow, NULL, NULL,
                                        match);
     const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
     if (status != EK_OK || (paired && !(match->error > POOR))) {
@@ -109,11 +109,8 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek
     for (size_t k = 0; k < sizeof TURNS / sizeof TURNS[0]; k++) {
         const ek_pose turn = {EK_R(0.0), EK_R(0.0), TURNS[k] * EK_PI / EK_R(180.0)};
         ek_match other;
-        status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, ek_se2_compose(guess, turn),
-                                 &narrow, NULL, NULL, &other);
-        if (status != EK_OK) {
-            return status;
-        }
+        ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, ek_se2_compose(guess, turn), &narrow, NULL,
+                        NULL, &other); /* of the same points at the same place as before: no error */
         const size_t near = count_near(slam, target, other.target_from_source);
         if (near > most && is_close(guess, other.target_from_source)) {
             *match = other;

@@ -82,10 +82,7 @@ static ek_real estimate_noise(const ek_real *ranges, size_t beams, ek_real *scra
 /* Median of an odd number of ranges, at most MAX_BEAMS; `own` if one is invalid, or if there is none. */
 static ek_real middle_of(const ek_real *ranges, size_t count, ek_real own)
 {
-    ek_real sorted[MAX_BEAMS];
-    if (count == 0u) {
-        return own;
-    }
+    ek_real sorted[MAX_BEAMS] = {own};
     for (size_t k = 0; k < count; k++) {
         size_t at = k;
         if (!isfinite(ranges[k])) {

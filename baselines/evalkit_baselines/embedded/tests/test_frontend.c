@@ -120,6 +120,77 @@ static void a_scan_that_is_refused_leaves_no_trace(void)
     }
 }
 
+static void init_with(ek_arena *arena, const ek_frontend_parameters *parameters)
+{
+    arena->used = 0u;
+    CHECK(ek_frontend_init(&frontend, arena, parameters) == EK_OK && ek_arena_check(arena) == EK_OK);
+    ek_frontend_reset(&frontend);
+}
+
+/* With two keyframes the third takes the place of the first: the local map holds the points of the last two. */
+static void the_oldest_keyframe_leaves_a_full_map(ek_arena *arena, ek_frontend_parameters parameters)
+{
+    ek_estimate estimate;
+    parameters.keyframes = 2u;
+    parameters.keyframe_distance = EK_R(1e3); /* by its turn alone */
+    parameters.keyframe_angle = EK_R(0.1);
+    init_with(arena, &parameters);
+    unsigned keyframes = 0u;
+    for (int k = 0; k < 40; k++) {
+        const ek_prior prior = {k + 1, 1, ek_se2_between(truth_at(0), truth_at(k))};
+        see(truth_at(k));
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_OK);
+        keyframes += (unsigned)estimate.keyframe;
+        CHECK(frontend.keyframe_count == (keyframes < 2u ? keyframes : 2u));
+        CHECK(frontend.local_map.count == BEAMS * frontend.keyframe_count);
+    }
+    CHECK(keyframes >= 4u && keyframes <= 5u); /* 0.468 rad in steps of 0.1 */
+    CHECK_NEAR(estimate.start_from_base.x, ek_se2_between(truth_at(0), truth_at(39)).x, 0.02);
+}
+
+/* More pairs than there are points are asked for: every result is rejected, and the wheels are believed. */
+static void too_few_pairs_keep_the_guess(ek_arena *arena, ek_frontend_parameters parameters)
+{
+    ek_estimate estimate;
+    parameters.min_inliers = (int32_t)BEAMS + 1;
+    init_with(arena, &parameters);
+    for (int k = 0; k < 3; k++) {
+        const ek_prior prior = {k + 1, 1, {EK_R(0.01 * k), EK_R(-0.02 * k), EK_R(0.0)}};
+        see(truth_at(k));
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_OK);
+        CHECK_NEAR(estimate.start_from_base.x, 0.01 * k, TOLERANCE);
+        CHECK_NEAR(estimate.start_from_base.y, -0.02 * k, TOLERANCE);
+        CHECK(k == 0 || (estimate.scan_to_scan_outcome == EK_STAGE_GUESS_KEPT && estimate.scan_to_map_outcome == EK_STAGE_GUESS_KEPT));
+    }
+}
+
+/* Odometry that leads out of the world or overflows is refused, with and without a match; so is a map at its very end. */
+static void odometry_out_of_the_world_is_refused(ek_arena *arena, const ek_frontend_parameters *parameters)
+{
+    const double most = sizeof(ek_real) == sizeof(float) ? 3e38 : 1.7e308;
+    const struct {
+        double x, y, theta;
+        ek_status status;
+    } cases[] = {{1.1e6, 0.0, 0.0, EK_OUT_OF_RANGE}, {0.0, 1.1e6, 0.0, EK_OUT_OF_RANGE}, {1e6, 0.0, 0.0, EK_OUT_OF_RANGE},
+                 {0.0, -1e6, 0.0, EK_OUT_OF_RANGE},  {most, most, 0.8, EK_NOT_FINITE}};
+    ek_estimate estimate;
+    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+        for (int stages = 0; stages < 2; stages++) {
+            ek_prior prior = {1, 1, {EK_R(0.0), EK_R(0.0), EK_R(0.8)}};
+            init_with(arena, parameters);
+            frontend.parameters.use_scan_to_scan = frontend.parameters.use_scan_to_map = stages;
+            see(truth_at(0));
+            CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_OK);
+            prior.stamp_ns = 2;
+            const ek_pose step = {EK_R(cases[k].x), EK_R(cases[k].y), EK_R(0.0)};
+            prior.odom_from_base = cases[k].status == EK_NOT_FINITE ? step : ek_se2_compose(prior.odom_from_base, step);
+            const ek_status status = ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate);
+            CHECK(status == cases[k].status);
+            CHECK(frontend.keyframe_count == 1u && frontend.motion.stamp_ns == 1);
+        }
+    }
+}
+
 static void bad_input_is_named(void)
 {
     ek_estimate estimate;
@@ -152,6 +223,9 @@ int main(void)
     times_as_far_apart_as_can_be_are_no_motion();
     a_scan_that_is_refused_leaves_no_trace();
     bad_input_is_named();
+    the_oldest_keyframe_leaves_a_full_map(&arena, parameters);
+    too_few_pairs_keep_the_guess(&arena, parameters);
+    odometry_out_of_the_world_is_refused(&arena, &parameters);
     free(arena.memory);
     return verdict();
 }

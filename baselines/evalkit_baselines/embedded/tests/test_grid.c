@@ -92,6 +92,46 @@ static void a_fixed_map_clips_and_a_rolling_one_follows(void)
     grid.parameters.rolling = 0;
 }
 
+/* The window of 128 + 1 + 31 cells moves by words; a rolling map keeps what stays inside and drops the rest. */
+static void a_rolling_map_keeps_what_stays_inside(void)
+{
+    static const double moves[][2] = {{40.0, 0.0}, {-40.0, 0.0}, {0.0, 40.0}, {0.0, -40.0}, {300.0, 0.0}, {0.0, 300.0}};
+    const ek_real hit[] = {EK_R(5.5), EK_R(0.5)};
+    for (size_t k = 0; k < sizeof moves / sizeof *moves; k++) {
+        const ek_pose away = {EK_R(moves[k][0]), EK_R(moves[k][1]), EK_R(0.0)}, near = {EK_R(1.0), EK_R(0.0), EK_R(0.0)};
+        const int far = fabs(moves[k][0]) + fabs(moves[k][1]) > 100.0;
+        ek_grid_clear(&grid);
+        grid.parameters.rolling = 1;
+        CHECK(ek_grid_add_scan(&grid, origin, EK_R(0.5), EK_R(0.5), hit, 1u, NULL, 0u) == EK_OK);
+        const int32_t left = grid.left, bottom = grid.bottom;
+        CHECK(ek_grid_add_scan(&grid, near, EK_R(0.5), EK_R(0.5), hit, 1u, NULL, 0u) == EK_OK);
+        CHECK(grid.left == left && grid.bottom == bottom && observed() == 7u); /* not moved for a step of 1 m */
+        CHECK(ek_grid_add_scan(&grid, away, EK_R(0.5), EK_R(0.5), hit, 1u, NULL, 0u) == EK_OK);
+        CHECK(observed() == (far ? 6u : 13u));
+        CHECK(*cell((int32_t)moves[k][0] + 5, (int32_t)moves[k][1]) == 847);
+        CHECK(far || (*cell(6, 0) == 847 && *cell(0, 0) == -847));
+        grid.parameters.rolling = 0;
+    }
+}
+
+/* Seen from beyond each side, a fixed map takes the cells that lie in it. */
+static void a_fixed_map_takes_its_own_cells_from_every_side(void)
+{
+    static const double sides[][2] = {{-131.5, 0.5}, {130.5, 0.5}, {0.5, -131.5}, {0.5, 130.5}};
+    for (size_t k = 0; k < 4u; k++) {
+        const double x = sides[k][0], y = sides[k][1];
+        ek_grid_clear(&grid);
+        CHECK(add(x, y, x + (k == 0u ? 10.0 : k == 1u ? -10.0 : 0.0), y + (k == 2u ? 10.0 : k == 3u ? -10.0 : 0.0)) == EK_OK);
+        CHECK(observed() == (k % 2u ? 8u : 7u) && grid.ignored_beams == 0u && grid.touched_cells == observed());
+    }
+    ek_grid_clear(&grid);
+    for (int32_t sign = -1; sign < 2; sign += 2) { /* ends outside the window on each side */
+        CHECK(add(0.5, 0.5, 90.0 * sign, 0.5) == EK_OK && grid.ignored_beams == 1u);
+        CHECK(add(0.5, 0.5, 0.5, 90.0 * sign) == EK_OK && grid.ignored_beams == 1u);
+    }
+    CHECK(observed() == 0u);
+}
+
 static void bad_input_is_named(void)
 {
     ek_grid_parameters bad = grid.parameters;
@@ -100,6 +140,13 @@ static void bad_input_is_named(void)
     CHECK(add((double)NAN, 0.0, 1.0, 1.0) == EK_NOT_FINITE && add(0.0, 0.0, 1.0, (double)INFINITY) == EK_NOT_FINITE);
     CHECK(add(0.0, 0.0, 70.0, 0.0) == EK_OK && grid.ignored_beams == 1u);
     CHECK(ek_grid_add_scan(&grid, origin, EK_R(0), EK_R(0), NULL, 1u, NULL, 0u) == EK_NULL_POINTER);
+    const ek_real broken[] = {EK_R(0.0), (ek_real)NAN};
+    CHECK(ek_grid_add_scan(&grid, origin, EK_R(0), EK_R(0), NULL, 0u, broken, 1u) == EK_NOT_FINITE);
+    CHECK(ek_grid_add_scan(&grid, origin, EK_R(0), EK_R(0), NULL, 0u, NULL, 1u) == EK_NULL_POINTER);
+    CHECK(add(0.0, (double)NAN, 1.0, 1.0) == EK_NOT_FINITE);
+    const ek_pose turned = {EK_R(0.0), EK_R(0.0), (ek_real)NAN}, above = {EK_R(0.0), EK_R(1.1e6), EK_R(0.0)};
+    CHECK(ek_grid_add_scan(&grid, turned, EK_R(0), EK_R(0), NULL, 0u, NULL, 0u) == EK_NOT_FINITE);
+    CHECK(ek_grid_add_scan(&grid, above, EK_R(0), EK_R(0), NULL, 0u, NULL, 0u) == EK_OUT_OF_RANGE);
     bad.columns = 100u;
     CHECK(ek_grid_init(&other, &none, &bad) == EK_OUT_OF_RANGE);
     bad.columns = 64u;
@@ -121,6 +168,8 @@ int main(void)
     steep_and_flat_beams_mirror_each_other();
     occupied_wins_and_counts_once();
     a_fixed_map_clips_and_a_rolling_one_follows();
+    a_rolling_map_keeps_what_stays_inside();
+    a_fixed_map_takes_its_own_cells_from_every_side();
     bad_input_is_named();
     free(arena.memory);
     return verdict();

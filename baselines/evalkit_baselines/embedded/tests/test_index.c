@@ -75,6 +75,29 @@ static void from_far_away_the_search_ends(void)
     }
 }
 
+/* The largest world in the smallest cells: as many cells as there is memory for, at most 2^20 on a side. */
+static void cells_cover_the_largest_world(void)
+{
+    static const double corners[3][4] = {{-1e6, 1e6, -1e6, 1e6}, {-1e6, 1e6, 0.0, 0.0}, {0.0, 0.0, -1e6, 1e6}};
+    for (size_t k = 0; k < 3u; k++) {
+        const ek_bounds bounds = {EK_R(corners[k][0]), EK_R(corners[k][1]), EK_R(corners[k][2]), EK_R(corners[k][3])};
+        const ek_cell_grid grid = ek_cell_grid_fit(&bounds, EK_R(0.001), (size_t)1 << 30);
+        const double cells = (double)grid.columns * (double)grid.rows;
+        CHECK(ek_cell_grid_contains(&grid, &bounds) && grid.finest && cells <= 1073741824.0);
+        CHECK(grid.columns <= 1048576u && grid.rows <= 1048576u);
+        CHECK(cells > (k == 0u ? 0.8 * 1073741824.0 : 0.8 * 1048576.0));
+    }
+}
+
+static void an_empty_or_wide_cloud_is_searched_too(void)
+{
+    const ek_real wide[] = {EK_R(0.0), EK_R(0.0), EK_R(500.0), EK_R(0.0), EK_R(0.0), EK_R(900.0)};
+    CHECK(ek_index_build(&reference, wide, 3u) == EK_OK);
+    CHECK(reference.id[ek_index_nearest(&reference, EK_R(400.0), EK_R(1.0), EK_R(1e3), EK_R(0.1)).slot] == 1u);
+    CHECK(ek_index_build(&reference, wide + 2, 1u) == EK_OK && ek_index_build(&reference, wide, 2u) == EK_OK);
+    CHECK(reference.id[ek_index_nearest(&reference, EK_R(1.0), EK_R(1.0), EK_R(1e3), EK_R(0.1)).slot] == 0u);
+}
+
 static void bad_input_is_named(void)
 {
     cloud[7] = (ek_real)NAN;
@@ -106,6 +129,8 @@ int main(void)
     answers_are_those_of_a_search_of_all(1u, 0.5, &seed);
     of_equally_near_points_the_lowest_wins();
     from_far_away_the_search_ends();
+    cells_cover_the_largest_world();
+    an_empty_or_wide_cloud_is_searched_too();
     bad_input_is_named();
     free(arena.memory);
     return verdict();

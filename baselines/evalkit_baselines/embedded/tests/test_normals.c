@@ -91,6 +91,9 @@ static void points_beyond_the_radius_are_no_neighbours(void)
     for (size_t k = 0; k < 7u; k++) {
         CHECK(k == 1u || (normals[2u * k] == EK_R(0.0) && normals[2u * k + 1u] == EK_R(0.0)));
     }
+    const ek_real least = EK_R(sizeof(ek_real) == sizeof(float) ? 1e-30 : 1e-200); /* its square is zero */
+    CHECK(ek_normals_compute(&reference, 4u, least, normals) == EK_OK);
+    CHECK(normals[2] >= EK_R(0.0) && normals[2] <= EK_R(0.0) && normals[3] >= EK_R(0.0) && normals[3] <= EK_R(0.0));
     CHECK(ek_normals_compute(&reference, 4u, EK_R(0.0), normals) == EK_OUT_OF_RANGE);
 }
 

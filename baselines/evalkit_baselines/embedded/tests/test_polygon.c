@@ -129,6 +129,33 @@ static void a_gap_is_not_filled_and_an_edge_is_cut(void)
     CHECK(cell_at(2.95, 5.0) == -847 && cell_at(4.05, 5.0) == -847);
 }
 
+/* Beams that end outside the window count as left out, on each side of it; the others are as without them. */
+static void ends_outside_the_window_are_left_out(void)
+{
+    add(round_room(1, 0.8));
+    const uint64_t alone = sum_of_cells();
+    const size_t count = round_room(1, 0.8);
+    for (size_t k = 0; k < 8u; k++) {
+        ends[2u * (count + k)] = EK_R(k % 2u ? 0.0 : k < 4u ? -40.0 : 40.0);
+        ends[2u * (count + k) + 1u] = EK_R(k % 2u ? (k < 4u ? -40.0 : 40.0) : 0.0);
+    }
+    add(count + 8u);
+    CHECK(grid.ignored_beams == 8u && sum_of_cells() == alone);
+}
+
+/* Ends in the last cells of the window. */
+static void the_last_cells_of_the_window_are_marked(void)
+{
+    const double last = 0.1 * ((double)grid.window.lines / 2.0) - 0.02;
+    size_t count = 0u;
+    for (double v = -1.0; v < 1.0; v += 0.05, count++) {
+        ends[2u * count] = EK_R(last - 1.6);
+        ends[2u * count + 1u] = EK_R(v);
+    }
+    add(count);
+    CHECK(grid.ignored_beams == 0u && cell_at(0.0, last - 1.6) == 847 && cell_at(0.0, 5.0) == -847);
+}
+
 static void few_beams_are_drawn_as_beams(void)
 {
     add(0u);
@@ -161,6 +188,8 @@ int main(void)
     use(EK_R(0.05), &arena);
     the_direction_and_the_number_of_turns_do_not_matter();
     a_gap_is_not_filled_and_an_edge_is_cut();
+    ends_outside_the_window_are_left_out();
+    the_last_cells_of_the_window_are_marked();
     few_beams_are_drawn_as_beams();
     free(arena.memory);
     return verdict();

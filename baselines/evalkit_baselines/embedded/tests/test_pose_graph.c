@@ -214,6 +214,39 @@ static void a_false_loop_loses_its_weight(uint64_t *seed)
     }
 }
 
+/* The same loop twice, 10^30 times as certain as the step: no number holds their difference, and nothing moves. */
+static void loops_that_cannot_be_told_apart_are_singular(void)
+{
+    const ek_solver_settings settings = {5, EK_R(0.0), EK_R(0.0)};
+    const ek_sym3 certain = {EK_R(1e15), EK_R(0.0), EK_R(0.0), EK_R(1e15), EK_R(0.0), EK_R(1e15)};
+    const ek_sym3 vague = {EK_R(1e-15), EK_R(0.0), EK_R(0.0), EK_R(1e-15), EK_R(0.0), EK_R(1e-15)};
+    const ek_loop_edge loop = loop_of(0u, 1u, pose_of(1.5, 0.0, 0.0), &certain);
+    ek_pose_graph_reset(&graph);
+    CHECK(ek_pose_graph_add(&graph, pose_of(0.0, 0.0, 0.0), &vague) == EK_OK);
+    CHECK(ek_pose_graph_add(&graph, pose_of(1.0, 0.0, 0.0), &vague) == EK_OK);
+    CHECK(ek_pose_graph_close(&graph, &loop) == EK_OK && ek_pose_graph_close(&graph, &loop) == EK_OK);
+    run(&settings, INT64_MAX);
+    CHECK(graph.solver.singular && !graph.solver.converged);
+    CHECK_NEAR(graph.pose[1].x, 1.0, 0.0);
+    graph.loop[0].weight = graph.loop[1].weight = EK_R(0.0); /* without weight they do not take part */
+    run(&settings, INT64_MAX);
+    CHECK(!graph.solver.singular && graph.solver.active == 0u);
+    CHECK_NEAR(graph.pose[1].x, 1.0, 0.0);
+}
+
+/* Positive definite is what has a factor: each leading part that is not positive is refused. */
+static void only_positive_definite_matrices_have_an_inverse(void)
+{
+    static const double none[][6] = {{0, 0, 0, 1, 0, 1}, {-1, 0, 0, 1, 0, 1}, {1, 2, 0, 1, 0, 1}, {1, 0, 0, 0, 0, 1},
+                                     {1, 0, 2, 1, 0, 1}, {1, 0, 0, 1, 2, 1},  {1, 0, 0, 1, 0, 0}, {1, 0, 0, 1, 0, (double)INFINITY}};
+    ek_sym3 inverse = UNIT;
+    for (size_t k = 0; k < sizeof none / sizeof *none; k++) {
+        const double *const m = none[k];
+        const ek_sym3 matrix = {EK_R(m[0]), EK_R(m[1]), EK_R(m[2]), EK_R(m[3]), EK_R(m[4]), EK_R(m[5])};
+        CHECK(!ek_sym3_inverse(&matrix, &inverse) && memcmp(&inverse, &UNIT, sizeof inverse) == 0);
+    }
+}
+
 static void bad_input_is_named_and_changes_nothing(void)
 {
     const ek_solver_settings none = {0, EK_R(0.0), EK_R(0.0)};
@@ -249,11 +282,16 @@ int main(void)
     CHECK(ek_pose_graph_init(&graph, &measured, POSES, LOOPS) == EK_OK);
     ek_arena arena = memory_of(measured.used);
     CHECK(ek_pose_graph_init(&graph, &arena, POSES, LOOPS) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    CHECK(ek_pose_graph_add(&graph, pose_of(0.0, 0.0, 0.0), &UNIT) == EK_OK);
+    ek_pose_graph_commit(&graph); /* of no run: nothing */
+    CHECK(graph.count == 1u && graph.pose[0].x >= EK_R(0.0) && graph.pose[0].x <= EK_R(0.0));
     a_straight_line_shares_the_gap_of_its_loop();
     the_predicted_covariance_is_that_of_a_hand_calculation();
     exact_loops_recover_a_disturbed_drive(&seed);
     no_small_move_improves_the_optimum(&seed);
     slices_change_no_bit_and_stay_within_their_work(&seed);
+    loops_that_cannot_be_told_apart_are_singular();
+    only_positive_definite_matrices_have_an_inverse();
     a_false_loop_loses_its_weight(&seed);
     bad_input_is_named_and_changes_nothing();
     free(arena.memory);

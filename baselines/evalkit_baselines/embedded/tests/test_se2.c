@@ -25,6 +25,14 @@ int main(void)
     check_pose(ek_se2_fraction(ahead, EK_R(0.25)), 0.25, 0.0, 0.0);
     check_pose(ek_se2_fraction(arc, EK_R(1.0)), 1.0, 1.0, (double)EK_PI / 2.0);
 
+    for (int k = -40; k <= 40; k++) { /* next to every odd multiple of pi: within [-pi, pi) whatever the rounding */
+        for (int ulp = -3; ulp <= 3; ulp++) {
+            const ek_real turn = EK_PI * (ek_real)(2 * k + 1), wrapped = ek_se2_wrap(turn * (EK_R(1.0) + EK_EPSILON * (ek_real)ulp));
+            CHECK(wrapped >= -EK_PI && wrapped < EK_PI && EK_FABS(wrapped) > EK_R(3.1));
+        }
+    }
+    const ek_pose without_turn = {EK_R(0.0), EK_R(0.0), (ek_real)NAN}, without_x = {(ek_real)NAN, EK_R(0.0), EK_R(0.0)};
+    CHECK(!ek_se2_is_finite(without_turn) && !ek_se2_is_finite(without_x));
     const ek_pose broken = {EK_R(0.0), (ek_real)NAN, EK_R(0.0)};
     CHECK(ek_se2_is_finite(arc) && !ek_se2_is_finite(broken));
     return verdict();

@@ -132,6 +132,7 @@ static void the_best_score_is_that_of_an_exhaustive_search(uint64_t *seed)
     count = room(source, there, seed);
     for (int k = 0; k < 8; k++) {
         ek_search_window window = {there, EK_R(0.65), EK_R(0.35), k == 7 ? EK_PI : EK_R(0.1)};
+        window.x = k % 3 == 1 ? EK_R(0.45) : window.x;
         window.centre.x += uniform(seed, -0.4, 0.4);
         window.centre.y += uniform(seed, -0.3, 0.3);
         CHECK(ek_search_begin(&search, &grid, source, k == 7 ? 40u : 120u, &window, priors + k % 2, EK_R(0.1)) == EK_OK);
@@ -148,6 +149,44 @@ static void the_best_score_is_that_of_an_exhaustive_search(uint64_t *seed)
     ek_work all = ek_work_make(INT64_MAX);
     CHECK(ek_search_begin(&search, &grid, source, count, &far, priors, EK_R(0.1)) == EK_OK);
     CHECK(ek_search_work(&search, &all) && !search.found);
+}
+
+/* A single point at 1.1 m turns in 70 steps, one more to the right than to the left: the farthest is found too. */
+static void an_even_number_of_headings_is_searched_completely(void)
+{
+    const ek_real target_xy[] = {EK_R(-1.1), EK_R(0.05)}, point[] = {EK_R(1.1), EK_R(0.0)};
+    const ek_search_window around = {{EK_R(0.0), EK_R(0.0), EK_R(0.0)}, EK_R(0.05), EK_R(0.05), EK_PI};
+    const ek_search_prior none = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    ek_work all = ek_work_make(INT64_MAX);
+    ek_score_grid_draw(&grid, &thinner, target_xy, 1u, EK_R(CELL), EK_R(0.0), EK_R(0.0), means, &work);
+    for (uint32_t level = 1; level < EK_SCORE_LEVELS; level++) {
+        ek_score_grid_raise(&grid, level, &work);
+    }
+    CHECK(ek_search_begin(&search, &grid, point, 1u, &around, &none, EK_R(0.1)) == EK_OK && search.angles == 70u);
+    CHECK(ek_search_work(&search, &all) && search.found);
+    CHECK_NEAR(search.score, exhaustive(&search), TOLERANCE);
+    CHECK(EK_FABS(search.best.theta) > EK_R(3.0));
+    const ek_real beyond[] = {EK_R(1e9), EK_R(-1e9), EK_R(-1e9), EK_R(1e9)}; /* more cells than 32 bits hold */
+    const ek_search_window wide = {{EK_R(0.0), EK_R(0.0), EK_R(0.0)}, EK_R(20.0), EK_R(15.0), EK_R(0.0)};
+    CHECK(ek_search_begin(&search, &grid, beyond, 2u, &wide, &none, EK_R(0.1)) == EK_OK);
+    CHECK(search.half_x == EK_SEARCH_MAX_HALF && search.half_y == EK_SEARCH_MAX_HALF && search.angles == 1u);
+    CHECK(ek_search_work(&search, &all) && !search.found);
+}
+
+/* Nothing near the place: an empty grid. Corners of the world in cells of 1 mm: 62 bits of cell number are sorted. */
+static void far_points_are_left_out_and_far_cells_are_sorted(void)
+{
+    const ek_real two[] = {EK_R(-500.0), EK_R(0.0), EK_R(900.0), EK_R(900.0)};
+    const ek_real corners[] = {EK_R(1e6), EK_R(1e6), EK_R(-1e6), EK_R(1e6), EK_R(1e6), EK_R(-1e6), EK_R(-1e6), EK_R(-1e6)};
+    static const size_t order[] = {3u, 1u, 2u, 0u};
+    ek_score_grid_draw(&grid, &thinner, two, 2u, EK_R(CELL), EK_R(0.0), EK_R(0.0), means, &work);
+    CHECK(grid.columns == 1 && grid.rows == 1 && grid.level[0][0] == 0u);
+    CHECK(ek_thin(&thinner, corners, 4u, EK_R(0.001), means, &work) == 4u);
+    for (size_t k = 0; k < 4u; k++) {
+        CHECK_NEAR(means[2u * k], corners[2u * order[k]], 0.0);
+        CHECK_NEAR(means[2u * k + 1u], corners[2u * order[k] + 1u], 0.0);
+    }
+    CHECK(ek_thin_sums(&thinner, corners, 0u, EK_R(1.0), sums, counts, &work) == 0u);
 }
 
 static void a_target_that_does_not_fit_is_cropped_around_the_place(void)
@@ -183,6 +222,8 @@ int main(void)
     scores_and_their_maxima_are_those_of_a_hand_calculation();
     the_best_score_is_that_of_an_exhaustive_search(&seed);
     a_target_that_does_not_fit_is_cropped_around_the_place();
+    an_even_number_of_headings_is_searched_completely();
+    far_points_are_left_out_and_far_cells_are_sorted();
     CHECK(ek_thinner_init(&thinner, &measured, 0u) == EK_OUT_OF_RANGE);
     CHECK(ek_score_grid_init(&grid, &measured, 100u) == EK_OUT_OF_RANGE);
     free(taken.memory);

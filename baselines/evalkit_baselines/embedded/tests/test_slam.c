@@ -1,6 +1,7 @@
-/* The SLAM on a drive around a ring of corridors: loops, slices, memory, refused scans. */
+/* The SLAM on a drive around a ring of corridors: loops, lost tracks, false loops, slices, memory, refused scans. */
 #include "check.h"
-#include "ek/slam.h"
+#include "src/loop_parts.h"
+#include "src/slam_parts.h"
 
 #define BEAMS 360u
 #define STEP_NS 200000000
@@ -11,7 +12,7 @@ static ek_slam slam;
 static ek_real ranges[BEAMS], angles[BEAMS];
 
 /* Walls of two rectangles, one in the other, and of boxes in the corridors: x0, y0, x1, y1. */
-static const double BOXES[][4] = {{0, 0, 9, 7}, {2, 2, 7, 5}, {3, 0, 3.6, 0.4}, {8.6, 3, 9, 3.9}, {5, 6.6, 5.4, 7}, {0, 2.6, 0.5, 3.1}};
+static const double BOXES[][4] = {{0, 0, 9, 7}, {2, 2, 7, 5}, {3, 0, 3.6, 0.4}, {8.6, 3, 9, 3.9}, {5, 6.6, 5.4, 7}, {0, 2.6, 0.5, 3.1}, {6.2, 0, 7, 0.6}, {1.6, 6.3, 2.6, 7}, {0, 4.6, 0.6, 5.4}};
 
 /* Distance along a beam to the outline of a box. */
 static double to_box(const double *box, double x, double y, double c, double s)
@@ -161,6 +162,504 @@ static void refused_scans_change_nothing(void)
     free(arena.memory);
 }
 
+static ek_pose pose_of(double x, double y, double theta)
+{
+    const ek_pose pose = {EK_R(x), EK_R(y), EK_R(theta)};
+    return pose;
+}
+
+/* One scan of a drive: seen from pose `at`, as scan number `k`, without odometry. */
+static ek_slam_estimate step_without_odometry(size_t k, size_t at, uint64_t *seed)
+{
+    ek_slam_estimate estimate;
+    ek_sweep sweep = sweep_at(at, seed);
+    sweep.stamp_ns = (int64_t)k * STEP_NS;
+    sweep.has_odometry = 0;
+    CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OK);
+    return estimate;
+}
+
+static void check_near_truth(size_t at, ek_pose start_from_base, double tolerance)
+{
+    const ek_pose gap = ek_se2_between(ek_se2_between(pose_at(0u), pose_at(at)), start_from_base);
+    CHECK_NEAR(gap.x, 0.0, tolerance);
+    CHECK_NEAR(gap.y, 0.0, tolerance);
+    CHECK_NEAR(gap.theta, 0.0, tolerance);
+}
+
+/* The robot is carried from pose 119 to pose 20 and not told: the track is lost at once, and found again by a loop
+ * between the two parts of the drive. */
+static void a_carried_robot_finds_its_place(void)
+{
+    const ek_slam_parameters parameters = parameters_of(0);
+    ek_arena arena = start(&parameters);
+    uint64_t seed = 7u;
+    unsigned again = 0u;
+    for (size_t k = 0; k < 200u; k++) {
+        const size_t at = k < 120u ? k : k - 100u;
+        const ek_slam_estimate estimate = step_without_odometry(k, at, &seed);
+        CHECK(estimate.lost == (k == 120u));
+        if (k < 120u || k > 180u) {
+            check_near_truth(at, estimate.start_from_base, 0.03);
+        }
+    }
+    for (size_t k = 0; k < slam.record_count; k++) {
+        const ek_loop_record *const record = slam.record + k;
+        again += (unsigned)record->found_again;
+        CHECK(record->section == slam.keyframes.section[record->candidate.edge.second]);
+        CHECK(!record->found_again || (record->accepted && !record->candidate.is_local));
+    }
+    CHECK(again == 1u && slam.keyframes.section[slam.keyframes.count - 1u] == 1u);
+    free(arena.memory);
+}
+
+static ek_arena lasting; /* of the last drive_and_count */
+
+/* Drive the ring; counts how many candidates had each outcome, and at index 7 how many were accepted. */
+static void drive_and_count(const ek_slam_parameters *parameters, size_t scans, unsigned counts[8])
+{
+    free(lasting.memory);
+    lasting = start(parameters);
+    uint64_t seed = 7u;
+    memset(counts, 0, 8u * sizeof *counts);
+    for (size_t k = 0; k < scans; k++) {
+        ek_slam_estimate estimate;
+        const ek_sweep sweep = sweep_at(k, &seed);
+        CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OK && !estimate.lost);
+        check_near_truth(k, estimate.start_from_base, 0.05);
+    }
+    for (size_t k = 0; k < slam.record_count; k++) {
+        counts[slam.record[k].candidate.outcome]++;
+        counts[7] += (unsigned)slam.record[k].accepted;
+    }
+    CHECK(counts[7] == slam.keyframes.graph.loop_count);
+}
+
+/* Each bound of the finder, set so that nothing passes it, gives its own outcome and no loop. */
+static void each_bound_refuses_candidates_with_its_own_outcome(void)
+{
+    unsigned counts[8];
+    ek_slam_parameters p = parameters_of(0);
+    p.loop.degenerate = EK_R(0.0);
+    drive_and_count(&p, SCANS, counts);
+    CHECK(counts[EK_LOOP_DEGENERATE] >= 1u && counts[EK_LOOP_PASSED] == 0u && counts[7] == 0u);
+    p = parameters_of(0);
+    p.loop.gate = EK_R(0.0);
+    p.loop.ambiguity = EK_R(0.5);
+    p.drift.sigma = EK_R(0.3); /* windows of metres: other motions in it fit half as well, and none is possible */
+    drive_and_count(&p, SCANS, counts);
+    CHECK(counts[EK_LOOP_CHI] >= 1u && counts[EK_LOOP_PASSED] == 0u && counts[EK_LOOP_AMBIGUOUS] == 0u);
+    p.loop.gate = EK_R(1e6); /* and now all are */
+    drive_and_count(&p, SCANS, counts);
+    CHECK(counts[EK_LOOP_AMBIGUOUS] >= 1u && counts[EK_LOOP_CHI] == 0u);
+    p = parameters_of(0);
+    p.loop.overlap = EK_R(1.0);
+    p.loop.near = EK_R(0.001);
+    drive_and_count(&p, SCANS, counts);
+    CHECK(counts[EK_LOOP_OVERLAP] >= 1u && counts[EK_LOOP_PASSED] == 0u);
+    p = parameters_of(0);
+    p.loop_points = 40u; /* no keyframe fits */
+    drive_and_count(&p, SCANS, counts);
+    CHECK(counts[EK_LOOP_FEW_POINTS] >= 1u && counts[EK_LOOP_FEW_POINTS] == slam.record_count);
+    p.loop_points = 700u; /* some keyframes on either side, and not all within 3 m */
+    drive_and_count(&p, SCANS, counts);
+    CHECK(counts[7] >= 1u && counts[EK_LOOP_FEW_POINTS] == 0u);
+}
+
+static ek_loop_candidate find(int64_t slice)
+{
+    slam.finder.tried = 0;
+    ek_work work = ek_work_make(INT64_MAX);
+    CHECK(ek_loop_finder_begin(&slam.finder, &slam.keyframes, &work));
+    do {
+        work = ek_work_make(slice);
+    } while (!ek_loop_finder_work(&slam.finder, &slam.keyframes, &work));
+    return slam.finder.candidate;
+}
+
+/* A candidate judged in the smallest slices is to the bit the one judged at once, with rivals and without. */
+static void slices_change_no_bit_of_a_candidate(void)
+{
+    unsigned counts[8];
+    ek_slam_parameters p = parameters_of(0);
+    p.loop.gate = EK_R(0.0);
+    p.loop.ambiguity = EK_R(0.5);
+    for (int wide = 0; wide < 2; wide++) {
+        p.drift.sigma = EK_R(wide ? 0.3 : 0.02);
+        drive_and_count(&p, SCANS, counts);
+        const ek_loop_candidate whole = find(INT64_MAX), slices = find(1);
+        CHECK(whole.outcome == EK_LOOP_CHI && slices.outcome == whole.outcome && slices.is_local == whole.is_local);
+        CHECK(slices.edge.first == whole.edge.first && slices.edge.second == whole.edge.second);
+        CHECK(memcmp(&slices.edge.first_from_second, &whole.edge.first_from_second, sizeof(ek_pose)) == 0);
+        CHECK(memcmp(&slices.edge.information, &whole.edge.information, sizeof(ek_sym3)) == 0);
+        CHECK(memcmp(slices.number, whole.number, sizeof whole.number) == 0);
+    }
+}
+
+/* In slices of 2,000 operations a search takes many scans: none of them is disturbed by it. A lost track drops it. */
+static void a_search_in_small_slices_is_dropped_by_a_lost_track(void)
+{
+    unsigned counts[8];
+    ek_slam_parameters p = parameters_of(2000);
+    p.loop.ambiguity = EK_R(0.5);
+    p.drift.sigma = EK_R(0.3);
+    drive_and_count(&p, SCANS, counts);
+    p.loop.path = EK_R(1e6);
+    ek_arena arena = start(&p);
+    uint64_t seed = 7u;
+    for (size_t k = 0; k < 120u; k++) {
+        CHECK(!step_without_odometry(k, k, &seed).lost);
+    }
+    slam.task = EK_TASK_FIND;
+    slam.finder.phase = EK_FINDER_DRAW;
+    CHECK(step_without_odometry(120u, 20u, &seed).lost);
+    CHECK(slam.task == EK_TASK_IDLE && slam.finder.phase == EK_FINDER_IDLE && slam.record_count == 0u);
+    CHECK(slam.keyframes.section[slam.keyframes.count - 1u] == 1u && slam.waiting_count == 0u);
+    ek_work some = ek_work_make(1000);
+    CHECK(!ek_loop_finder_work(&slam.finder, &slam.keyframes, &some) && some.done == 0u); /* nothing in work */
+    free(arena.memory);
+}
+
+/* Without quick acceptance a loop waits for a second one that agrees, not farther than 6 m behind it. */
+static void a_loop_waits_for_another_that_agrees(void)
+{
+    unsigned counts[8];
+    ek_slam_parameters p = parameters_of(0);
+    p.loop.quick_gate = EK_R(0.0);
+    drive_and_count(&p, SCANS, counts);
+    CHECK(counts[7] >= 1u);
+    size_t first = 0u;
+    while (first < slam.record_count && slam.record[first].candidate.outcome != EK_LOOP_PASSED) {
+        first++;
+    }
+    CHECK(first < slam.record_count && slam.record[first].unconfirmed && !slam.record[first].accepted);
+    p.loop.spacing = EK_R(6.5);
+    drive_and_count(&p, SCANS + LAP, counts);
+    CHECK(counts[EK_LOOP_PASSED] >= 5u && counts[7] == 0u && slam.waiting_count == 4u);
+    for (size_t k = 0; k < slam.record_count; k++) {
+        CHECK(slam.record[k].unconfirmed == (slam.record[k].candidate.outcome == EK_LOOP_PASSED));
+    }
+}
+
+/* Memory that runs out ends what it is for, and nothing else. */
+static void memory_that_is_used_up_costs_only_what_it_was_for(void)
+{
+    unsigned counts[8];
+    ek_slam_parameters p = parameters_of(0);
+    p.loops = 1u;
+    p.loop.spacing = EK_R(0.5);
+    drive_and_count(&p, SCANS, counts);
+    unsigned no_room = 0u;
+    for (size_t k = 0; k < slam.record_count; k++) {
+        no_room += (unsigned)slam.record[k].no_room;
+    }
+    CHECK(counts[7] == 1u && no_room >= 1u && no_room == counts[EK_LOOP_PASSED] - 1u);
+    p.loops = 8u;
+    p.records = 1u;
+    drive_and_count(&p, SCANS, counts);
+    CHECK(slam.record_count == 1u && slam.unrecorded >= 1u && counts[7] <= 1u);
+
+    p = parameters_of(0);
+    p.keyframes = 20u;
+    ek_arena arena = start(&p);
+    uint64_t seed = 7u;
+    for (size_t k = 0; k < 60u; k++) {
+        ek_slam_estimate estimate;
+        const ek_sweep sweep = sweep_at(k, &seed);
+        CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OK);
+        CHECK(!estimate.full || slam.keyframes.count == 20u);
+        check_near_truth(k, estimate.start_from_base, 0.05);
+    }
+    CHECK(slam.full && slam.record_count == 0u);
+    free(arena.memory);
+}
+
+/* Close a loop between two keyframes as if the finder had accepted it. */
+static void close_by_hand(uint32_t first, uint32_t second, ek_pose motion, double information)
+{
+    const ek_real i = EK_R(information);
+    const ek_sym3 weights = {i, EK_R(0.0), EK_R(0.0), i, EK_R(0.0), i};
+    const ek_loop_edge edge = {first, second, motion, weights, EK_R(1.0)};
+    ek_loop_record *const record = slam.record + slam.record_count;
+    memset(record, 0, sizeof *record);
+    record->candidate.edge = edge;
+    record->accepted = 1;
+    slam.record_of_loop[slam.keyframes.graph.loop_count] = (uint32_t)slam.record_count++;
+    CHECK(ek_pose_graph_close(&slam.keyframes.graph, &edge) == EK_OK);
+}
+
+static ek_pose between_keyframes(uint32_t first, uint32_t second)
+{
+    const ek_pose *const pose = slam.keyframes.graph.pose;
+    return ek_se2_between(pose[first], pose[second]);
+}
+
+static void solve(int64_t slice)
+{
+    ek_slam_solve(&slam);
+    while (slam.task != EK_TASK_IDLE) {
+        ek_work work = ek_work_make(slice);
+        ek_slam_work(&slam, &work);
+    }
+}
+
+/* Four true loops and two that are wrong by metres: those are withdrawn, and the poses stay where they were. */
+static void false_loops_are_withdrawn(int64_t slice)
+{
+    ek_slam_parameters p = parameters_of(0);
+    p.loop.path = EK_R(1e6); /* the finder finds none */
+    ek_arena arena = start(&p);
+    uint64_t seed = 7u;
+    for (size_t k = 0; k < 100u; k++) {
+        step_without_odometry(k, k, &seed);
+    }
+    const uint32_t last = (uint32_t)slam.keyframes.count - 1u;
+    const ek_pose before = between_keyframes(0u, last);
+    for (uint32_t k = 0; k < 4u; k++) {
+        close_by_hand(k, last - k, between_keyframes(k, last - k), 1e4);
+        if (k < 2u) {
+            const ek_pose lie = ek_se2_compose(between_keyframes(2u * k, last - 5u), pose_of(1.0 + k, -2.0, 0.7));
+            close_by_hand(2u * k, last - 5u, lie, 1e4);
+        }
+    }
+    solve(slice);
+    CHECK(slam.keyframes.graph.loop_count == 4u);
+    for (size_t k = 0; k < 6u; k++) {
+        const int lie = k == 1u || k == 3u;
+        CHECK(slam.record[k].withdrawn == lie && slam.record[k].accepted == !lie);
+    }
+    for (size_t k = 0; k < 4u; k++) {
+        CHECK(slam.record[slam.record_of_loop[k]].accepted && slam.keyframes.graph.loop[k].weight >= EK_R(1.0));
+    }
+    const ek_pose moved = ek_se2_between(before, between_keyframes(0u, last));
+    CHECK_NEAR(moved.x, 0.0, 0.002);
+    CHECK_NEAR(moved.y, 0.0, 0.002);
+    free(arena.memory);
+}
+
+/* A loop 0.2 m off, far more certain than the steps, moves the last keyframe by 0.2 m: a correction. The loop before it
+ * moved nothing, and one that would lead out of the world is taken away. */
+static void a_certain_loop_corrects_and_an_impossible_one_is_taken_away(void)
+{
+    ek_slam_parameters p = parameters_of(0);
+    p.loop.path = EK_R(1e6);
+    p.drift.sigma = EK_R(1e5);
+    p.drift.sigma_theta = EK_R(1.0);
+    ek_arena arena = start(&p);
+    uint64_t seed = 7u;
+    for (size_t k = 0; k < 60u; k++) {
+        step_without_odometry(k, k, &seed);
+    }
+    const uint32_t last = (uint32_t)slam.keyframes.count - 1u;
+    slam.corrected = 0;
+    close_by_hand(0u, last, between_keyframes(0u, last), 1e2);
+    solve(INT64_MAX);
+    CHECK(!slam.corrected && slam.keyframes.graph.loop_count == 1u);
+    slam.keyframes.graph.loop_count = slam.record_count = 0u;
+    const ek_pose before = between_keyframes(0u, last);
+    close_by_hand(0u, last, ek_se2_compose(before, pose_of(0.2, 0.0, 0.0)), 1e4);
+    solve(INT64_MAX);
+    ek_pose moved = ek_se2_between(before, between_keyframes(0u, last));
+    CHECK(slam.corrected && slam.keyframes.graph.loop_count == 1u);
+    CHECK_NEAR(moved.x, 0.2, 0.002);
+    CHECK_NEAR(moved.y, 0.0, 0.002);
+    for (int axis = 0; axis < 2; axis++) {
+        slam.keyframes.graph.loop_count = slam.record_count = 0u;
+        solve(INT64_MAX);
+        const ek_pose there = between_keyframes(0u, last), far = axis ? pose_of(0.0, 3e5, 0.0) : pose_of(3e5, 0.0, 0.0);
+        close_by_hand(1u, last - 1u, far, 1e-8);
+        solve(INT64_MAX);
+        moved = ek_se2_between(there, between_keyframes(0u, last));
+        CHECK(slam.keyframes.graph.loop_count == 0u && slam.record[0].withdrawn && !slam.record[0].accepted);
+        CHECK_NEAR(moved.x, 0.0, TOLERANCE);
+        CHECK_NEAR(moved.y, 0.0, TOLERANCE);
+    }
+    free(arena.memory);
+}
+
+/* The correction of a scan between two keyframes: none of it at the first, all of it at the second and beyond. */
+static void corrections_are_distributed_between_keyframes(void)
+{
+    const ek_slam_parameters p = parameters_of(0);
+    ek_arena arena = start(&p);
+    uint64_t seed = 7u;
+    const ek_pose lone = ek_slam_correct(&slam, 0u, pose_of(1.0, 2.0, 0.0)); /* no keyframe yet */
+    CHECK_NEAR(lone.x, 1.0, TOLERANCE);
+    CHECK_NEAR(lone.y, 2.0, TOLERANCE);
+    for (size_t k = 0; k < 30u; k++) {
+        step_without_odometry(k, k, &seed);
+    }
+    ek_pose *const pose = slam.keyframes.graph.pose, *const odom = slam.odom_from_keyframe;
+    odom[3] = pose[3] = pose_of(1.0, 0.0, 0.0);
+    odom[4] = pose_of(2.0, 0.0, 0.0);
+    pose[4] = pose_of(2.0, 0.4, 0.0); /* moved by 0.4 m to the left */
+    static const double driven[] = {0.0, 0.25, 0.5, 1.0, 1.5}, expected[] = {0.0, 0.1, 0.2, 0.4, 0.4};
+    for (size_t k = 0; k < 5u; k++) {
+        const ek_pose found = ek_slam_correct(&slam, 3u, pose_of(1.0 + driven[k], 0.0, 0.0));
+        CHECK_NEAR(found.x, 1.0 + driven[k], TOLERANCE);
+        CHECK_NEAR(found.y, expected[k], TOLERANCE);
+    }
+    odom[4] = odom[3]; /* at one place: all of it at once */
+    const ek_pose same = ek_slam_correct(&slam, 3u, pose_of(1.01, 0.0, 0.0));
+    CHECK_NEAR(same.x, 2.01, 1e-5);
+    CHECK_NEAR(same.y, 0.4, 1e-5);
+    free(arena.memory);
+}
+
+/* Wheels that measure 5 % too much: 5 m at scale 1 are assumed before, and the scale remembers 50 m. */
+static void the_scale_of_the_wheels_is_learned(void)
+{
+    const ek_openness closed = {EK_R(1.0), EK_R(0.0), EK_R(1.0)}, open = {EK_R(1.0), EK_R(0.0), EK_R(0.0)};
+    const ek_slam_parameters p = parameters_of(0);
+    ek_arena arena = start(&p);
+    ek_wheels *const wheels = &slam.wheels;
+    double matched = 5.0, driven = 5.0;
+    wheels->has_last = 1;
+    ek_slam_observe_wheels(&slam, pose_of(0.0, 0.0, 0.0), &closed, 1); /* the first keyframe */
+    for (int k = 1; k <= 60; k++) {
+        wheels->now = pose_of(1.05 * k, 0.0, 0.0);
+        ek_slam_observe_wheels(&slam, pose_of(1.0, 0.0, 0.0), &closed, 1);
+        matched += 1.0;
+        driven += 1.05;
+        if (driven > 50.0) {
+            matched *= 50.0 / driven;
+            driven = 50.0;
+        }
+        CHECK_NEAR(wheels->matched, matched, 1e-3);
+        CHECK_NEAR(wheels->driven, driven, 1e-3);
+    }
+    const ek_wheels before = *wheels;
+    static const double steps[][2] = {{1.05, 1.3}, {1.05, 0.7}, {0.05, 0.05}, {0.0, 0.0}}; /* wheels, match */
+    for (size_t k = 0; k < 4u; k++) { /* slipping, blocked, hardly moving and standing wheels do not count */
+        wheels->keyframe = wheels->now;
+        wheels->now.x += EK_R(steps[k][0]);
+        ek_slam_observe_wheels(&slam, pose_of(steps[k][1], 0.0, 0.0), &closed, 1);
+        CHECK_NEAR(wheels->driven, before.driven, 0.0);
+    }
+    wheels->now.x += EK_R(1.05); /* nor does a step after a lost track, in a corridor, out of one, or without odometry */
+    ek_slam_observe_wheels(&slam, pose_of(1.0, 0.0, 0.0), &closed, 0);
+    wheels->now.x += EK_R(1.05);
+    ek_slam_observe_wheels(&slam, pose_of(1.0, 0.0, 0.0), &open, 1);
+    wheels->now.x += EK_R(1.05);
+    ek_slam_observe_wheels(&slam, pose_of(1.0, 0.0, 0.0), &closed, 1);
+    wheels->has_last = 0;
+    wheels->now.x += EK_R(1.05);
+    ek_slam_observe_wheels(&slam, pose_of(1.0, 0.0, 0.0), &closed, 1);
+    wheels->has_last = 1;
+    wheels->now.x += EK_R(1.05);
+    ek_slam_observe_wheels(&slam, pose_of(1.0, 0.0, 0.0), &closed, 1);
+    CHECK_NEAR(wheels->matched, before.matched, 0.0);
+
+    uint64_t seed = 3u; /* the next sweep's odometry is scaled from where it is known */
+    ek_sweep sweep = sweep_at(0u, &seed);
+    sweep.odom_from_base = pose_of(10.0, 0.0, 0.0);
+    sweep.start_from_end = pose_of(1.05, 0.0, 0.0);
+    wheels->has_last = 0;
+    wheels->matched = EK_R(40.0);
+    wheels->driven = EK_R(50.0);
+    ek_wheels next;
+    ek_sweep prepared = ek_slam_prepare(&slam, &sweep, &next);
+    CHECK_NEAR(prepared.odom_from_base.x, 10.0, TOLERANCE);
+    CHECK_NEAR(prepared.start_from_end.x, 0.84, TOLERANCE);
+    CHECK(prepared.ranges == sweep.ranges);
+    slam.wheels = next;
+    sweep.odom_from_base.x = EK_R(12.0);
+    prepared = ek_slam_prepare(&slam, &sweep, &next);
+    CHECK_NEAR(prepared.odom_from_base.x, 11.6, TOLERANCE);
+    for (size_t i = 0; i < BEAMS; i++) { /* fine beams that tremble by 10 cm are smoothed */
+        ranges[i] = i % 2u ? EK_R(1.1) : EK_R(1.0);
+        angles[i] = EK_R(0.25 / 180.0) * EK_PI * (ek_real)i;
+    }
+    prepared = ek_slam_prepare(&slam, &sweep, &next);
+    CHECK(prepared.ranges == slam.smoothed);
+    CHECK_NEAR(prepared.ranges[10], 1.0, TOLERANCE);
+    sweep.beams = BEAMS + 1u; /* refused later, not smoothed beyond the memory */
+    CHECK(ek_slam_prepare(&slam, &sweep, &next).ranges == sweep.ranges);
+    sweep.angles = NULL;
+    CHECK(ek_slam_prepare(&slam, &sweep, &next).angles == NULL);
+    sweep.ranges = NULL;
+    CHECK(ek_slam_prepare(&slam, &sweep, &next).ranges == NULL);
+    free(arena.memory);
+}
+
+/* A guess turned by 24 degrees, beyond the reach of the nearest points: a further try from that heading finds the pose. */
+static void a_turned_guess_is_found_by_a_further_try(void)
+{
+    ek_slam_parameters p = parameters_of(0);
+    ek_arena arena = start(&p);
+    uint64_t seed = 7u;
+    for (size_t k = 0; k < 20u; k++) {
+        step_without_odometry(k, k, &seed);
+    }
+    const ek_pose truth = slam.motion.start_from_base;
+    static const double turns_deg[] = {0.0, 24.0, -24.0};
+    for (size_t k = 0; k < 3u; k++) {
+        ek_match match;
+        const ek_pose guess = ek_se2_compose(truth, pose_of(0.05, 0.0, turns_deg[k] * (double)EK_PI / 180.0));
+        CHECK(ek_slam_match(&slam, &slam.map_index, guess, &match) == EK_OK);
+        const ek_pose found = ek_se2_between(truth, match.target_from_source);
+        CHECK_NEAR(found.x, 0.0, 0.03);
+        CHECK_NEAR(found.y, 0.0, 0.03);
+        CHECK_NEAR(found.theta, 0.0, 0.02);
+    }
+    ek_match match;
+    CHECK(ek_slam_match(&slam, &slam.map_index, pose_of(2e6, 0.0, 0.0), &match) == EK_OUT_OF_RANGE);
+    free(arena.memory);
+}
+
+/* A sweep that leads out of the world is refused, by odometry, by its sensor's place or by its points; one without
+ * points gets the predicted pose. */
+static void sweeps_beyond_the_world_are_refused(void)
+{
+    static const ek_real huge = sizeof(ek_real) == sizeof(float) ? EK_R(3e38) : EK_R(1.5e308);
+    ek_slam_parameters p = parameters_of(0);
+    ek_arena arena = start(&p);
+    ek_slam_estimate estimate;
+    uint64_t seed = 7u;
+    ek_sweep sweep = sweep_at(0u, &seed);
+    sweep.odom_from_base = pose_of(-1e6, 0.0, 0.0);
+    CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OK);
+    const ek_pose far[] = {pose_of(1.1e6, 0.0, 0.0), pose_of(0.0, -1.1e6, 0.0), pose_of(-1e6 + 3e5, 0.0, 0.0),
+                           pose_of(-1e6, 3e5, 0.0), pose_of(1e6, 0.0, 0.0)};
+    for (size_t k = 0; k < sizeof far / sizeof *far; k++) {
+        sweep = sweep_at(1u, &seed);
+        sweep.odom_from_base = far[k];
+        CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OUT_OF_RANGE);
+    }
+    sweep = sweep_at(1u, &seed);
+    sweep.odom_from_base = pose_of(-1e6 + 0.5, 0.0, 0.0);
+    for (size_t i = 0; i < BEAMS; i++) {
+        ranges[i] = (ek_real)INFINITY;
+    }
+    CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OK && !estimate.scan_to_map_accepted);
+    CHECK_NEAR(estimate.odom_from_base.x, 0.5, 1e-6 * (sizeof(ek_real) == sizeof(float) ? 1e5 : 1.0));
+    sweep.stamp_ns += STEP_NS;
+    sweep.odom_from_base = pose_of(-1e6, 0.0, 0.0);
+    sweep.odom_from_base.theta = huge;
+    CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OK);
+    sweep.stamp_ns += STEP_NS;
+    sweep.odom_from_base.theta = -huge; /* their difference is no number */
+    CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OUT_OF_RANGE);
+    for (int axis = 0; axis < 2; axis++) {
+        (axis ? &slam.parameters.scan.base_from_sensor.y : &slam.parameters.scan.base_from_sensor.x)[0] = EK_R(1001.0);
+        sweep = sweep_at(9u, &seed);
+        sweep.has_odometry = 0;
+        CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OUT_OF_RANGE);
+        slam.parameters.scan.base_from_sensor = pose_of(0.0, 0.0, 0.0);
+    }
+    CHECK(ek_slam_update(&slam, &sweep, NULL) == EK_NULL_POINTER);
+    free(arena.memory);
+    p.use_odometry = 0; /* then what it says does not matter */
+    arena = start(&p);
+    for (size_t k = 0; k < 20u; k++) {
+        sweep = sweep_at(k, &seed);
+        sweep.odom_from_base = pose_of(0.0, 0.0, 0.0);
+        CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OK && !estimate.lost);
+        check_near_truth(k, estimate.start_from_base, 0.05);
+    }
+    free(arena.memory);
+}
+
 static void memory_and_parameters_are_checked(void)
 {
     ek_slam_parameters p = ek_slam_default();
@@ -184,8 +683,22 @@ int main(void)
 {
     memory_and_parameters_are_checked();
     refused_scans_change_nothing();
+    a_carried_robot_finds_its_place();
+    each_bound_refuses_candidates_with_its_own_outcome();
+    slices_change_no_bit_of_a_candidate();
+    a_search_in_small_slices_is_dropped_by_a_lost_track();
+    a_loop_waits_for_another_that_agrees();
+    memory_that_is_used_up_costs_only_what_it_was_for();
+    false_loops_are_withdrawn(INT64_MAX);
+    false_loops_are_withdrawn(1000);
+    a_certain_loop_corrects_and_an_impossible_one_is_taken_away();
+    corrections_are_distributed_between_keyframes();
+    the_scale_of_the_wheels_is_learned();
+    a_turned_guess_is_found_by_a_further_try();
+    sweeps_beyond_the_world_are_refused();
     drive(0, 0.03);
     const uint64_t most = drive(100000, 0.03);
     CHECK(most < 100000u + 160u * 4000u); /* the largest part: the normals of a target of less than 4,000 points */
+    free(lasting.memory);
     return verdict();
 }

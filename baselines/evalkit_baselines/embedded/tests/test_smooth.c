@@ -44,6 +44,14 @@ static void small_noise_and_short_scans_are_left_alone(void)
         ranges[k] = EK_R(2.0) + EK_R(0.01) * ranges[k];
     }
     CHECK(!ek_smooth_ranges(ranges, angles, BEAMS, smoothed, scratch));
+    for (size_t k = 0; k < BEAMS; k++) { /* without a return there is no noise to estimate */
+        ranges[k] = (ek_real)INFINITY;
+    }
+    CHECK(!ek_smooth_ranges(ranges, angles, BEAMS, smoothed, scratch));
+    for (size_t k = 0; k < BEAMS; k++) { /* bends of 1 to 38 times 0.05 m: their median is that of 19 and 20 */
+        ranges[k] = EK_R(0.025) * (ek_real)(k * k) / EK_R(38.0) * EK_R(k);
+    }
+    CHECK(ek_smooth_ranges(ranges, angles, BEAMS, smoothed, scratch));
     fill(0.25);
     CHECK(!ek_smooth_ranges(ranges, angles, 4u, smoothed, scratch));
     CHECK(!ek_smooth_ranges(ranges, angles, 0u, smoothed, scratch));

@@ -34,7 +34,6 @@ typedef struct {
 } ek_keyframes;
 
 #define ek_keyframes_init EK_NAME(keyframes_init)
-#define ek_keyframes_reset EK_NAME(keyframes_reset)
 #define ek_keyframes_add EK_NAME(keyframes_add)
 #define ek_keyframes_measure EK_NAME(keyframes_measure)
 #define ek_keyframes_join EK_NAME(keyframes_join)
@@ -42,9 +41,6 @@ typedef struct {
 /* Initialise in an arena (or measure it). EK_OUT_OF_RANGE: no points, or what ek_pose_graph_init refuses. */
 ek_status ek_keyframes_init(ek_keyframes *keyframes, ek_arena *arena, size_t capacity, size_t points, size_t loops,
                             ek_drift drift);
-
-/* Remove all keyframes. */
-void ek_keyframes_reset(ek_keyframes *keyframes);
 
 /* Add a keyframe by its motion from the last one: count pairs x y in its own frame (m). `known`: whether that motion was
  * measured. EK_TOO_MANY_POINTS: no room for it or its points; what ek_pose_graph_add refuses. An error changes nothing.

@@ -93,7 +93,6 @@ typedef struct {
 #define ek_loop_default EK_NAME(loop_default)
 #define ek_loop_check EK_NAME(loop_check)
 #define ek_loop_finder_init EK_NAME(loop_finder_init)
-#define ek_loop_finder_reset EK_NAME(loop_finder_reset)
 #define ek_loop_finder_begin EK_NAME(loop_finder_begin)
 #define ek_loop_finder_work EK_NAME(loop_finder_work)
 
@@ -107,9 +106,6 @@ ek_status ek_loop_check(const ek_loop_settings *settings);
  * of the first and of the final match. Returns what its parts return. */
 ek_status ek_loop_finder_init(ek_loop_finder *finder, ek_arena *arena, const ek_loop_settings *settings,
                               const ek_icp_parameters *coarse, const ek_icp_parameters *fine, size_t points, size_t cells);
-
-/* Forget the candidate in work and the places tried. */
-void ek_loop_finder_reset(ek_loop_finder *finder);
 
 /* Look for a place to compare with the last keyframe; 1: there is one, and a candidate is in work. Two operations a
  * keyframe. The graph must not be in work. */

@@ -1,0 +1,268 @@
+/* The parts of a drive, each by hand: open directions, lost tracks, keyframes, constant velocity, the lasting map. */
+#include "check.h"
+#include "ek/continuity.h"
+#include "ek/keyframes.h"
+#include "ek/motion.h"
+#include "ek/observability.h"
+#include "ek/voxel_map.h"
+
+#define POINTS 400u
+
+static ek_thinner thinner;
+static ek_observer observer;
+static ek_continuity continuity;
+static ek_index map;
+static ek_keyframes keyframes;
+static ek_scan scan;
+static ek_real xy[2u * POINTS];
+static ek_work work;
+
+static const ek_pose ORIGIN = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+
+static ek_pose pose_of(double x, double y, double theta)
+{
+    const ek_pose pose = {EK_R(x), EK_R(y), EK_R(theta)};
+    return pose;
+}
+
+/* Two walls 3 m apart along a direction. */
+static size_t corridor(double angle)
+{
+    for (size_t k = 0; k < 160u; k++) {
+        const double along = 0.1 * (double)(k / 2u) - 4.0, across = k % 2u ? 1.5 : -1.5;
+        xy[2u * k] = EK_R(cos(angle) * along - sin(angle) * across);
+        xy[2u * k + 1u] = EK_R(sin(angle) * along + cos(angle) * across);
+    }
+    return 160u;
+}
+
+/* The four walls of a room of 2 `half` m, from `from` rad to `to` rad around its middle. */
+static size_t room(double half, double from, double to, size_t count)
+{
+    for (size_t k = 0; k < count; k++) {
+        const double angle = from + (to - from) * ((double)k + 0.5) / (double)count, c = cos(angle), s = sin(angle);
+        const double range = half / (fabs(c) > fabs(s) ? fabs(c) : fabs(s));
+        xy[2u * k] = EK_R(range * c);
+        xy[2u * k + 1u] = EK_R(range * s);
+    }
+    return count;
+}
+
+static void a_corridor_is_open_along_its_walls(void)
+{
+    for (int k = 0; k < 4; k++) {
+        const double angle = 0.5 * (double)EK_PI * k / 4.0;
+        const ek_openness open = ek_observer_measure(&observer, &thinner, xy, corridor(angle), &work);
+        CHECK_NEAR(open.ratio, 0.0, 1e-4);
+        CHECK_NEAR(fabs((double)open.x * cos(angle) + (double)open.y * sin(angle)), 1.0, 1e-4);
+        CHECK(ek_openness_trust(&open) <= EK_R(0.0));
+    }
+    const ek_openness closed = ek_observer_measure(&observer, &thinner, xy, room(3.0, -3.14159, 3.14159, 400u), &work);
+    CHECK(closed.ratio > EK_R(0.8) && ek_openness_trust(&closed) >= EK_R(1.0));
+    const ek_openness few = ek_observer_measure(&observer, &thinner, xy, 7u, &work);
+    CHECK_NEAR(few.ratio, 0.0, 0.0); /* seven points say nothing: open, along x */
+    CHECK_NEAR(few.x, 1.0, 0.0);
+}
+
+/* From 0.045 to 0.065 a match counts more and more along the open direction: a quarter, the half, all of it. */
+static void a_match_counts_along_the_open_direction_by_what_the_walls_say(void)
+{
+    static const double ratios[] = {0.0, 0.045, 0.05, 0.055, 0.065, 1.0}, shares[] = {0.0, 0.0, 0.25, 0.5, 1.0, 1.0};
+    const ek_pose match = pose_of(1.0, 2.0, 0.5 * (double)EK_PI), guess = pose_of(0.5, 0.4, 1.0);
+    for (size_t k = 0; k < 6u; k++) {
+        const ek_openness open = {EK_R(1.0), EK_R(0.0), EK_R(ratios[k])}; /* ahead of the robot: the world's y */
+        CHECK_NEAR(ek_openness_trust(&open), shares[k], 1e-5);
+        const ek_pose limited = ek_openness_limit(&open, match, guess);
+        CHECK_NEAR(limited.x, 1.0, 1e-6);
+        CHECK_NEAR(limited.y, 0.4 + shares[k] * 1.6, 1e-4);
+        CHECK_NEAR(limited.theta, match.theta, 0.0);
+    }
+}
+
+static int is_lost(size_t count, ek_pose pose, int has_odometry, const ek_index *known)
+{
+    return ek_continuity_is_lost(&continuity, &thinner, xy, count, pose, ORIGIN, has_odometry, known, &work);
+}
+
+static void a_scan_is_lost_where_it_contradicts_the_one_before(void)
+{
+    const ek_pose moved = pose_of(0.2, 0.0, 0.0), away = pose_of(0.9, 0.7, 0.0);
+    for (int has_odometry = 0; has_odometry < 2; has_odometry++) {
+        continuity.started = 0;
+        CHECK(!is_lost(room(3.0, -3.14159, 3.14159, 400u), ORIGIN, has_odometry, NULL)); /* the first one never is */
+        CHECK(!is_lost(room(3.0, -3.14159, 3.14159, 400u), moved, has_odometry, NULL));  /* on the walls */
+        CHECK(!is_lost(5u, away, has_odometry, NULL) && continuity.rays > 100u);         /* too few: not even kept */
+        CHECK(is_lost(room(3.0, -3.14159, 3.14159, 400u), away, has_odometry, NULL));    /* the walls 0.9 and 0.7 m off */
+    }
+    /* on the map where the scan before was not: with odometry that is enough */
+    for (int has_odometry = 0; has_odometry < 2; has_odometry++) {
+        continuity.started = 0;
+        CHECK(!is_lost(room(3.0, -3.14159, 3.14159, 400u), ORIGIN, has_odometry, NULL));
+        CHECK(ek_index_build(&map, xy, room(2.0, -3.14159, 3.14159, 400u)) == EK_OK);
+        CHECK(is_lost(room(2.0, -3.14159, 3.14159, 400u), ORIGIN, has_odometry, &map) == !has_odometry);
+    }
+    CHECK(ek_index_build(&map, xy, room(6.0, -3.14159, 3.14159, 400u)) == EK_OK);
+    CHECK(is_lost(room(1.2, -3.14159, 3.14159, 400u), ORIGIN, 1, &map)); /* neither on the scan nor on the map */
+}
+
+/* What the scan before could not see tells nothing: without odometry the track is lost, with it it is believed. */
+static void a_scan_of_other_places_is_believed_with_odometry_only(void)
+{
+    static const double cases[3][3] = {{-1.4, 1.4, 3.0},     /* in front, then behind the robot */
+                                       {-3.14159, 3.14159, 5.0}, /* then beyond the walls */
+                                       {-3.14159, 3.14159, 3.0}};
+    for (size_t k = 0; k < 3u; k++) {
+        for (int has_odometry = 0; has_odometry < 2; has_odometry++) {
+            continuity.started = 0;
+            CHECK(!is_lost(room(3.0, cases[k][0], cases[k][1], 300u), ORIGIN, has_odometry, NULL));
+            const size_t count = k == 0u ? room(3.0, 1.74159, 4.54159, 300u) : room(cases[k][2], -3.14159, 3.14159, 400u);
+            CHECK(is_lost(count, ORIGIN, has_odometry, NULL) == (k < 2u && !has_odometry));
+        }
+    }
+}
+
+static ek_status add(double x, size_t points, int known, double ratio)
+{
+    const ek_openness open = {EK_R(0.6), EK_R(0.8), EK_R(ratio)};
+    return ek_keyframes_add(&keyframes, xy, points, pose_of(x, 0.0, 0.0), known, &open, &work);
+}
+
+/* Steps of 1 m: a variance of 0.0004 m^2, and 20 times more along (0.6, 0.8) where the walls leave it open. */
+static void the_information_of_a_step_follows_its_path_and_the_open_direction(void)
+{
+    static const double ratios[] = {0.3, 0.2, 0.1225, 0.045, 0.0}, shares[] = {0.0, 0.0, 0.5, 1.0, 1.0};
+    CHECK(add(0.0, 3u, 1, 1.0) == EK_OK);
+    for (size_t k = 0; k < 5u; k++) {
+        CHECK(add(1.0, 2u, 1, ratios[k]) == EK_OK);
+        ek_sym3 covariance;
+        const ek_step *const step = keyframes.graph.step + k + 1u;
+        const double variance = 0.0004, more = 20.0 * variance * shares[k];
+        CHECK(ek_sym3_inverse(&step->information, &covariance));
+        CHECK_NEAR((double)covariance.xx / (variance + 0.36 * more), 1.0, 1e-4);
+        CHECK_NEAR((double)covariance.yy / (variance + 0.64 * more), 1.0, 1e-4);
+        CHECK_NEAR((double)covariance.xy, 0.48 * more, 1e-6);
+        CHECK_NEAR((double)covariance.tt / 0.000025, 1.0, 1e-4);
+    }
+    CHECK_NEAR(keyframes.path[5], 5.0, TOLERANCE);
+    CHECK_NEAR(keyframes.apart[0], 5.0, TOLERANCE);
+    CHECK(keyframes.start[6] == 13u && keyframes.count == 6u);
+}
+
+/* A second part of the drive after a lost track: its distance is unknown until a loop joins it. */
+static void a_loop_joins_what_a_lost_track_has_parted(void)
+{
+    const ek_sym3 unit = {EK_R(1.0), EK_R(0.0), EK_R(0.0), EK_R(1.0), EK_R(0.0), EK_R(1.0)};
+    const ek_loop_edge loop = {1u, 7u, pose_of(0.0, 2.0, 0.5 * (double)EK_PI), unit, EK_R(1.0)};
+    CHECK(add(9.0, 1u, 0, 1.0) == EK_OK && add(1.0, 1u, 1, 1.0) == EK_OK);
+    CHECK(keyframes.section[5] == 0u && keyframes.section[6] == 1u && keyframes.section[7] == 1u);
+    CHECK_NEAR(keyframes.graph.step[6].information.xx, 1e-4, 1e-9);
+    for (size_t k = 0; k < 6u; k++) {
+        CHECK(keyframes.apart[k] >= EK_APART);
+    }
+    CHECK_NEAR(keyframes.apart[6], 1.0, TOLERANCE);
+    ek_keyframes_join(&keyframes, &loop, &work); /* keyframe 7 to (1, 2), turned to the left; 6 is 1 m behind it */
+    CHECK_NEAR(keyframes.graph.pose[7].x, 1.0, TOLERANCE);
+    CHECK_NEAR(keyframes.graph.pose[7].y, 2.0, TOLERANCE);
+    CHECK_NEAR(keyframes.graph.pose[7].theta, 0.5 * (double)EK_PI, TOLERANCE);
+    CHECK_NEAR(keyframes.graph.pose[6].x, 1.0, TOLERANCE);
+    CHECK_NEAR(keyframes.graph.pose[6].y, 1.0, TOLERANCE);
+    CHECK_NEAR(keyframes.graph.pose[5].x, 5.0, TOLERANCE); /* the first part stays */
+    CHECK(ek_pose_graph_close(&keyframes.graph, &loop) == EK_OK);
+    ek_keyframes_measure(&keyframes, &work);
+    static const double apart[] = {1.5, 0.5, 1.5, 2.5, 3.5, 4.5, 1.0, 0.0}; /* a loop adds half a metre */
+    for (size_t k = 0; k < 8u; k++) {
+        CHECK_NEAR(keyframes.apart[k], apart[k], 1e-6);
+    }
+}
+
+static void what_does_not_fit_is_refused_and_changes_nothing(void)
+{
+    const size_t count = keyframes.count, used = keyframes.start[count];
+    CHECK(add(1e7, 1u, 1, 1.0) == EK_OUT_OF_RANGE && keyframes.count == count);
+    CHECK(add(1.0, 40u - used + 1u, 1, 1.0) == EK_TOO_MANY_POINTS && keyframes.count == count);
+    CHECK(add(1.0, 40u - used, 1, 1.0) == EK_OK && add(1.0, 0u, 1, 1.0) == EK_OK);
+    CHECK(add(1.0, 0u, 1, 1.0) == EK_TOO_MANY_POINTS && keyframes.count == count + 2u);
+}
+
+/* 0.1 m in 100 ns: half of it in half the time, and never more than two steps of it. */
+static void constant_velocity_is_extrapolated_for_two_steps_at_most(void)
+{
+    static const int64_t elapsed[] = {50, 100, 200, 300, INT64_MAX};
+    static const double driven[] = {0.05, 0.1, 0.2, 0.2, 0.2};
+    ek_motion motion;
+    memset(&motion, 0, sizeof motion);
+    CHECK_NEAR(ek_motion_extrapolate(&motion, 100).x, 0.0, 0.0);
+    motion.step_ns = 100;
+    motion.step = pose_of(0.1, 0.0, 0.0);
+    for (size_t k = 0; k < 5u; k++) {
+        CHECK_NEAR(ek_motion_extrapolate(&motion, elapsed[k]).x, driven[k], TOLERANCE);
+    }
+    ek_real ranges[3] = {EK_R(2.0), EK_R(2.0), EK_R(2.0)}, angles[3] = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    const ek_scan_parameters parameters = {ORIGIN, EK_R(0.1), EK_R(10.0), EK_R(0.0)};
+    ek_sweep sweep;
+    memset(&sweep, 0, sizeof sweep);
+    sweep.ranges = ranges;
+    sweep.angles = angles;
+    sweep.beams = 3u;
+    sweep.time_increment_ns = 50;
+    CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OK);
+    CHECK_NEAR(scan.hits[0], 2.0, TOLERANCE); /* the sensor is at 0, 0.05 and 0.1 m */
+    CHECK_NEAR(scan.hits[2], 2.05, TOLERANCE);
+    CHECK_NEAR(scan.hits[4], 2.1, TOLERANCE);
+    CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 0) == EK_OK);
+    CHECK_NEAR(scan.hits[4], 2.0, TOLERANCE);
+    sweep.time_increment_ns = INT64_MAX / 2 + 1; /* twice of it overflows */
+    CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OUT_OF_RANGE);
+    sweep.time_increment_ns = -1;
+    CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OUT_OF_RANGE);
+    sweep.beams = 1u; /* a single beam takes no time */
+    sweep.time_increment_ns = INT64_MAX;
+    CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OK);
+    CHECK_NEAR(scan.hits[0], 2.0, TOLERANCE);
+}
+
+static void a_full_map_drops_new_voxels_and_a_full_voxel_new_points(void)
+{
+    const ek_real three[] = {EK_R(0.2), EK_R(0.2), EK_R(0.6), EK_R(0.4), EK_R(1.5), EK_R(0.5)};
+    const ek_real later[] = {EK_R(0.9), EK_R(0.9), EK_R(2.5), EK_R(0.5)};
+    ek_real moved[6], sums[6], means[6];
+    uint32_t counts[3];
+    ek_voxel_map voxels;
+    ek_arena arena = memory_of(4096u);
+    CHECK(ek_voxel_map_init(&voxels, &arena, 2u, EK_R(1.0), 2u) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    ek_voxel_map_add(&voxels, &thinner, three, 3u, pose_of(10.0, 0.0, 0.0), moved, sums, counts, &work);
+    CHECK(voxels.count == 2u && voxels.dropped == 0u);
+    ek_voxel_map_add(&voxels, &thinner, later, 2u, pose_of(10.0, 0.0, 0.0), moved, sums, counts, &work);
+    CHECK(voxels.count == 2u && voxels.dropped == 1u);
+    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(5.0), means, 3u, &work) == 2u);
+    CHECK_NEAR(means[0], 10.4, TOLERANCE); /* of the first two points, and not of the third */
+    CHECK_NEAR(means[1], 0.3, TOLERANCE);
+    CHECK_NEAR(means[2], 11.5, TOLERANCE);
+    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(5.0), means, 1u, &work) == 1u);
+    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(1.0), means, 3u, &work) == 1u);
+    ek_voxel_map_clear(&voxels);
+    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(5.0), means, 3u, &work) == 0u);
+    free(arena.memory);
+}
+
+int main(void)
+{
+    const ek_drift drift = {EK_R(0.02), EK_R(0.005)};
+    ek_arena arena = memory_of(2000000u);
+    CHECK(ek_thinner_init(&thinner, &arena, POINTS) == EK_OK && ek_observer_init(&observer, &arena, POINTS) == EK_OK);
+    CHECK(ek_continuity_init(&continuity, &arena, POINTS) == EK_OK && ek_index_init(&map, &arena, POINTS, 4000u) == EK_OK);
+    CHECK(ek_keyframes_init(&keyframes, &arena, 10u, 40u, 2u, drift) == EK_OK && ek_scan_init(&scan, &arena, 3u) == EK_OK);
+    CHECK(ek_arena_check(&arena) == EK_OK);
+    work = ek_work_make(INT64_MAX);
+    a_corridor_is_open_along_its_walls();
+    a_match_counts_along_the_open_direction_by_what_the_walls_say();
+    a_scan_is_lost_where_it_contradicts_the_one_before();
+    a_scan_of_other_places_is_believed_with_odometry_only();
+    the_information_of_a_step_follows_its_path_and_the_open_direction();
+    a_loop_joins_what_a_lost_track_has_parted();
+    what_does_not_fit_is_refused_and_changes_nothing();
+    constant_velocity_is_extrapolated_for_two_steps_at_most();
+    a_full_map_drops_new_voxels_and_a_full_voxel_new_points();
+    free(arena.memory);
+    return verdict();
+}
