@@ -47,13 +47,18 @@ def describe(distributions: Iterable[str] = (), *, jobs: int | None = None) -> d
     }
 
 
+def host_name() -> str:
+    """The name of this machine in results: the environment variable EVALKIT_HOST, or what the system says."""
+    return os.environ.get("EVALKIT_HOST") or platform.node() or "unknown"
+
+
 def machine() -> dict[str, str]:
     """The part of the description that differs between the machines of a cluster."""
     return {
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "processor": _read_processor(),
-        "host": platform.node() or "unknown",
+        "host": host_name(),
         "governor": _read_governor(),
         "load before": f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",
     }

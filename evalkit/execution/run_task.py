@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import platform
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError
@@ -143,7 +142,7 @@ def _execute(store: Store, settings: RunSettings, pending: PendingRun, slot: Wor
     request = Request(
         spec.method.backend, dict(spec.method.parameters), spec.sequence.dataset, spec.dataset_parameters, slot.core
     )
-    attempt = f"process {os.getpid()} on {platform.node()}"
+    attempt = f"process {os.getpid()} on {environment.host_name()}"
     with store.begin(spec.key, [*pending.attempts, attempt]) as folder:
         result = run_process.run(request, folder, settings.limits, slot.report_answers, slot.stop)
         if slot.stop.is_set():

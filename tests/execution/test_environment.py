@@ -56,6 +56,15 @@ def test_a_timed_process_has_one_thread_in_every_pool():
     assert {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"} <= set(environment.SINGLE_THREAD)
 
 
+def test_the_name_of_the_machine_is_replaced_where_one_is_given(monkeypatch):
+    monkeypatch.setattr(environment.platform, "node", lambda: "lab-7")
+    monkeypatch.delenv("EVALKIT_HOST", raising=False)
+    assert environment.describe()["host"] == "lab-7"
+    monkeypatch.setenv("EVALKIT_HOST", "desktop")
+    assert environment.describe()["host"] == "desktop"
+    assert "lab-7" not in str(environment.describe())
+
+
 def test_the_number_of_runs_at_a_time_is_described_where_known():
     assert environment.describe(jobs=3)["runs at a time"] == "3"
     assert "runs at a time" not in environment.describe()

@@ -1,5 +1,6 @@
 """Stored results: read back unchanged, completely or not at all."""
 
+import errno
 import json
 import os
 from dataclasses import fields, replace
@@ -282,6 +283,15 @@ def test_a_lock_that_is_no_file_is_named_and_not_followed(store, tmp_path, kind)
     with pytest.raises(StoreError, match=r"\.writer\.lock: cannot be locked .*; remove it, or"), store.writer_lock():
         pass
     assert victim.read_text() == "mine"
+
+
+def test_a_file_system_that_gives_no_locks_is_named(store, monkeypatch):
+    def flock(_descriptor, _operation):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    with pytest.raises(StoreError, match=r"cannot be locked .*name a folder on a local disk"), store.writer_lock():
+        pass
 
 
 def test_runs_and_trajectories_that_are_links_are_not_followed(tmp_path):
