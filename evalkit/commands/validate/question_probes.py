@@ -18,7 +18,7 @@ from evalkit.commands.validate.equivalence.divergence import Divergence, first_d
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, Question
 from evalkit.commands.validate.equivalence.margins import Margin, Scale, float32_margin, float64_margin
 from evalkit.commands.validate.equivalence.questions import MAX_FLOAT32_REACH_M, DrawnQuestion, draw_questions
-from evalkit.commands.validate.equivalence.rounding import is_decided_by_rounding
+from evalkit.commands.validate.equivalence.rounding import is_decided_by_rounding, is_ill_conditioned
 from evalkit.commands.validate.probes import Plugin, load_backend, parse_margin
 from evalkit.commands.validate.rules.state_rules import match_bits
 from evalkit.core.match import Match
@@ -47,9 +47,10 @@ class Asked:
     repeats: bool
     reference: Registration
 
-    def is_decided_by_rounding(self, margin: Margin) -> bool:
-        """Whether no implementation in single precision can be asked for this answer."""
-        return is_decided_by_rounding(self.reference, self.drawn.question, self.answers.a, margin)
+    def is_decided_by_rounding(self, margin: Margin, choice: MarginChoice) -> bool:
+        """Whether no implementation in single precision, or none at all, can be asked for this answer."""
+        decides = is_decided_by_rounding if choice == FLOAT32 else is_ill_conditioned
+        return decides(self.reference, self.drawn.question, self.answers.a, margin)
 
 
 def compare_questions(a: Plugin, b: Plugin, seed: int, margins: list[str], quick: bool) -> Result:
@@ -135,12 +136,12 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
     families: dict[str, dict[str, Any]] = {}
     verdicts: list[tuple[Asked, bool]] = []
     widest, beyond, unanswered, first = Margin(1e-300, 1e-300), 0, 0, None
-    plausible = margin == FLOAT32
+    plausible = True
 
     @cache
     def is_undecided(one: Asked, known: Margin) -> bool:
         """Whether rounding decides the answer; asked for as long as rounding explains the answers to clear points."""
-        return plausible and one.is_decided_by_rounding(known)
+        return plausible and (margin == FLOAT32 or not one.others) and one.is_decided_by_rounding(known, margin)
 
     for family in dict.fromkeys(one.drawn.family for one in asked):
         members = [(one, known) for one in asked
