@@ -31,8 +31,8 @@ ELSEWHERE = re.compile(r"\A---\n.*?^tested-by: (\S+)$.*?^---$", re.DOTALL | re.M
 SLOW_PAGES = frozenset(
     f"{name}.md"
     for name in ("back-end", "basins", "board", "c-port", "cluster", "diff", "experiment", "exports", "lidar-3d",
-                 "paper", "paper-table", "python", "real-recording", "realtime", "slam", "slam-results", "studies",
-                 "text-log", "validate")
+                 "paper", "paper-table", "python", "real-recording", "realtime", "recording", "slam", "slam-results",
+                 "studies", "text-log", "validate")
 )  # fmt: skip
 """Pages whose commands take 4 s to 25 s of CPU time: followed in the thorough run."""
 

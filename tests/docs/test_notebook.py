@@ -16,6 +16,7 @@ if not NOTEBOOK.exists():
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_the_notebook_runs_and_shows_tables_figures_and_the_refusal_of_a_class_in_a_cell(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     notebook = nbformat.read(NOTEBOOK, 4)

@@ -90,7 +90,7 @@ def test_every_fault_has_a_number_of_its_own_and_a_variant_in_the_source(source)
 @pytest.mark.parametrize(
     ("source", "compiler", "options"), [("second.cpp", "c++", "-O1"), ("program.rs", "rustc", "-O")]
 )
-@pytest.mark.parametrize("correct", [True, False])
+@pytest.mark.parametrize("correct", [pytest.param(True, marks=pytest.mark.thorough), False])
 def test_a_second_and_a_third_implementation_equal_the_reference_and_a_fault_of_each_is_named(
     source, compiler, options, correct, tmp_path
 ):

@@ -83,7 +83,11 @@ def test_every_shipped_back_end_follows_every_rule(name):
     follows_every_rule(name, runner.check(name))
 
 
-@pytest.mark.parametrize("name", registry.names("backends"))
+SLOW = ("correlative", "likelihood-field", "ndt", "open3d-gicp", "paper-map-line", "paper-slam", "pl-icp")
+HERE = [pytest.param(name, marks=[pytest.mark.thorough] * (name in SLOW)) for name in registry.names("backends")]
+
+
+@pytest.mark.parametrize("name", HERE)
 def test_every_shipped_back_end_follows_every_rule_that_needs_no_other_process_over_few_calls(name, few_calls):
     spec = registry.backend(name)
     if why := spec.missing():
