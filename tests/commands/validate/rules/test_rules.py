@@ -50,6 +50,7 @@ def few_calls(monkeypatch):
     """Let the rules on memory make fewer calls, those on the clock wait for less time, and ask of fewer points."""
     monkeypatch.setattr(range_rules, "LARGE", 5000)
     monkeypatch.setattr(resource_rules, "BUDGET_S", 0.15)
+    monkeypatch.setattr(resource_rules, "PROGRAM_BUDGET_S", 0.3)
     monkeypatch.setattr(resource_rules, "INSTANCES", 40)
     for rules in (state_rules, odometry_rules):
         monkeypatch.setattr(rules, "LATER_S", 0.2)
@@ -232,9 +233,17 @@ def test_a_leak_is_detected_in_a_separate_process():
 
 def test_calls_of_a_slow_program_are_counted_by_elapsed_time_because_they_cost_this_process_none(monkeypatch):
     monkeypatch.setattr(resource_rules, "PROGRAM_BUDGET_S", 0.1)
-    with subprocess.Popen(["sleep", "60"]) as program:
-        found = resource_rules.measure(object, lambda _: partial(time.sleep, 0.005), process_state.StateWatch())
-        program.kill()
+    programs = []
+
+    def start():
+        programs.append(subprocess.Popen(["sleep", "60"]))
+
+    try:
+        found = resource_rules.measure(start, lambda _: partial(time.sleep, 0.005), process_state.StateWatch())
+    finally:
+        for one in programs:
+            one.kill()
+            one.wait()
     assert found.size * resource_rules.BATCHES == 40  # the fewest: 0.1 s are 20 calls of 5 ms; by CPU time thousands
 
 
