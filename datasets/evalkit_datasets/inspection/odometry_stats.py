@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from evalkit.core import se2
 from evalkit.core.arrays import Bools
@@ -208,7 +209,7 @@ def _measure_rotation(one: Floats, other: Floats, step: float) -> float | None:
         return None
     a, b = (np.where(np.isfinite(row) & (row > 0.0), np.minimum(row, CLIP_M), np.nan) for row in (one, other))
     max_shift = min(int(MAX_TURN * 1.4 / abs(step)), len(a) // 2)
-    costs = np.array([_shift_cost(a, b, shift) for shift in range(-max_shift, max_shift + 1)])
+    costs = _shift_costs(a, b, max_shift)
     best = int(np.nanargmin(costs)) if np.isfinite(costs).any() else 0
     if not 0 < best < len(costs) - 1 or costs[best] > 0.5 * np.nanmedian(costs):
         return None
@@ -223,13 +224,16 @@ def _median_range(ranges: Floats) -> float:
     return float(np.median(plain)) if len(plain) else 0.0
 
 
-def _shift_cost(one: Floats, other: Floats, shift: int) -> float:
-    """Return the median range difference with beam i of the second scan compared to beam i + shift of the first."""
-    a = one[shift:] if shift >= 0 else one[:shift]
-    b = other[: len(other) - shift] if shift >= 0 else other[-shift:]
-    apart = np.abs(a - b)
-    known = np.isfinite(apart)
-    return float(np.median(apart[known])) if known.sum() >= 20 else float("nan")
+def _shift_costs(one: Floats, other: Floats, max_shift: int) -> Floats:
+    """Return the median range differences with beam i of the second scan compared to beam i + shift of the first.
+
+    The shifts are all from -max_shift to max_shift; NaN for a shift with fewer than 20 common beams.
+    """
+    shifted = sliding_window_view(np.pad(one, max_shift, constant_values=np.nan), len(other))
+    apart = np.sort(np.abs(shifted - other), axis=1)  # unknown differences last
+    known = np.isfinite(apart).sum(axis=1)
+    middle = np.stack([(known - 1) // 2, known // 2], axis=1)
+    return np.where(known >= 20, np.take_along_axis(apart, middle, axis=1).mean(axis=1), np.nan)
 
 
 def _find_jumps(stamps: Stamps, metres: Floats, turns: Floats) -> list[Jump]:

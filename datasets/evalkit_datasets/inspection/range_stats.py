@@ -136,10 +136,10 @@ def find_no_return_codes(ranges: Sequence[Floats], range_max_m: float = np.inf) 
     codes = []
     widest = max(map(len, ranges))
     for first, last in _find_clusters(values, counts, max(MIN_SHARE * len(ranges_m), MIN_COUNT)):
+        if not (evidence := _find_evidence(values, counts, first, last)):
+            continue
         within = usable & (ranges_m >= values[first]) & (ranges_m <= values[last])
-        directions = len(np.unique(columns[within])) / widest
-        evidence = _find_evidence(values, counts, first, last)
-        if evidence and directions >= MIN_BEAMS:
+        if len(np.unique(columns[within])) >= MIN_BEAMS * widest:
             low, high = float(values[first]), float(values[last])
             codes.append(NoReturnCode(low, high, float(within.mean()), evidence))
     return tuple(reversed(codes))
@@ -160,22 +160,16 @@ def _find_clusters(values: Floats, counts: Ints, min_count: float) -> list[tuple
 
 def _find_evidence(values: Floats, counts: Ints, first: int, last: int) -> str:
     """Return the evidence that a value means no return, "" if there is none."""
-    known = next(
-        (
-            sensor
-            for value, tolerance, sensor in KNOWN_CODES
-            if np.abs(values[[first, last]] - value).max() <= tolerance
-        ),
-        "",
-    )
+    low, high = float(values[first]), float(values[last])
+    known = next((name for code, by, name in KNOWN_CODES if abs(low - code) <= by and abs(high - code) <= by), "")
     above = counts[last + 1 :].sum()
-    below_m = float(
-        values[first] - values[: max(first, 1)][counts[: max(first, 1)] > RARE * counts[first]].max(initial=0.0)
-    )
-    if above == 0 and first > 0 and below_m > MIN_CLEARANCE_M:
-        return known or f"no frequent range within {below_m:.1f} m below it"
-    near = (np.abs(values - values[first]) < MIN_CLEARANCE_M) & (np.arange(len(values)) != first)
-    usual = float(np.median(counts[near])) if near.sum() >= 3 else 0.0
+    if above == 0 and first > 0:
+        below_m = low - float(values[:first][counts[:first] > RARE * counts[first]].max(initial=0.0))
+        if below_m > MIN_CLEARANCE_M:
+            return known or f"no frequent range within {below_m:.1f} m below it"
+    near = np.searchsorted(values, (low - MIN_CLEARANCE_M, low + MIN_CLEARANCE_M))
+    beside = np.concatenate([counts[near[0] : first], counts[first + 1 : near[1]]])
+    usual = float(np.median(beside)) if len(beside) >= 3 else 0.0
     frequent = usual > 0.0 and counts[first] > MIN_SPIKE * usual
     if frequent and (known or above < counts[first]):
         return known or f"{counts[first] / usual:.0f} times as frequent as the values around it"
