@@ -85,7 +85,7 @@ def experiment_from_recording(
         "mapper": {name: value for name, value in mapping.items() if name in known},
     }
     return experiment_from_tables(
-        content, f"compare {recording.path}", _make_experiment_name(recording, localisation), source
+        content, f"compare {recording.path}", name_experiment(recording, localisation), source
     )
 
 
@@ -112,8 +112,11 @@ def _as_bad_data(name: str) -> Iterator[None]:
         raise BadData(name, "", what, "is the file whole?") from error
 
 
-def _make_experiment_name(recording: Recording, localisation: Mapping[str, Value]) -> str:
-    """File, topic, and a hash of path and settings, so that every combination has its own results folder."""
+def name_experiment(recording: Recording, localisation: Mapping[str, Value]) -> str:
+    """Return the name of the experiment of a recording: file, topic, and a hash of path and settings.
+
+    So every combination has its own results folder.
+    """
     settings = {name: value for name, value in recording.given.items() if name != "path"}
     identity = json.dumps([str(recording.path.resolve()), {**settings, **localisation}], sort_keys=True)
     digest = hashlib.sha256(identity.encode()).hexdigest()[:6]

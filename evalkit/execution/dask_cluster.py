@@ -7,7 +7,6 @@ than the workers compute; the calls lost with a worker are known. Dask is import
 from __future__ import annotations
 
 import os
-import platform
 import tempfile
 import time
 from collections import Counter
@@ -20,6 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from evalkit.core.errors import EvalkitError, NotInstalled
+from evalkit.execution import environment
 
 TIMED = "timed"
 """Dask resource of workers on which times are measured: they have one thread and run nothing else of evalkit."""
@@ -286,4 +286,4 @@ def _count_lost_worker(call: Call, slot: Slot) -> Future[Any] | None:
 
 def _describe_worker(dask_worker: Any) -> tuple[str, float]:
     """The host of a worker and its amount of the resource ``TIMED``."""
-    return platform.node(), float(dask_worker.state.total_resources.get(TIMED, 0))
+    return environment.host_name(), float(dask_worker.state.total_resources.get(TIMED, 0))

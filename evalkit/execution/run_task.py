@@ -191,7 +191,8 @@ def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: Run
     """Score one run on the core it was executed on, and store the scores; runs in a process of the scoring pool."""
     if core is not None:
         os.sched_setaffinity(0, {core})
-    backend, mapper = registry.backend(spec.method.backend), registry.mapper(settings.mapper.name)
+    mapper = registry.mapper(settings.mapper.name)
+    backend = None if len(result.steps) else registry.backend(spec.method.backend)  # only a map answers no scan
     sequence = _open_kept(folder, spec.sequence.dataset, tuple(spec.dataset_parameters.items()))
     if isinstance(backend, MapSpec):
         scores = evaluate.evaluate_map(result, backend.make(**spec.method.parameters), sequence)

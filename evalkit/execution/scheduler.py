@@ -11,6 +11,7 @@ from evalkit.core.run_result import DISTURBED, Cause, RunResult, RunStatus
 from evalkit.execution import run_task
 from evalkit.execution.executors import Executor, Progress
 from evalkit.execution.run_task import PendingRun, RunSettings
+from evalkit.results import descriptions
 from evalkit.results.run_record import RunRecord, load_records
 from evalkit.results.store import Store
 
@@ -45,6 +46,8 @@ class Scheduler:
         """
         settings = RunSettings.from_experiment(experiment, self.environment)
         with nullcontext() if self.collect else self.store.writer_lock():
+            if not self.collect:
+                descriptions.save(self.store.folder, {method.backend for method in experiment.methods})
             pending = []
             for spec in experiment.runs():
                 stored = self._stored_result(spec, settings)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import platform
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
@@ -189,7 +188,7 @@ def on_worker(task: Task[R], key: str, _slot: Slot) -> tuple[R, float]:
     """
     if task.key != key:
         what = "the code on this worker is different"
-        raise NoCluster(platform.node(), what, "install the same versions on every worker, and restart them")
+        raise NoCluster(environment.host_name(), what, "install the same versions on every worker, and restart them")
     with tempfile.TemporaryDirectory(prefix="evalkit-") as folder:
         return _run_with_note(task, Path(folder) / "note")
 

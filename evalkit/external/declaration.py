@@ -16,6 +16,7 @@ from evalkit.odometry import frontend
 from evalkit.plugins.parameters import Parameter, Value, with_defaults
 from evalkit.plugins.protocols import Odometry
 from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec, SlamSpec
+from evalkit.results.descriptions import UNKNOWN
 
 NOT_DECLARED = "not declared: external implementation"
 
@@ -137,6 +138,11 @@ def missing_spec(name: str, why: str, digest: str = "") -> BackendSpec:
 def broken_spec(name: str, why: str, digest: str = "") -> BackendSpec:
     """Make the spec of an implementation that exists but does not work; its runs fail with the reason."""
     return replace(_unusable(name, why), broken=why, digest=compute_digest(words=f"{digest} {why}"))
+
+
+def undescribed_spec(name: str, digest: str) -> BackendSpec:
+    """Make the spec of an implementation that is not asked for its description: no run of it is known."""
+    return replace(broken_spec(name, UNKNOWN, digest), summary=UNKNOWN)
 
 
 def _unusable(name: str, why: str) -> BackendSpec:

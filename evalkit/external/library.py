@@ -13,7 +13,7 @@ import tempfile
 import weakref
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +41,12 @@ from evalkit.external.declaration import (
     parse_parameter_lines,
     read_declaration,
     split_words,
+    undescribed_spec,
 )
 from evalkit.odometry.corrections import MAX_CLOSURES
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec, SlamSpec
+from evalkit.results import descriptions
 
 LOADING_S = 20.0
 """Time limit for loading a library and reading its description."""
@@ -65,8 +67,11 @@ def scheme(rest: str) -> BackendSpec:
         return missing_spec(name, f"no such file: {file.name}; build it, or correct its path", digest)
     if why := _find_unusable_reason(file):
         return broken_spec(name, why, digest)
+    description = descriptions.describe(name, digest, partial(_describe_library, name, file))
+    if description is None:
+        return undescribed_spec(name, digest)
     try:
-        declared = read_declaration(name, _describe_library(name, file, digest))
+        declared = read_declaration(name, description)
     except BackendFailed as error:
         return broken_spec(name, "; ".join(error.args[1:]), digest)
     own = (TRACE,) if declared.spec_type is RegistrationSpec else ()
@@ -252,9 +257,8 @@ class Instance:
         return f": {message.decode(errors='replace')[:300]}" if message else ""
 
 
-@cache
-def _describe_library(name: str, file: Path, _digest: str) -> dict[str, Any]:
-    """Run ``abi.main`` on a library in a separate process; the digest distinguishes builds in the cache."""
+def _describe_library(name: str, file: Path) -> dict[str, Any]:
+    """Run ``abi.main`` on a library in a separate process; return its description, or why it gives none."""
     nowhere = subprocess.DEVNULL  # the output of a library is unbounded
     with tempfile.TemporaryDirectory(prefix="evalkit-look-") as place:
         answer = Path(place) / "answer.json"
@@ -264,10 +268,10 @@ def _describe_library(name: str, file: Path, _digest: str) -> dict[str, Any]:
                 command, stdin=nowhere, stdout=nowhere, stderr=nowhere, timeout=LOADING_S, check=False
             ).returncode
         except subprocess.TimeoutExpired:
-            return {"failed": (f"was not loaded within {LOADING_S:g} s", "check its initialisation code")}
+            return {"failed": [f"was not loaded within {LOADING_S:g} s", "check its initialisation code"]}
         if code or not answer.exists():
             how = signal_name(-code) if code < 0 else f"code {code}"
-            return {"failed": (f"loading it ended the process with {how}", "correct its initialisation code")}
+            return {"failed": [f"loading it ended the process with {how}", "correct its initialisation code"]}
         content: dict[str, Any] = json.loads(answer.read_bytes())
     return content if "failed" in content else content | {"parameters": parse_parameter_lines(content["parameters"])}
 

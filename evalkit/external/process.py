@@ -7,7 +7,7 @@ import shutil
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +30,14 @@ from evalkit.external.declaration import (
     make_spec,
     missing_spec,
     read_declaration,
+    undescribed_spec,
 )
 from evalkit.external.program import Program
 from evalkit.external.secrets import fill_in_secrets
 from evalkit.odometry.corrections import MAX_CLOSURES
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec, SlamSpec
+from evalkit.results import descriptions
 
 VERSION = 1
 MAX_COUNTED = 2.0**31
@@ -67,7 +69,9 @@ def scheme(rest: str) -> BackendSpec:
     digest = compute_digest(*(Path(word) for word in argv if Path(word).is_file()), words=rest)
     if why:
         return broken_spec(name, why, digest)
-    description = _describe_program(name, tuple(argv), digest)
+    description = descriptions.describe(name, digest, partial(_describe_program, name, argv))
+    if description is None:
+        return undescribed_spec(name, digest)
     try:
         declared = read_declaration(name, description)
     except BackendFailed as error:
@@ -304,13 +308,12 @@ def _greet(program: Program) -> dict[str, Any]:
     return answer
 
 
-@cache
-def _describe_program(name: str, argv: tuple[str, ...], _digest: str) -> dict[str, Any]:
-    """Return a program's description, or why it gives none; the digest distinguishes builds in the cache."""
+def _describe_program(name: str, argv: list[str]) -> dict[str, Any]:
+    """Start a program; return its description, or why it gives none."""
     try:
-        return _greet(Program(name, list(argv), HELLO_S))
+        return _greet(Program(name, argv, HELLO_S))
     except BackendFailed as error:
-        return {"failed": error.args[1:]}
+        return {"failed": list(error.args[1:])}
 
 
 def _split_command(name: str, rest: str) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from statistics import fmean
 
@@ -16,6 +16,8 @@ from rich.text import Text
 
 from evalkit.config.experiment import Experiment, RunSpec
 from evalkit.core.run_result import RunResult, RunStatus
+from evalkit.plugins import registry
+from evalkit.results import descriptions
 from evalkit.terminal.options import WordConsole
 
 WIDE = 10_000
@@ -196,6 +198,13 @@ def format_unavailable(experiment: Experiment) -> list[str]:
             labels[" ".join(reason.split())].append(label)
     by_system = sorted(labels, key=lambda reason: "apt-get" not in reason)
     return [f"not available here: {', '.join(labels[reason])}: {reason}" for reason in by_system]
+
+
+def print_undescribed(console: Console, backends: Iterable[str]) -> None:
+    """Print a line for each back end that ``--collect`` would have to start, to know its runs."""
+    for name in dict.fromkeys(backends):
+        if registry.find_backend(name).broken == descriptions.UNKNOWN:
+            console.print(f"{name}: {descriptions.UNKNOWN}", markup=False, highlight=False)
 
 
 def _format_line(spec: RunSpec, result: RunResult, seconds: float) -> str:

@@ -1,6 +1,7 @@
 """The description of the machine in a report."""
 
 import os
+import re
 import shutil
 import subprocess
 from datetime import UTC, datetime
@@ -63,6 +64,8 @@ def test_the_name_of_the_machine_is_replaced_where_one_is_given(monkeypatch):
     monkeypatch.setenv("EVALKIT_HOST", "desktop")
     assert environment.describe()["host"] == "desktop"
     assert "lab-7" not in str(environment.describe())
+    sources = [path.read_text() for path in (CHECKOUT / "evalkit").rglob("*.py")]
+    assert sum(len(re.findall(r"platform\.node|gethostname|os\.uname", source)) for source in sources) == 1
 
 
 def test_the_number_of_runs_at_a_time_is_described_where_known():

@@ -190,7 +190,8 @@ def test_a_killed_study_resumes_without_repeating(squares, tmp_path):
     assert len((tmp_path / "log").read_text().split()) - computed == 6 - kept
 
 
-def test_a_worker_with_other_code_stops_the_run_instead_of_failing_tasks(squares, tmp_path):
+def test_a_worker_with_other_code_stops_the_run_instead_of_failing_tasks(squares, tmp_path, monkeypatch):
+    monkeypatch.setenv("EVALKIT_HOST", "rack-3")
     task = squares("three", "square", number=3)
 
     class Stale(Cluster):
@@ -203,7 +204,7 @@ def test_a_worker_with_other_code_stops_the_run_instead_of_failing_tasks(squares
                     outcome.set_exception(error)
                 yield call, outcome
 
-    with pytest.raises(NoCluster, match="the code on this worker is different; install the same versions"):
+    with pytest.raises(NoCluster, match="rack-3: the code on this worker is different; install the same versions"):
         run_tasks(TaskStore(tmp_path), [task], cluster=Stale())
 
 

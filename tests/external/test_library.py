@@ -20,6 +20,7 @@ from evalkit.execution.worker import Request
 from evalkit.external import INCLUDE, elf, library
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
+from evalkit.results import descriptions
 from evalkit.results.final_files import CLOSURES, FINAL, parse_final
 
 EXAMPLES = INCLUDE / "examples"
@@ -101,6 +102,20 @@ def test_an_external_registration_corrects_the_drift_of_the_wheels(which, reques
     assert np.abs(answered - run_backend.truth).max() < 0.03  # wheel odometry alone: 0.2 m at the end
     assert steps["s2m_inliers"][1:].min() > 50
     assert steps["s2m_error"][1:].max() < 0.05
+
+
+def test_a_library_that_is_described_in_a_results_folder_is_not_loaded(build_variant, tmp_path):
+    mark = f'__attribute__((constructor)) static void mark(void) {{ fclose(fopen("{tmp_path}/mark", "w")); }}'
+    name = build_variant("static const char *said;", f"#include <stdio.h>\nstatic const char *said;\n{mark}")
+    known = registry.backend(name)
+    assert (tmp_path / "mark").exists()
+    descriptions.save(tmp_path / "results", [name])
+    (tmp_path / "mark").unlink()
+    with descriptions.only_stored_in(tmp_path / "results"):
+        assert registry.backend(name).digest == known.digest
+    with descriptions.only_stored_in(tmp_path / "elsewhere"):
+        assert registry.backend(name).broken == descriptions.UNKNOWN
+    assert not (tmp_path / "mark").exists()
 
 
 def test_an_external_odometry_corrects_the_drift_of_the_wheels(cpp_library, run_backend):

@@ -5,14 +5,20 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from evalkit.config.adhoc_experiment import experiment_from_recording, open_recording, read_first_frame
+from evalkit.config.adhoc_experiment import (
+    Recording,
+    experiment_from_recording,
+    name_experiment,
+    open_recording,
+    read_first_frame,
+)
 from evalkit.config.experiment import RESULTS, Experiment, load_experiment
 from evalkit.core.run_result import NO_STEPS
 from evalkit.execution.environment import describe
@@ -20,6 +26,7 @@ from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, Value
+from evalkit.results import descriptions
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress, run_summary
 from evalkit.terminal.options import RunOptions, err, out
@@ -112,15 +119,22 @@ def compare(
         flags |= {_option(name): value for name, value in localisation.items()}
         for name in [*map(_option, given), *(name for name, value in flags.items() if value)]:
             raise typer.BadParameter(f"--{name}: needs a recording; in an experiment it is a key of the file")
-        experiment = load_experiment(source)
+        recording, named = None, []
     else:
         named = _name_backends(backends, everything)
-        experiment = _experiment_of_recording(source, given, localisation, named, setting or [], as_is, reader)
-    experiment = experiment.untimed() if accuracy_only else experiment
-    experiment = experiment.select(sequence or [], method or [], seed or [])
-    store = Store(folder or RESULTS / experiment.name)
-    how = RunOptions.of(jobs, resume, rerun, collect, engine, scheduler, insecure)
-    (_run if no_page else _run_and_report)(experiment, store, how, as_json)
+        recording = open_recording(source, options.settings(setting or []) | given, reader)
+    folder = folder or RESULTS / (name_experiment(recording, localisation) if recording else source.stem)
+    with descriptions.only_stored_in(folder) if collect else nullcontext():
+        if recording is None:
+            experiment = load_experiment(source)
+        else:
+            experiment = _experiment_of_recording(
+                recording, source, given, localisation, named, setting or [], as_is, reader
+            )
+        experiment = experiment.untimed() if accuracy_only else experiment
+        experiment = experiment.select(sequence or [], method or [], seed or [])
+        how = RunOptions.of(jobs, resume, rerun, collect, engine, scheduler, insecure)
+        (_run if no_page else _run_and_report)(experiment, Store(folder), how, as_json)
 
 
 def _option(parameter: str) -> str:
@@ -143,6 +157,7 @@ def _name_backends(text: str, everything: bool) -> list[str]:
 
 
 def _experiment_of_recording(
+    recording: Recording,
     source: Path,
     given: dict[str, str],
     localisation: dict[str, Value],
@@ -152,7 +167,6 @@ def _experiment_of_recording(
     reader: str,
 ) -> Experiment:
     """Return the experiment of methods on one recording, whose first frame has been read; print what was chosen."""
-    recording = open_recording(source, options.settings(settings) | given, reader)
     choices = () if as_is else recording.choose()
     for choice in choices:
         err.print(choice.reason, markup=False, highlight=False)
@@ -201,6 +215,7 @@ def _scheduler(experiment: Experiment, store: Store, how: RunOptions) -> Iterato
     """Yield the scheduler, with progress on standard error; the environment is read before the first run."""
     for line in progress.format_unavailable(experiment):
         err.print(line, markup=False, highlight=False)
+    progress.print_undescribed(err, [method.backend for method in experiment.methods])
     description = describe(jobs=how.jobs)
     with (
         progress.announce_kept(err, "finished runs", " with --resume"),
@@ -210,6 +225,6 @@ def _scheduler(experiment: Experiment, store: Store, how: RunOptions) -> Iterato
 
 
 def _executor(experiment: Experiment, how: RunOptions) -> Executor:
-    if how.cluster is None:
+    if how.cluster is None or how.collect:
         return LocalExecutor(how.jobs)
     return DaskExecutor(replace(how.cluster, timed=experiment.timed))

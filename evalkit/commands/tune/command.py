@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from contextlib import nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +15,7 @@ from evalkit.config.experiment import RESULTS
 from evalkit.core.run_result import RunStatus
 from evalkit.execution import environment
 from evalkit.io.output_files import write_texts
+from evalkit.results import descriptions
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Collect, Jobs, Json, err, out
@@ -56,30 +58,40 @@ def tune(
     from evalkit.report import build_comparison  # noqa: PLC0415 - as below
 
     options.add_working_directory()
-    tuning = _read_tuning(what, on or [], held_out or [], budget, setting or [])
-    folder = folder or RESULTS / tuning.name
-    workers = jobs or environment.physical_cores()
-    ran_on = environment.describe(jobs=workers)
-    started = datetime.now(UTC)
-    searches = _run_search(tuning, folder, workers, collect)
-    file = folder / "tuned.toml"
-    plan = make_held_out_experiment(tuning, searches, shlex.quote(str(file)))
-    write_texts(folder, {file.name: f"# Written by: {tuning.command}\n{format_experiment(plan)}"})
-    records = _run_held_out(plan, Store(folder / "report"), workers, ran_on, collect)
-    comparison = build_comparison(plan, records, started, datetime.now(UTC), ran_on)
+    name = _name_tuning(what, on or [])
+    folder = folder or RESULTS / name
+    with descriptions.only_stored_in(folder) if collect else nullcontext():
+        tuning = _read_tuning(name, what, on or [], held_out or [], budget, setting or [])
+        workers = jobs or environment.physical_cores()
+        ran_on = environment.describe(jobs=workers)
+        started = datetime.now(UTC)
+        searches = _run_search(tuning, folder, workers, collect)
+        file = folder / "tuned.toml"
+        plan = make_held_out_experiment(tuning, searches, shlex.quote(str(file)))
+        write_texts(folder, {file.name: f"# Written by: {tuning.command}\n{format_experiment(plan)}"})
+        records = _run_held_out(plan, Store(folder / "report"), workers, ran_on, collect)
+        comparison = build_comparison(plan, records, started, datetime.now(UTC), ran_on)
     report = f"evalkit compare {shlex.quote(str(file))} --resume --out {shlex.quote(str(folder / 'report'))}"
     _write_results(TuningResult(tuning, searches, comparison, ran_on, report), folder, as_json)
 
 
-def _read_tuning(what: list[str], on: list[str], held_out: list[str], budget: int | None, setting: list[str]) -> Tuning:
+def _name_tuning(what: list[str], on: list[str]) -> str:
+    """The name of a tuning, and of its results folder: by its file, or by the data sets of the command line."""
+    if not what[0].endswith(FILE):
+        return f"tune-{'-'.join(on)}"
+    stem = Path(what[0]).stem
+    return stem if stem.startswith("tune") else f"tune-{stem}"
+
+
+def _read_tuning(
+    name: str, what: list[str], on: list[str], held_out: list[str], budget: int | None, setting: list[str]
+) -> Tuning:
     """The tuning of a file, or of back ends and data sets named on the command line."""
     from evalkit.commands.tune import config  # noqa: PLC0415 - loads scipy
 
     if what[0].endswith(FILE):
         if len(what) > 1 or on or held_out or budget is not None or setting:
             raise typer.BadParameter("a tuning file stands alone: its points, data sets and settings are in it")
-        stem = Path(what[0]).stem
-        name = stem if stem.startswith("tune") else f"tune-{stem}"
         return config.load_tuning(Path(what[0]), name, f"evalkit tune {shlex.quote(what[0])}")
     if not on:
         raise typer.BadParameter(f"give a tuning file (*{FILE}), or back ends and --on DATASET to train on")
@@ -87,7 +99,7 @@ def _read_tuning(what: list[str], on: list[str], held_out: list[str], budget: in
     option_words += [("--budget", str(budget or BUDGET)), *(("--set", item) for item in setting)]
     command = shlex.join(["evalkit", "tune", *what, *(word for pair in option_words for word in pair)])
     content = config.make_tuning_tables(what, on, held_out, budget or BUDGET, options.settings(setting))
-    return config.tuning_from_tables(content, "evalkit tune", f"tune-{'-'.join(on)}", command)
+    return config.tuning_from_tables(content, "evalkit tune", name, command)
 
 
 def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tuple[SearchResult, ...]:
@@ -98,6 +110,10 @@ def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tu
         if tunable.missing:
             err.print(f"not available here: {tunable.label}: {tunable.missing}", markup=False, highlight=False)
     results = folder / "results"
+    backends = dict.fromkeys(tunable.method.backend for tunable in tuning.methods)
+    if not collect:
+        descriptions.save(folder, backends)
+    progress.print_undescribed(err, backends)
     if collect:
         try:
             return search_loop.run_search(tuning, search_loop.load_stored(results))

@@ -158,8 +158,10 @@ def _identify_data(sequence: SequenceSpec, more: Sequence[int]) -> set[tuple[str
 def _make_tunable(table: TomlTable, method: Method) -> TunableMethod:
     """A method with the space to search: what its table names, or what its back end's parameters declare."""
     default = method.parameters
-    parameters = () if method.missing else list_own_parameters(registry.find_backend(method.backend))
-    if "search" not in table.content or method.missing:
+    spec = registry.find_backend(method.backend)
+    unusable = bool(method.missing or spec.broken)
+    parameters = () if unusable else list_own_parameters(spec)
+    if "search" not in table.content or unusable:
         factors, excluded = make_declared_factors([p for p in parameters if p.name in default], default)
         return TunableMethod(method, Space(factors, default), excluded)
     search = table.content["search"]
