@@ -110,7 +110,7 @@ LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}, *a{k - 1}]\n" 
         (b"P2 1 1 255\n" + b"9" * 400, YAML, "damaged pixels"),
         (b"P5 1 1 99999\n\0\0", YAML, "white 99999"),
         (b"", YAML.replace("map.pgm", "x" * 300), "cannot be read"),
-        (b"P5 1 1 255\n\0", "image: " + "[" * 3000, "not valid YAML"),
+        (b"P5 1 1 255\n\0", "image: " + "[" * 1000, "not valid YAML"),
         (b"P5 1 1 255\n\0", "#" * 5000 + YAML, "bytes, more than 4096"),
         (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("map.pgm", "*a40"), "image: not a string"),
         (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("trinary", "*a40"), "mode: not a string"),
