@@ -36,10 +36,12 @@ LAB = {p.name: p.default for p in registry.dataset("lab").parameters} | {"laps":
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOOLS)}; the core's own tests need them")
-@pytest.mark.parametrize("sanitize", ["OFF", pytest.param("ON", marks=pytest.mark.thorough)])
-def test_the_tests_of_the_core_pass_without_a_warning(tmp_path, sanitize):
+@pytest.mark.parametrize(
+    "checks", ["-DEK_BUILD_FLOAT=OFF", pytest.param("-DEK_SANITIZE=ON", marks=pytest.mark.thorough)]
+)
+def test_the_tests_of_the_core_pass_without_a_warning(tmp_path, checks):
     options = [
-        f"-DEK_SANITIZE={sanitize}",
+        checks,
         "-DEK_WERROR=ON",
         "-DCMAKE_BUILD_TYPE=Debug",
         "-DCMAKE_C_FLAGS_DEBUG=-O1",

@@ -50,6 +50,7 @@ def test_a_planted_fault_of_state_or_resources_breaks_its_rule(number, rule, tmp
     assert broken - {"alive"} == ({rule} if rule else set())
 
 
+@pytest.mark.thorough
 def test_single_precision_is_named_and_a_constant_error_of_its_size_is_not_excused(tmp_path):
     single = examination.compare(examination.build(0, tmp_path, "-O2 -DSINGLE"), seed=5)["texts"]
     assert single == []
@@ -90,7 +91,8 @@ def test_every_fault_has_a_number_of_its_own_and_a_variant_in_the_source(source)
 @pytest.mark.parametrize(
     ("source", "compiler", "options"), [("second.cpp", "c++", "-O1"), ("program.rs", "rustc", "-O")]
 )
-@pytest.mark.parametrize("correct", [pytest.param(True, marks=pytest.mark.thorough), False])
+@pytest.mark.parametrize("correct", [True, False])
+@pytest.mark.thorough
 def test_a_second_and_a_third_implementation_equal_the_reference_and_a_fault_of_each_is_named(
     source, compiler, options, correct, tmp_path
 ):

@@ -84,8 +84,8 @@ def test_every_shipped_back_end_follows_every_rule(name):
     follows_every_rule(name, runner.check(name))
 
 
-SLOW = ("correlative", "likelihood-field", "ndt", "open3d-gicp", "paper-map-line", "paper-slam", "pl-icp")
-HERE = [pytest.param(name, marks=[pytest.mark.thorough] * (name in SLOW)) for name in registry.names("backends")]
+QUICK = ("embedded", "embedded-pipeline", "kiss-icp", "open3d-icp", "paper", "wheel-odometry")
+HERE = [pytest.param(name, marks=[pytest.mark.thorough] * (name not in QUICK)) for name in registry.names("backends")]
 
 
 @pytest.mark.parametrize("name", HERE)
