@@ -20,6 +20,8 @@ from evalkit.plugins.parameters import resolve_parameters
 from evalkit.plugins.specs import RegistrationSpec
 from evalkit.testing import RulesBroken, backend_rules, check_backend, check_dataset, check_rule
 
+pytestmark = pytest.mark.slow
+
 sys.path.append(str(Path(__file__).parent / "misfits"))  # as a package under development would be
 backends = importlib.import_module("faulty_backends")
 datasets = importlib.import_module("faulty_datasets")

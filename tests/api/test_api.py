@@ -14,6 +14,8 @@ from evalkit.core.errors import BadParameter, NotInstalled, StoreError, UnknownN
 from evalkit.plugins import registry
 from evalkit.plugins.specs import spec_of_class
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory, scoring_in_threads):

@@ -21,6 +21,8 @@ from evalkit.execution.executors import DaskExecutor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.results.store import Store
 
+pytestmark = pytest.mark.slow
+
 COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns", "preparation_ns")
 
 

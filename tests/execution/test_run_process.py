@@ -16,6 +16,8 @@ from evalkit.execution import run_process, subprocesses
 from evalkit.execution.worker import Request
 from evalkit.metrics import runtime
 
+pytestmark = pytest.mark.slow
+
 AT, SCANS = 8, 12
 HASTE = Limits(run_s=60.0, scan_s=30.0, memory_mib=1024)
 LIMITS = {

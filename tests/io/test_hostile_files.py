@@ -11,6 +11,8 @@ import pytest
 
 from evalkit.io import map_server, untrusted_io
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 FUZZ = Path(__file__).parents[1] / "fuzz"
 TARGETS = sorted(path.stem for path in (FUZZ / "targets").glob("[a-z]*.py"))

@@ -20,7 +20,7 @@ examination = importlib.import_module("examination")
 faults = importlib.import_module("faults")
 NAMES = {one.number: one.name for one in faults.FAULTS}
 
-pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler 'cc' here")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler 'cc' here")]
 
 
 @pytest.mark.parametrize("number", [0, 53, *(pytest.param(one, marks=pytest.mark.thorough) for one in (38, 65))])

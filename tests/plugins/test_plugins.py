@@ -14,6 +14,8 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter, resolve_parameters
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec
 
+pytestmark = pytest.mark.slow
+
 SHIPPED = ("evalkit_baselines", "evalkit_datasets")
 
 
@@ -36,7 +38,15 @@ def sequence(name, **parameters):
 def drive():
     """2 m of the room in 21 noise-free scans, with ground truth; only the wheels have errors, up to 10 cm."""
     return sequence(
-        "room", laps=0.09, rate_hz=5.0, speed_mps=0.8, noise_m=0.0, dropout=0.0, odometry_scale=0.1, gyro_bias_dps=2.0, seed=1
+        "room",
+        laps=0.09,
+        rate_hz=5.0,
+        speed_mps=0.8,
+        noise_m=0.0,
+        dropout=0.0,
+        odometry_scale=0.1,
+        gyro_bias_dps=2.0,
+        seed=1,
     )
 
 

@@ -15,6 +15,8 @@ from evalkit.report.html.array_encoding import unpack_array
 from evalkit.report.html.blocks import Document, Section, Table, Text, render
 from evalkit.report.html.player import load_beams, place_hits
 
+pytestmark = pytest.mark.slow
+
 SCRIPT = "<script>alert(1)</script>"
 PLAYER = "#sequence-1 .player"
 
@@ -208,11 +210,11 @@ def test_tabs_are_chosen_with_arrow_keys_and_built_when_opened(open_page, page_f
     assert page.locator("#explore .part").count() == 0
     page.locator("#tab-answer").focus()
     page.keyboard.press("ArrowRight")
-    assert page.locator("#explore").is_visible()
+    page.locator("#explore").wait_for()
     assert page.locator("#explore .part").count() == 4
     assert page.locator("#sequence-1 table").count() == 0  # closed: not built
     page.keyboard.press("ArrowRight")
-    assert page.locator("#appendix").is_visible()
+    page.locator("#appendix").wait_for()
     assert not page.locator("#explore").is_visible()
 
 
@@ -277,7 +279,7 @@ def test_a_hand_written_link_needs_only_a_scan_and_a_name(open_page):
     assert page.input_value(f"{PLAYER} [data-picks=first]") == "wheel"
     assert page.input_value(f"{PLAYER} [data-picks=second]") == ""
     assert page.locator(f"{PLAYER} [data-layer]:checked").count() == 0
-    assert page.locator("#sequence-1-player").is_visible()
+    page.locator("#sequence-1-player").wait_for()
     page.evaluate("location.hash = '#sequence-1-player?scan=5000'")
     wait_until(page, f"document.querySelector('{PLAYER}').player.state.scan === 59")
     assert page.input_value(f"{PLAYER} [data-picks=first]") == "paper"
@@ -310,10 +312,10 @@ def test_a_number_links_to_its_run(open_page):
     page = explore(open_page())
     page.locator("[aria-label='Results on room'] tbody tr", has_text="paper").locator("td a").first.click()
     row = page.locator("tr.aimed")
-    assert row.is_visible()
+    row.wait_for()
     assert "--method 'paper' --seed 0" in row.inner_text()
     row.get_by_role("link", name="paper", exact=False).first.click()
-    assert page.locator("#method-1").is_visible()
+    page.locator("#method-1").wait_for()
 
 
 def test_keys_step_zoom_and_play(open_page):

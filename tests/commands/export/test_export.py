@@ -41,6 +41,8 @@ from evalkit.results.run_record import RunRecord
 from evalkit.results.seal import seal
 from evalkit.results.store import Store
 
+pytestmark = pytest.mark.slow
+
 N = 30
 T0 = 1663967375_000000001  # not representable as a float of seconds
 STAMPS = T0 + np.arange(N) * 100_000_000
