@@ -340,6 +340,37 @@ def test_the_pipeline_follows_a_sequence_like_the_reference_behind_the_front_end
 
 
 @needs_core
+@pytest.mark.parametrize("settings", [{}, {"local_map": "keyframes", "local_map_voxel_m": 0.0, "keyframes": 3}])
+def test_the_pipeline_of_lines_follows_a_sequence_like_paper_map_line(settings):
+    complete = frontend.complete_parameters("paper-map-line", paper.MAP_LINE, settings | {"local_map_radius_m": 5.0})
+    twin, pipeline = (
+        frontend.make_odometry(paper.MAP_LINE, complete),
+        make_plugin(embedded.PIPELINE_LINE, **settings | {"local_map_radius_m": 5.0}),
+    )
+    for frame in lab(40):
+        expected, reported = twin.update(frame), pipeline.update(frame)
+        assert np.abs((expected.pose.inverse() @ reported.pose).row).max() < 1e-8
+        for name, stage in reported.stages.items():
+            theirs = expected.stages[name]
+            assert (stage.accepted, stage.iterations, stage.inliers) == (
+                theirs.accepted,
+                theirs.iterations,
+                theirs.inliers,
+            )
+
+
+@needs_core
+def test_a_lasting_map_that_is_full_and_one_of_no_voxels_are_refused():
+    frame = lab(1)[0]
+    with pytest.raises(ValueError, match="the lasting map is full: 20 voxels; set 'voxels' to more"):
+        make_plugin(embedded.PIPELINE_LINE, voxels=20).update(frame)
+    with pytest.raises(BadParameter, match="local_map_voxel_m"):
+        make_plugin(embedded.PIPELINE_LINE, local_map_voxel_m=0.0)
+    with pytest.raises(BadParameter, match="keyframes are not thinned"):
+        make_plugin(embedded.PIPELINE, local_map_voxel_m=0.1)
+
+
+@needs_core
 def test_the_pipeline_reports_both_stages_like_the_front_end():
     twin = frontend.make_odometry(paper.SPEC, frontend.complete_parameters("paper", paper.SPEC, {"min_inliers": 60}))
     pipeline = make_plugin(embedded.PIPELINE, min_inliers=60)
@@ -374,7 +405,7 @@ def test_a_scan_without_beams_returns_the_guess_and_one_with_too_many_raises():
 
 def test_without_the_compiled_core_every_method_is_unavailable_and_has_no_substitute(monkeypatch):
     monkeypatch.setattr(compiled, "MODULES", {"double": "_core_absent"})
-    for spec in (embedded.SPEC, embedded.FLOAT, embedded.PIPELINE, embedded.MAPPER):
+    for spec in (embedded.SPEC, embedded.FLOAT, embedded.PIPELINE, embedded.PIPELINE_LINE, embedded.MAPPER):
         assert spec.missing().startswith(
             "not installed: the compiled core was not built (needs a C and a C++ compiler)"
         )

@@ -7,7 +7,7 @@ The NumPy implementation in ``evalkit_baselines.paper`` is its specification: in
 from dataclasses import replace
 from functools import partial
 
-from evalkit.plugins.parameters import with_defaults
+from evalkit.plugins.parameters import Value, with_defaults
 from evalkit.plugins.specs import MapperSpec, OdometrySpec, RegistrationSpec
 from evalkit_baselines import paper
 from evalkit_baselines.embedded import mapper, pipeline, registration
@@ -35,6 +35,11 @@ FLOAT = replace(
     default=False,
 )
 
+_LASTING_LINES: dict[str, Value] = {
+    **{p.name: p.default for p in paper.MAP_LINE.parameters if p.name != "trace"},
+    **paper.MAP_LINE.frontend,
+}
+
 MAP_LINE = replace(
     SPEC,
     summary="paper-map-line in C99: one lasting map, distances to walls with Cauchy weights",
@@ -52,6 +57,13 @@ PIPELINE = OdometrySpec(
     guess="wheel odometry where recorded, else constant velocity",
     parameters=pipeline.PARAMETERS,
     missing=compiled_missing,
+)
+
+PIPELINE_LINE = replace(
+    PIPELINE,
+    summary="embedded-map-line from scan to pose in one call: projection, both stages and the lasting map in C99",
+    parameters=with_defaults(PIPELINE.parameters, **_LASTING_LINES),
+    tuned_on=paper.MAP_LINE.tuned_on,
 )
 
 MAPPER = MapperSpec(

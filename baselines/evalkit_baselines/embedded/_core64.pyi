@@ -119,7 +119,17 @@ class Pipeline:
         keyframe_angle: float,
         min_inliers: int,
         beams: int,
-    ) -> None: ...
+        neighbours: int = 8,
+        map_voxel: float = 0.0,
+        map_radius: float = 15.0,
+        voxels: int = 1,
+    ) -> None:
+        """``map_voxel`` (m) 0: match with the last keyframes; else with one lasting map of up to ``voxels`` voxels."""
+
+    @property
+    def dropped_cells(self) -> int:
+        """Cells of keyframes for which the lasting map had no room."""
+
     def update(
         self,
         *,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from evalkit.core.errors import BadParameter
 from evalkit.core.odometry_estimate import OdometryEstimate, Stage, StageEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
@@ -19,17 +21,29 @@ from evalkit_baselines.embedded.compiled import load_core, to_real
 
 FRONT_END = (
     "scan_to_scan", "scan_to_map", "deskew", "local_radius_m", "keyframes", "keyframe_distance_m",
-    "keyframe_angle_deg", "min_inliers",
+    "keyframe_angle_deg", "min_inliers", "local_map", "local_map_voxel_m", "local_map_radius_m",
 )  # fmt: skip
 
-NOT_IN_PIPELINE = ("metric", "line_neighbours", "cauchy_m", "trace")
+LOCAL_MAPS = ("keyframes", "voxels")
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("precision", "double", "", "floating-point precision of the core", choices=("double", "float")),
     Parameter("beams", 4096, "", "largest number of beams of a scan; memory is allocated once", low=1, high=1 << 20),
-    *(p for p in registration.PARAMETERS if p.name not in NOT_IN_PIPELINE),
-    *(p for p in frontend.PARAMETERS if p.name in FRONT_END),
-)
+    Parameter(
+        "voxels", 1 << 17, "", "local_map 'voxels': largest number of voxels; memory is allocated once",
+        low=1, high=1 << 26,
+    ),
+    *(p for p in registration.PARAMETERS if p.name != "trace"),
+    *(
+        replace(p, choices=LOCAL_MAPS, meaning="the points of the last keyframes, or one lasting map of voxels")
+        if p.name == "local_map"
+        else replace(p, meaning="side of the voxels of the lasting map; 0 with local_map 'keyframes'")
+        if p.name == "local_map_voxel_m"
+        else p
+        for p in frontend.PARAMETERS
+        if p.name in FRONT_END
+    ),
+)  # fmt: skip
 
 
 NOT_RUN, ACCEPTED = -1, 1
@@ -41,12 +55,20 @@ _StageAnswer = tuple[int, bool, int, float, int]
 class CompiledPipeline:
     """An Odometry: the method of the NumPy ICP in evalkit's front end, in C; parameters as in ``PARAMETERS``.
 
-    Reports both stages like evalkit's front end. Raises ValueError with the core's message for a scan of more than
-    ``beams`` beams, and for one that is not later than the one before ("a parameter is outside its range").
+    Reports both stages like evalkit's front end. Raises BadParameter for a lasting map without a size of voxels and for
+    keyframes with one; ValueError with the core's message for a scan of more than ``beams`` beams and for one that is
+    not later than the one before ("a parameter is outside its range"); ValueError when the lasting map is full.
     """
 
     def __init__(self, **parameters: Any) -> None:
         self._core = load_core(parameters["precision"])
+        self._voxels = parameters["voxels"]
+        voxel, lasting = parameters["local_map_voxel_m"], parameters["local_map"] == "voxels"
+        if lasting != (voxel > 0.0):
+            expected = (
+                "a positive number: a lasting map consists of voxels" if lasting else "0: keyframes are not thinned"
+            )
+            raise BadParameter("embedded pipeline", "local_map_voxel_m", voxel, expected)
         self._pipeline = self._core.Pipeline(
             registration.make_icp(self._core, parameters),
             scan_to_scan=parameters["scan_to_scan"],
@@ -58,6 +80,10 @@ class CompiledPipeline:
             keyframe_angle=math.radians(parameters["keyframe_angle_deg"]),
             min_inliers=parameters["min_inliers"],
             beams=parameters["beams"],
+            neighbours=parameters["line_neighbours"],
+            map_voxel=voxel,
+            map_radius=parameters["local_map_radius_m"],
+            voxels=self._voxels,
         )
 
     def update(self, frame: Frame) -> OdometryEstimate:
@@ -75,6 +101,8 @@ class CompiledPipeline:
             base_from_sensor=to_row(frame.base_from_sensor),
             range_limits=(frame.scan.range_min_m, frame.scan.range_max_m),
         )
+        if self._pipeline.dropped_cells:
+            raise ValueError(f"the lasting map is full: {self._voxels} voxels; set 'voxels' to more")
         with conversion:
             answers: dict[Stage, _StageAnswer] = {"s2s": scan_to_scan, "s2m": scan_to_map}
             stages: dict[Stage, StageEstimate] = {

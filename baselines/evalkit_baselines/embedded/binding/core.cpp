@@ -45,12 +45,15 @@ NB_MODULE(CORE, module)
                "slice_work"_a = INT64_MAX);
 
     nb::class_<Pipeline>(module, "Pipeline")
-        .def(nb::init<const Icp &, bool, bool, bool, double, int64_t, double, double, int64_t, int64_t>(), "icp"_a,
-             nb::kw_only(), "scan_to_scan"_a, "scan_to_map"_a, "deskew"_a, "local_radius"_a, "keyframes"_a,
-             "keyframe_distance"_a, "keyframe_angle"_a, "min_inliers"_a, "beams"_a)
+        .def(nb::init<const Icp &, bool, bool, bool, double, int64_t, double, double, int64_t, int64_t, int64_t, double,
+                      double, int64_t>(),
+             "icp"_a, nb::kw_only(), "scan_to_scan"_a, "scan_to_map"_a, "deskew"_a, "local_radius"_a, "keyframes"_a,
+             "keyframe_distance"_a, "keyframe_angle"_a, "min_inliers"_a, "beams"_a, "neighbours"_a = 8,
+             "map_voxel"_a = 0.0, "map_radius"_a = 15.0, "voxels"_a = 1)
         .def("update", &Pipeline::update, nb::kw_only(), "stamp_ns"_a, "time_increment_ns"_a, "ranges"_a.noconvert(),
              "angles"_a.noconvert(), "odom_from_base"_a.none(), "start_from_end"_a.none(), "base_from_sensor"_a,
-             "range_limits"_a);
+             "range_limits"_a)
+        .def_prop_ro("dropped_cells", &Pipeline::dropped);
 
     nb::class_<Slam>(module, "Slam")
         .def(nb::init<const Icp &, const nb::dict &, const nb::dict &>(), "icp"_a, "real"_a, "number"_a)

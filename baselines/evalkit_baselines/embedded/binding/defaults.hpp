@@ -46,6 +46,9 @@ inline nb::dict defaults()
     stages["keyframe_distance_m"] = double(frontend.keyframe_distance);
     stages["keyframe_angle_rad"] = double(frontend.keyframe_angle);
     stages["min_inliers"] = frontend.min_inliers;
+    stages["line_neighbours"] = frontend.neighbours;
+    stages["local_map_voxel_m"] = double(frontend.map_voxel);
+    stages["local_map_radius_m"] = double(frontend.map_radius);
     nb::dict grid = defaults_of(pipeline.grid);
     grid["clear_no_returns"] = pipeline.clear_no_returns != 0;
     nb::dict values;

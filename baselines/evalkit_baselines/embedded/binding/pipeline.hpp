@@ -49,7 +49,8 @@ inline ek_scan_parameters scan_of(ek_scan_parameters scan, const Row &base_from_
 class Pipeline {
 public:
     Pipeline(const Icp &icp, bool scan_to_scan, bool scan_to_map, bool deskew, double local_radius, int64_t keyframes,
-             double keyframe_distance, double keyframe_angle, int64_t min_inliers, int64_t beams)
+             double keyframe_distance, double keyframe_angle, int64_t min_inliers, int64_t beams, int64_t neighbours,
+             double map_voxel, double map_radius, int64_t voxels)
     {
         ek_pipeline_parameters made = ek_pipeline_default();
         made.map = 0;
@@ -63,6 +64,10 @@ public:
         made.frontend.keyframe_angle = ek_real(keyframe_angle);
         made.frontend.min_inliers = whole(min_inliers);
         made.frontend.points = natural(beams);
+        made.frontend.neighbours = natural(neighbours);
+        made.frontend.map_voxel = ek_real(map_voxel);
+        made.frontend.map_radius = ek_real(map_radius);
+        made.frontend.voxels = natural(voxels);
         std::size_t bytes = 0;
         require(ek_pipeline_bytes(&made, &bytes), "parameters");
         memory_ = Memory("parameters", [&](ek_arena *arena) {
@@ -86,6 +91,9 @@ public:
         return {row_of(estimate.start_from_base), stage_of(estimate.scan_to_scan, estimate.scan_to_scan_outcome),
                 stage_of(estimate.scan_to_map, estimate.scan_to_map_outcome)};
     }
+
+    // Cells of keyframes for which the lasting map had no room.
+    uint64_t dropped() const { return pipeline_.frontend.lasting.voxels.dropped; }
 
 private:
     ek_pipeline pipeline_ = {};

@@ -22,6 +22,12 @@ static ek_pipeline_parameters parameters_of(ek_input *input)
     parameters.frontend.cells = take_byte(input);
     parameters.frontend.use_scan_to_scan = flags >> 2 & 1;
     parameters.frontend.use_scan_to_map = flags >> 3 & 1;
+    const uint8_t map = take_byte(input);
+    parameters.frontend.map_voxel = map & 1u ? EK_R(0.1) : EK_R(0.0);
+    parameters.frontend.map_radius = map & 2u ? EK_R(1.0) : EK_R(15.0);
+    parameters.frontend.voxels = 1u + (map >> 2 & 31u) * 4u;
+    parameters.frontend.scan_to_scan.metric = parameters.frontend.scan_to_map.metric =
+        map >> 7 ? EK_METRIC_LINE : EK_METRIC_POINT;
     parameters.deskew = flags >> 4 & 1;
     parameters.map = flags >> 5 & 1;
     parameters.clear_no_returns = flags >> 6 & 1;

@@ -1,4 +1,5 @@
 #include "ek/frontend.h"
+#include "ek/normals.h"
 
 #include <string.h>
 
@@ -19,7 +20,21 @@ ek_frontend_parameters ek_frontend_default(void)
     parameters.keyframe_angle = EK_R(20.0) * EK_PI / EK_R(180.0);
     parameters.points = 2048u;
     parameters.cells = 0u;
+    parameters.neighbours = 8u;
+    parameters.map_voxel = EK_R(0.0);
+    parameters.map_radius = EK_R(15.0);
+    parameters.voxels = 16384u;
     return parameters;
+}
+
+static int uses_lines(const ek_frontend_parameters *parameters)
+{
+    return parameters->scan_to_scan.metric == EK_METRIC_LINE || parameters->scan_to_map.metric == EK_METRIC_LINE;
+}
+
+static int is_lasting(const ek_frontend *frontend)
+{
+    return frontend->parameters.map_voxel > EK_R(0.0);
 }
 
 ek_status ek_frontend_check(const ek_frontend_parameters *parameters)
@@ -32,8 +47,10 @@ ek_status ek_frontend_check(const ek_frontend_parameters *parameters)
     }
     if (parameters->keyframe_distance < EK_R(0.0) || parameters->keyframe_angle < EK_R(0.0) ||
         parameters->keyframes < 1u || parameters->keyframes > MAX_KEYFRAMES || parameters->points < 1u ||
-        parameters->points > MAX_POINTS || parameters->min_inliers < 0 ||
-        parameters->scan_to_scan.metric != EK_METRIC_POINT || parameters->scan_to_map.metric != EK_METRIC_POINT) {
+        parameters->points > MAX_POINTS || parameters->min_inliers < 0 || !(parameters->map_voxel >= EK_R(0.0))) {
+        return EK_OUT_OF_RANGE;
+    }
+    if (uses_lines(parameters) && (parameters->neighbours < 2u || parameters->neighbours > EK_MAX_NEIGHBOURS)) {
         return EK_OUT_OF_RANGE;
     }
     const ek_status status = ek_icp_check(&parameters->scan_to_scan);
@@ -43,6 +60,20 @@ ek_status ek_frontend_check(const ek_frontend_parameters *parameters)
 static size_t cells_for(size_t points)
 {
     return points < MAX_CELLS / CELLS_PER_POINT ? CELLS_PER_POINT * points : MAX_CELLS;
+}
+
+/* Memory of the last keyframes, `all` points together. */
+static ek_status init_keyframes(ek_frontend *frontend, ek_arena *arena, size_t all)
+{
+    const ek_frontend_parameters *const p = &frontend->parameters;
+    if (uses_lines(p)) {
+        frontend->local_normals = (ek_real *)ek_arena_alloc(arena, all, 2u * sizeof(ek_real));
+    }
+    ek_status status = ek_index_init(&frontend->local_map, arena, all, p->cells ? p->cells : cells_for(all));
+    status = status == EK_OK ? ek_index_updater_init(&frontend->updater, arena, all) : status;
+    frontend->keyframe = (ek_real *)ek_arena_alloc(arena, 2u * p->points, sizeof(ek_real));
+    frontend->keyframe_counts = (size_t *)ek_arena_alloc(arena, p->keyframes, sizeof(size_t));
+    return status;
 }
 
 ek_status ek_frontend_init(ek_frontend *frontend, ek_arena *arena, const ek_frontend_parameters *parameters)
@@ -57,12 +88,21 @@ ek_status ek_frontend_init(ek_frontend *frontend, ek_arena *arena, const ek_fron
     memset(frontend, 0, sizeof *frontend);
     frontend->parameters = *parameters;
     const size_t points = parameters->points, all = points * parameters->keyframes;
-    status = ek_index_init(&frontend->local_map, arena, all, parameters->cells ? parameters->cells : cells_for(all));
+    const uint32_t neighbours = uses_lines(parameters) ? parameters->neighbours : 0u;
+    size_t targets = all;
+    if (is_lasting(frontend)) {
+        status = ek_lasting_map_init(&frontend->lasting, arena, parameters->voxels, parameters->map_voxel,
+                                     parameters->map_radius, points, neighbours);
+        targets = points > frontend->lasting.capacity ? points : frontend->lasting.capacity;
+    } else {
+        status = init_keyframes(frontend, arena, all);
+    }
     status = status == EK_OK ? ek_index_init(&frontend->last, arena, points, cells_for(points)) : status;
-    status = status == EK_OK ? ek_icp_init(&frontend->icp, arena, points, all) : status;
-    status = status == EK_OK ? ek_index_updater_init(&frontend->updater, arena, all) : status;
-    frontend->keyframe = (ek_real *)ek_arena_alloc(arena, 2u * points, sizeof(ek_real));
-    frontend->keyframe_counts = (size_t *)ek_arena_alloc(arena, parameters->keyframes, sizeof(size_t));
+    status = status == EK_OK ? ek_icp_init(&frontend->icp, arena, points, targets) : status;
+    if (status == EK_OK && neighbours) {
+        status = ek_icp_init_lines(&frontend->icp, arena);
+        frontend->last_normals = (ek_real *)ek_arena_alloc(arena, points, 2u * sizeof(ek_real));
+    }
     return status;
 }
 
@@ -73,6 +113,9 @@ void ek_frontend_reset(ek_frontend *frontend)
     memset(&frontend->motion, 0, sizeof frontend->motion);
     frontend->start_from_keyframe = identity;
     frontend->last.count = frontend->local_map.count = 0u;
+    if (is_lasting(frontend)) {
+        ek_lasting_map_clear(&frontend->lasting);
+    }
 }
 
 /* Check that a pose, and the points of a keyframe at it, stay within EK_MAX_COORDINATE. */
@@ -94,11 +137,22 @@ static ek_status within_reach(const ek_real *xy, size_t count, ek_pose pose, int
     return EK_OK;
 }
 
-/* Add a scan to the local map as the newest keyframe; drop the oldest if the local map is full. */
+/* Give an index normals that are computed when needed, if lines are to be matched. */
+static ek_status defer_normals(const ek_frontend *frontend, ek_index *index, ek_real *normals)
+{
+    return normals ? ek_normals_defer(index, frontend->parameters.neighbours, normals) : EK_OK;
+}
+
+/* Add a scan to the map as the newest keyframe; without a lasting map, drop the oldest if there are too many. */
 static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t count, ek_pose start_from_base)
 {
     const uint32_t keyframes = frontend->parameters.keyframes, full = frontend->keyframe_count == keyframes;
     const ek_real c = EK_COS(start_from_base.theta), s = EK_SIN(start_from_base.theta);
+    if (is_lasting(frontend)) {
+        frontend->keyframe_count += 1u - full;
+        ek_lasting_map_add(&frontend->lasting, xy, count, start_from_base);
+        return EK_OK;
+    }
     ek_real *const into = frontend->keyframe;
     for (size_t i = 0; i < count; i++) {
         into[2u * i] = c * xy[2u * i] - s * xy[2u * i + 1u] + start_from_base.x;
@@ -108,7 +162,8 @@ static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t c
     frontend->keyframe_counts[(frontend->oldest_keyframe + frontend->keyframe_count) % keyframes] = count;
     frontend->oldest_keyframe = (frontend->oldest_keyframe + full) % keyframes;
     frontend->keyframe_count += 1u - full;
-    return ek_index_update(&frontend->updater, &frontend->local_map, removed, into, count);
+    const ek_status status = ek_index_update(&frontend->updater, &frontend->local_map, removed, into, count);
+    return status == EK_OK ? defer_normals(frontend, &frontend->local_map, frontend->local_normals) : status;
 }
 
 /* Run one stage: update *pose if the match has enough pairs, otherwise keep the guess. */
@@ -163,8 +218,13 @@ static ek_status run_stages(ek_frontend *frontend, const ek_real *xy, size_t cou
     if (frontend->motion.started) {
         estimate->start_from_base = ek_se2_compose(frontend->motion.start_from_base, last_from_base);
     }
+    const ek_index *map = &frontend->local_map;
+    if (status == EK_OK && frontend->motion.started && p->use_scan_to_map && is_lasting(frontend)) {
+        map = &frontend->lasting.around;
+        status = ek_lasting_map_near(&frontend->lasting, estimate->start_from_base.x, estimate->start_from_base.y);
+    }
     if (status == EK_OK && frontend->motion.started && p->use_scan_to_map) {
-        status = run_stage(frontend, &frontend->local_map, xy, count, &p->scan_to_map, &estimate->start_from_base,
+        status = run_stage(frontend, map, xy, count, &p->scan_to_map, &estimate->start_from_base,
                           &estimate->scan_to_map, &estimate->scan_to_map_outcome);
     }
     return status;
@@ -190,6 +250,9 @@ static ek_status store_scan(ek_frontend *frontend, const ek_real *xy, size_t cou
     if (status == EK_OK) {
         status = ek_index_build(&frontend->last, xy, count);
     }
+    if (status == EK_OK) {
+        status = defer_normals(frontend, &frontend->last, frontend->last_normals);
+    }
     ek_motion_store(&frontend->motion, prior, estimate->start_from_base);
     return status;
 }
@@ -207,6 +270,12 @@ ek_status ek_frontend_update(ek_frontend *frontend, const ek_real *xy, size_t co
     estimate->scan_to_scan = estimate->scan_to_map = none;
     estimate->scan_to_scan_outcome = estimate->scan_to_map_outcome = EK_STAGE_SKIPPED;
     estimate->keyframe = 0;
+    const ek_real centre_x = frontend->lasting.centre_x, centre_y = frontend->lasting.centre_y;
+    const int32_t changed = frontend->lasting.changed;
     status = run_stages(frontend, xy, count, prior, estimate);
-    return status == EK_OK ? store_scan(frontend, xy, count, prior, estimate) : status;
+    status = status == EK_OK ? store_scan(frontend, xy, count, prior, estimate) : status;
+    if (status != EK_OK && is_lasting(frontend)) {
+        (void)ek_lasting_map_return(&frontend->lasting, centre_x, centre_y, changed); /* indexed before: no error */
+    }
+    return status;
 }

@@ -191,6 +191,82 @@ static void odometry_out_of_the_world_is_refused(ek_arena *arena, const ek_front
     }
 }
 
+static ek_frontend_parameters lasting_lines(ek_frontend_parameters parameters)
+{
+    parameters.map_voxel = EK_R(0.1);
+    parameters.map_radius = EK_R(3.0);
+    parameters.voxels = 1000u;
+    parameters.scan_to_scan.metric = parameters.scan_to_map.metric = EK_METRIC_LINE;
+    parameters.scan_to_scan.one_to_one = parameters.scan_to_map.one_to_one = 0;
+    return parameters;
+}
+
+/* The map of all keyframes has no voxel twice, and the part to match with lies around the robot. */
+static void a_lasting_map_of_lines_is_matched_around_the_robot(ek_arena *arena, ek_frontend_parameters parameters)
+{
+    init_with(arena, &parameters);
+    CHECK(follow(80, 1) < 0.02);
+    const ek_lasting_map *const map = &frontend.lasting;
+    CHECK(map->voxels.dropped == 0u && map->around.count < map->voxels.count && map->around.count > 50u);
+    CHECK(map->voxels.count < 500u); /* 28 m of walls and 6 m of boxes: some 340 voxels, and those beside them */
+    for (size_t k = 0; k < map->around.count; k++) {
+        const double dx = (double)(map->around.xy[2u * k] - map->centre_x), dy = (double)(map->around.xy[2u * k + 1u] - map->centre_y);
+        CHECK(sqrt(dx * dx + dy * dy) <= 3.0 + TOLERANCE);
+    }
+    ek_frontend_reset(&frontend);
+    CHECK(map->voxels.count == 0u && map->around.count == 0u);
+    CHECK(follow(80, 0) < 0.02);
+    parameters.map_voxel = EK_R(0.0); /* the same lines of the last keyframes */
+    init_with(arena, &parameters);
+    CHECK(follow(80, 1) < 0.01);
+}
+
+/* A scan whose keyframe would lie out of the world moves the centre of the map there and back: the scan after it gives the
+ * same pose as without it. */
+static void a_refused_scan_leaves_the_part_of_the_lasting_map(ek_arena *arena, ek_frontend_parameters parameters)
+{
+    ek_pose poses[2];
+    for (int refused = 0; refused < 2; refused++) {
+        ek_estimate estimate;
+        init_with(arena, &parameters);
+        for (int k = 0; k < 6; k++) {
+            ek_prior prior = {2 * k + 1, 1, ek_se2_between(truth_at(0), truth_at(k))};
+            see(truth_at(k));
+            CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_OK);
+            const ek_real centre = frontend.lasting.centre_x;
+            const size_t around = frontend.lasting.around.count;
+            const int32_t changed = frontend.lasting.changed;
+            prior.stamp_ns++;
+            prior.odom_from_base.x = EK_R(0.9999999e6);
+            CHECK(!refused || ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_OUT_OF_RANGE);
+            CHECK(frontend.lasting.centre_x == centre && frontend.lasting.changed == changed);
+            CHECK(changed || frontend.lasting.around.count == around);
+        }
+        poses[refused] = frontend.motion.start_from_base;
+    }
+    CHECK(poses[0].x == poses[1].x && poses[0].y == poses[1].y && poses[0].theta == poses[1].theta);
+}
+
+/* A keyframe takes the voxels that are left; the others are counted. */
+static void a_full_lasting_map_counts_what_it_leaves_out(ek_arena *arena, ek_frontend_parameters parameters)
+{
+    parameters.voxels = 100u;
+    init_with(arena, &parameters);
+    ek_prior prior = {1, 1, {EK_R(0.0), EK_R(0.0), EK_R(0.0)}};
+    ek_estimate estimate;
+    see(truth_at(0));
+    CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_OK && estimate.keyframe);
+    CHECK(frontend.lasting.voxels.count == 100u && frontend.lasting.voxels.dropped > 100u);
+    parameters.map_radius = EK_R(0.0);
+    CHECK(ek_frontend_init(&frontend, arena, &parameters) == EK_OUT_OF_RANGE);
+    parameters.map_radius = EK_R(3.0);
+    parameters.map_voxel = EK_R(1e-3);
+    CHECK(ek_frontend_init(&frontend, arena, &parameters) == EK_OUT_OF_RANGE);
+    parameters.map_voxel = EK_R(0.1);
+    parameters.voxels = 0u;
+    CHECK(ek_frontend_init(&frontend, arena, &parameters) == EK_OUT_OF_RANGE);
+}
+
 static void bad_input_is_named(void)
 {
     ek_estimate estimate;
@@ -226,6 +302,16 @@ int main(void)
     the_oldest_keyframe_leaves_a_full_map(&arena, parameters);
     too_few_pairs_keep_the_guess(&arena, parameters);
     odometry_out_of_the_world_is_refused(&arena, &parameters);
+    free(arena.memory);
+    parameters = lasting_lines(parameters);
+    ek_frontend_parameters larger = parameters; /* the keyframes of the same lines */
+    larger.map_voxel = EK_R(0.0);
+    measured = ek_arena_make(NULL, 0u);
+    CHECK(ek_frontend_init(&frontend, &measured, &larger) == EK_OK);
+    arena = memory_of(measured.used);
+    a_lasting_map_of_lines_is_matched_around_the_robot(&arena, parameters);
+    a_refused_scan_leaves_the_part_of_the_lasting_map(&arena, parameters);
+    a_full_lasting_map_counts_what_it_leaves_out(&arena, parameters);
     free(arena.memory);
     return verdict();
 }

@@ -137,8 +137,19 @@ static void of_a_front_end(void)
     REAL_FROM_ZERO(frontend, keyframe_distance, EK_NOT_FINITE);
     REAL_FROM_ZERO(frontend, keyframe_angle, EK_NOT_FINITE);
     CHECK(STATUS(frontend, min_inliers, 0) == EK_OK && STATUS(frontend, min_inliers, -1) == EK_OUT_OF_RANGE);
-    CHECK(STATUS(frontend, scan_to_scan.metric, EK_METRIC_LINE) == EK_OUT_OF_RANGE);
-    CHECK(STATUS(frontend, scan_to_map.metric, EK_METRIC_LINE) == EK_OUT_OF_RANGE);
+    CHECK(STATUS(frontend, neighbours, 1u) == EK_OK); /* of no meaning without lines */
+    CHECK(STATUS(frontend, map_voxel, EK_R(-0.1)) == EK_OUT_OF_RANGE);
+    CHECK(STATUS(frontend, map_voxel, (ek_real)NAN) == EK_OUT_OF_RANGE);
+    for (int stage = 0; stage < 2; stage++) {
+        frontend = ek_frontend_default();
+        (stage ? &frontend.scan_to_map : &frontend.scan_to_scan)->metric = EK_METRIC_LINE;
+        CHECK(ek_frontend_check(&frontend) == EK_OK);
+        for (uint32_t k = 0; k < 2u; k++) {
+            frontend.neighbours = k ? EK_MAX_NEIGHBOURS + 1u : 1u;
+            CHECK(ek_frontend_check(&frontend) == EK_OUT_OF_RANGE);
+        }
+    }
+    frontend = ek_frontend_default();
     CHECK(STATUS(frontend, scan_to_scan.epsilon, EK_R(-1.0)) == EK_OUT_OF_RANGE);
     CHECK(STATUS(frontend, scan_to_map.epsilon, EK_R(-1.0)) == EK_OUT_OF_RANGE);
     CHECK(ek_frontend_check(NULL) == EK_NULL_POINTER);
@@ -395,6 +406,9 @@ static void of_capacities(void)
     ek_icp made;
     CHECK(ek_icp_init_lines(NULL, &none) == EK_NULL_POINTER && ek_icp_init_lines(&made, NULL) == EK_NULL_POINTER);
     ek_voxel_map map;
+    ek_lasting_map lasting;
+    CHECK(ek_lasting_map_init(NULL, &none, 1u, EK_R(0.1), EK_R(1.0), 1u, 0u) == EK_NULL_POINTER);
+    CHECK(ek_lasting_map_init(&lasting, NULL, 1u, EK_R(0.1), EK_R(1.0), 1u, 0u) == EK_NULL_POINTER);
     CHECK(ek_voxel_map_init(NULL, &none, 1u, EK_R(0.1), 1u) == EK_NULL_POINTER);
     CHECK(ek_voxel_map_init(&map, NULL, 1u, EK_R(0.1), 1u) == EK_NULL_POINTER);
     CHECK(ek_voxel_map_init(&map, &none, 1u, EK_R(0.1), 0u) == EK_OUT_OF_RANGE);

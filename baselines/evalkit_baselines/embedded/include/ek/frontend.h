@@ -1,6 +1,7 @@
-/* frontend.h - lidar odometry: scan-to-scan, then scan-to-map against the last keyframes (paper, figures 2 and 4).
+/* frontend.h - lidar odometry: scan-to-scan, then scan-to-map (paper, figures 2 and 4).
  *
- * Computes the same as evalkit/odometry/frontend.py with a local map of keyframes. Poses are start_from_base; the pose
+ * Scans are matched with the last keyframes, as in the paper, or with one lasting map of all of them. Computes the same as
+ * evalkit/odometry/frontend.py with a local map of keyframes or of voxels. Poses are start_from_base; the pose
  * of the first scan is the identity.
  */
 #ifndef EK_FRONTEND_H
@@ -8,6 +9,7 @@
 
 #include "ek/icp.h"
 #include "ek/index_update.h"
+#include "ek/lasting_map.h"
 #include "ek/motion.h"
 
 #ifdef __cplusplus
@@ -15,14 +17,18 @@ extern "C" {
 #endif
 
 typedef struct {
-    ek_icp_parameters scan_to_scan, scan_to_map; /* with EK_METRIC_POINT */
+    ek_icp_parameters scan_to_scan, scan_to_map;
     int32_t use_scan_to_scan, use_scan_to_map; /* 1 or 0 */
     int32_t min_inliers;                       /* with fewer pairs the result is rejected and the guess kept */
     uint32_t keyframes;                        /* number of keyframes in the local map; 1 or more */
     ek_real keyframe_distance;                 /* m */
     ek_real keyframe_angle;                    /* rad */
     size_t points;                             /* maximum number of points of a scan */
-    size_t cells;                              /* cells of the local map's index; 0: 16 per point, at most 2^18 */
+    size_t cells;                              /* cells of the keyframes' index; 0: 16 per point, at most 2^18 */
+    uint32_t neighbours;                       /* that define a line of EK_METRIC_LINE: 2 to EK_MAX_NEIGHBOURS */
+    ek_real map_voxel;                         /* m: 0: match with the keyframes; else one lasting map of such voxels */
+    ek_real map_radius;                        /* m: match with the voxels of the lasting map within this distance */
+    size_t voxels;                             /* maximum number of voxels of the lasting map */
 } ek_frontend_parameters;
 
 /* Outcome of a stage: skipped (switched off, or first scan), guess kept (too few pairs), or result accepted. */
@@ -39,7 +45,10 @@ typedef struct {
 typedef struct {
     ek_frontend_parameters parameters;
     ek_icp icp;
-    ek_index last, local_map;
+    ek_index last;
+    ek_real *last_normals, *local_normals; /* NULL without EK_METRIC_LINE */
+    ek_lasting_map lasting;             /* with map_voxel; without it the next four */
+    ek_index local_map;
     ek_index_updater updater;           /* updates local_map */
     ek_real *keyframe;        /* points of the newest keyframe, pairs x y in the start frame (m) */
     size_t *keyframe_counts;  /* number of points of each keyframe in the local map */
@@ -54,7 +63,8 @@ typedef struct {
 #define ek_frontend_reset EK_NAME(frontend_reset)
 #define ek_frontend_update EK_NAME(frontend_update)
 
-/* Default parameters: both stages with ek_icp_default, 10 keyframes every 0.5 m or 20 deg, 10 inliers, 2048 points. */
+/* Default parameters: both stages with ek_icp_default, 10 keyframes every 0.5 m or 20 deg, 10 inliers, 2048 points. For a
+ * lasting map, once map_voxel is set: 15 m around the robot, 16384 voxels, lines through 8 neighbours. */
 ek_frontend_parameters ek_frontend_default(void);
 
 /* Check parameters: EK_OK, EK_NOT_FINITE or EK_OUT_OF_RANGE. */
@@ -68,7 +78,8 @@ void ek_frontend_reset(ek_frontend *frontend);
 
 /* Process a scan: count pairs x y in the base frame (m), deskewed. The initial guess comes from wheel odometry if this
  * scan and the previous one have it, otherwise from constant velocity. A scan without points keeps the guess and never
- * becomes a keyframe. EK_TOO_MANY_POINTS; EK_NOT_FINITE: a point, the odometry or the predicted pose; EK_OUT_OF_RANGE:
+ * becomes a keyframe. Cells of a keyframe for which the lasting map has no room are left out and counted
+ * (lasting.voxels.dropped). EK_TOO_MANY_POINTS; EK_NOT_FINITE: a point, the odometry or the predicted pose; EK_OUT_OF_RANGE:
  * a stamp not later than the last, or a coordinate or pose larger than EK_MAX_COORDINATE. An error changes no state. */
 ek_status ek_frontend_update(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
                              ek_estimate *estimate);
