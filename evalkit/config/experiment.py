@@ -30,6 +30,7 @@ RESULTS = Path("evalkit-results")
 NUISANCE_KEYS = (NUISANCE, EXCERPT)
 MAX_NUISANCE = 64
 MIN_EXCERPT_SCANS = 50
+MAX_LABEL = 500
 
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\.", re.IGNORECASE)
 
@@ -285,8 +286,9 @@ def _read_limits(table: TomlTable) -> Limits:
 def _read_label(table: TomlTable) -> str:
     """The label of a method or sequence; refuses text that a terminal, spreadsheet or file system would interpret."""
     label = table.text("label", table.text("use"))
-    if not label or not label.isprintable() or label[0] in "=+-@":
-        expected = "printable text; a spreadsheet reads text that begins with one of = + - @ as a formula"
+    if not label or not label.isprintable() or label[0] in "=+-@" or len(label) > MAX_LABEL:
+        limit = f"printable text of at most {MAX_LABEL} characters"
+        expected = f"{limit}; a spreadsheet reads text that begins with one of = + - @ as a formula"
         raise table.error(f"'label': found {brief(label)}, expected {expected}")
     return label
 

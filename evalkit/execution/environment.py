@@ -17,6 +17,7 @@ from typing import Any
 import psutil
 
 from evalkit import __version__
+from evalkit.core.errors import plain
 from evalkit.core.run_result import NOT_EXECUTED, RunResult
 
 SINGLE_THREAD: dict[str, str] = dict.fromkeys(
@@ -49,7 +50,7 @@ def describe(distributions: Iterable[str] = (), *, jobs: int | None = None) -> d
 
 def host_name() -> str:
     """The name of this machine in results: the environment variable EVALKIT_HOST, or what the system says."""
-    return os.environ.get("EVALKIT_HOST") or platform.node() or "unknown"
+    return plain(os.environ.get("EVALKIT_HOST") or platform.node() or "unknown")
 
 
 def machine() -> dict[str, str]:

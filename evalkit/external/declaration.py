@@ -9,7 +9,7 @@ import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from evalkit.core.errors import BackendFailed, BadParameter, brief
 from evalkit.odometry import frontend
@@ -27,6 +27,9 @@ SPEC_TYPES: dict[object, type[RegistrationSpec | OdometrySpec]] = {
 }
 """Spec types by the kind in a declaration."""
 
+MAX_PARAMETERS, MAX_TEXT = 1000, 2000
+"""Limits of a description: parameters, and characters of each text."""
+
 
 @dataclass(frozen=True)
 class Declaration:
@@ -41,27 +44,27 @@ class Declaration:
     device: str = ""
 
 
-def read_declaration(name: str, content: Mapping[str, Any]) -> Declaration:
+def read_declaration(name: str, content: Mapping[str, Any], own: tuple[Parameter, ...] = ()) -> Declaration:
     """Read the description that a program or a library gives; raises BackendFailed with the key that is wrong.
 
-    A key ``failed`` holds the reason for a missing description, and the remedy.
+    A key ``failed`` holds the reason for a missing description, and the remedy. ``own``: parameters that evalkit adds.
     """
     if "failed" in content:
-        raise BackendFailed(name, *content["failed"])
+        what, remedy = content["failed"]
+        raise BackendFailed(name, what, remedy)
     kind = content.get("kind")
-    if kind not in SPEC_TYPES:
+    if not isinstance(kind, str) or kind not in SPEC_TYPES:
         raise _make_error(name, "kind", kind, "'registration', 'odometry' or 'slam'")
     listed = content.get("parameters", [])
-    if not isinstance(listed, list):
-        raise _make_error(name, "parameters", listed, "a list")
+    if not isinstance(listed, list) or len(listed) > MAX_PARAMETERS:
+        raise _make_error(name, "parameters", listed, f"a list of at most {MAX_PARAMETERS}")
     parameters = tuple(_parse_parameter(name, entry) for entry in listed)
     spec_type = SPEC_TYPES[kind]
-    reserved = {p.name for p in frontend.PARAMETERS} if spec_type is RegistrationSpec else set()
-    for index, parameter in enumerate(parameters):
-        if parameter.name in reserved or parameter.name in {p.name for p in parameters[:index]}:
-            raise _make_error(
-                name, "parameters", parameter.name, "unique names that are not parameters of the front end"
-            )
+    taken = {p.name for p in own} | ({p.name for p in frontend.PARAMETERS} if spec_type is RegistrationSpec else set())
+    for parameter in parameters:
+        if parameter.name in taken:
+            raise _make_error(name, "parameters", parameter.name, "unique names, none of them a parameter of evalkit")
+        taken.add(parameter.name)
     summary = _get_text(name, content, "summary") or "external implementation without a summary"
     return Declaration(spec_type, summary, parameters, _get_text(name, content, "device"))
 
@@ -165,13 +168,21 @@ def compute_digest(*files: Path, words: str = "") -> str:
 
 
 def _parse_parameter(name: str, entry: object) -> Parameter:
-    if not isinstance(entry, Mapping) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", str(entry.get("name", ""))):
-        raise _make_error(name, "parameters", entry, "a name of letters, digits and underscores")
+    if not isinstance(entry, Mapping) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{,99}", str(entry.get("name", ""))):
+        raise _make_error(name, "parameters", entry, "a name of at most 100 letters, digits and underscores")
     default = entry.get("default")
-    if not isinstance(default, (bool, int, float, str)) or (isinstance(default, float) and not math.isfinite(default)):
-        raise _make_error(name, "parameters", entry, "a default that is true or false, a finite number or a text")
+    if not _is_value(default):
+        what = f"a default that is true or false, a finite number or a text of at most {MAX_TEXT} characters"
+        raise _make_error(name, "parameters", entry, what)
     unit = _get_text(name, entry, "unit")
     return Parameter(str(entry["name"]), default, "" if unit == "-" else unit, _get_text(name, entry, "meaning"))
+
+
+def _is_value(found: object) -> TypeGuard[Value]:
+    """Whether a value of JSON can be one of a parameter: whole numbers have 64 bits, as in an experiment."""
+    if isinstance(found, int):
+        return -(2**63) <= found < 2**63
+    return math.isfinite(found) if isinstance(found, float) else isinstance(found, str) and len(found) <= MAX_TEXT
 
 
 def _parse_like(parameter: Parameter, word: str) -> Value:
@@ -180,8 +191,8 @@ def _parse_like(parameter: Parameter, word: str) -> Value:
 
 def _get_text(name: str, content: Mapping[str, Any], key: str) -> str:
     found = content.get(key, "")
-    if not isinstance(found, str):
-        raise _make_error(name, key, found, "a text")
+    if not isinstance(found, str) or len(found) > MAX_TEXT:
+        raise _make_error(name, key, found, f"a text of at most {MAX_TEXT} characters")
     return found
 
 

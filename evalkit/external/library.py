@@ -71,10 +71,10 @@ def scheme(rest: str) -> BackendSpec:
     if description is None:
         return undescribed_spec(name, digest)
     try:
-        declared = read_declaration(name, description)
+        own = (TRACE,) if description.get("kind") == RegistrationSpec.kind else ()
+        declared = read_declaration(name, description, own)
     except BackendFailed as error:
         return broken_spec(name, "; ".join(error.args[1:]), digest)
-    own = (TRACE,) if declared.spec_type is RegistrationSpec else ()
     make = partial(_MADE[declared.spec_type], name, file)
     return make_spec(declared, override_defaults(name, (*declared.parameters, *own), words), make, digest)
 
@@ -82,7 +82,7 @@ def scheme(rest: str) -> BackendSpec:
 class LibraryRegistration:
     """A Registration: ``evalkit_register`` of a library."""
 
-    def __init__(self, name: str, file: Path, *, trace: bool = False, **parameters: Value) -> None:
+    def __init__(self, name: str, file: Path, /, *, trace: bool = False, **parameters: Value) -> None:
         self._instance = Instance(name, file, parameters)
         self._trace = trace
 
@@ -117,7 +117,7 @@ class LibraryRegistration:
 class LibraryOdometry:
     """An Odometry: ``evalkit_update`` of a library."""
 
-    def __init__(self, name: str, file: Path, **parameters: Value) -> None:
+    def __init__(self, name: str, file: Path, /, **parameters: Value) -> None:
         self._instance = Instance(name, file, parameters)
 
     def update(self, frame: Frame) -> OdometryEstimate:
@@ -141,7 +141,7 @@ class LibraryOdometry:
 class LibrarySlam(LibraryOdometry):
     """A Slam: ``evalkit_trajectory`` and ``evalkit_loop_closures`` of a library."""
 
-    def __init__(self, name: str, file: Path, **parameters: Value) -> None:
+    def __init__(self, name: str, file: Path, /, **parameters: Value) -> None:
         super().__init__(name, file, **parameters)
         self._name = name
         self._stamps_ns: list[int] = []

@@ -73,7 +73,7 @@ def scheme(rest: str) -> BackendSpec:
     if description is None:
         return undescribed_spec(name, digest)
     try:
-        declared = read_declaration(name, description)
+        declared = read_declaration(name, description, (TIMEOUT,))
     except BackendFailed as error:
         return broken_spec(name, "; ".join(error.args[1:]), digest)
     parameters = (*declared.parameters, TIMEOUT)
@@ -290,7 +290,7 @@ _MADE: dict[type[BackendSpec], Callable[[ProgramSession], ProgramRegistration | 
 
 
 def _make(
-    name: str, argv: list[str], declared: Declaration, *, answer_timeout_s: float, **parameters: Value
+    name: str, argv: list[str], declared: Declaration, /, *, answer_timeout_s: float, **parameters: Value
 ) -> ProgramRegistration | ProgramOdometry:
     session = ProgramSession(name, argv, declared, answer_timeout_s, parameters)
     return _MADE[declared.spec_type](session)

@@ -40,11 +40,17 @@ def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return the value of a JSON text; raises ValueError for invalid JSON and for nesting that is too deep."""
+    r"""Return the value of a JSON text; raises ValueError for invalid JSON and for nesting that is too deep.
+
+    Also for an escape such as \ud800 without its other half, which no file can hold.
+    """
     try:
-        return json.loads(text)
+        value = json.loads(text)
+        if (b"\\ud" in text.lower()) if isinstance(text, bytes) else ("\\ud" in text.lower()):
+            json.dumps(value, ensure_ascii=False).encode()  # UnicodeEncodeError is a ValueError
     except RecursionError:
         raise ValueError("nested too deeply") from None
+    return value
 
 
 def read_array(path: Path) -> NDArray[Any]:

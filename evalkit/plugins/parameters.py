@@ -104,7 +104,7 @@ def resolve_parameters(owner: str, parameters: tuple[Parameter, ...], given: Map
     return {name: known[name].check(owner, given.get(name, known[name].default)) for name in known}
 
 
-def with_defaults(parameters: tuple[Parameter, ...], **defaults: Value) -> tuple[Parameter, ...]:
+def with_defaults(parameters: tuple[Parameter, ...], /, **defaults: Value) -> tuple[Parameter, ...]:
     """Return the same parameters with other defaults; raises UnknownName for a name that is not among them."""
     names = [parameter.name for parameter in parameters]
     for name in defaults:

@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from types import FunctionType
 from typing import TYPE_CHECKING, TypeVar
 
-from evalkit.core.errors import EvalkitError, NotInstalled, UnknownName
+from evalkit.core.errors import EvalkitError, NotInstalled, UnknownName, plain
 from evalkit.plugins.code_hash import hash_code
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, OdometrySpec, spec_of_class
@@ -69,7 +69,7 @@ def find_backend(name: str) -> BackendSpec:
     except EvalkitError:
         raise
     except Exception as error:  # noqa: BLE001 - third-party code; the other plug-ins stay usable
-        reason = f"its plug-in failed: {type(error).__name__}: {error}"
+        reason = plain(f"its plug-in failed: {type(error).__name__}: {error}")
     else:
         return spec
 

@@ -2,25 +2,46 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable
-from typing import Any
+from io import TextIOWrapper
+from typing import Any, NoReturn
 
-from evalkit.core.errors import EvalkitError, MachineFault
+from evalkit.core.errors import BadParameter, EvalkitError, MachineFault, plain
 from evalkit.terminal.options import err
 
 
 def run(app: Callable[[], Any]) -> None:
-    """Run a program; an EvalkitError or a fault of the machine becomes one line on standard error and exit code 2."""
+    """Run a program; an EvalkitError or an error of the system becomes one line on standard error and exit code 2."""
+    os.environ["MPLBACKEND"] = "agg"  # commands draw into files only
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # instead of an error in a terminal that is not UTF-8
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # end by exception, so that running workers are stopped
     try:
+        _require_text(sys.argv[1:])
         app()
-    except (EvalkitError, OSError) as error:
-        known = (
-            error if isinstance(error, EvalkitError) else MachineFault.of(f"evalkit {' '.join(sys.argv[1:2])}", error)
-        )
-        if known is None:
+    except EvalkitError as error:
+        _exit(str(error))
+    except OSError as error:
+        if fault := MachineFault.of(f"evalkit {' '.join(sys.argv[1:2])}", error):
+            _exit(str(fault))
+        if error.filename is None:
             raise
-        err.print(f"evalkit: {known}", style="red", markup=False, highlight=False)
-        sys.exit(2)
+        _exit(plain(f"{error.filename}: {error.strerror}; check the path"))
+
+
+def _require_text(words: list[str]) -> None:
+    """Raise BadParameter for a word that is not UTF-8: no page or table could name that file."""
+    for index, word in enumerate(words, 1):
+        try:
+            word.encode()
+        except UnicodeEncodeError:
+            raise BadParameter("evalkit", f"argument {index}", word, "UTF-8; rename the file") from None
+
+
+def _exit(message: str) -> NoReturn:
+    err.print(f"evalkit: {message}", style="red", markup=False, highlight=False)
+    sys.exit(2)

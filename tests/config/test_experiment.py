@@ -347,7 +347,7 @@ def test_the_shipped_experiments_can_be_planned():
 
 
 @pytest.mark.parametrize(
-    "label", ["=cmd|' /C calc'!A0", "+1", "-x", "@a", "", "a\x1b[2J", "a\u2028b", "a\u202eb", "a\nb"]
+    "label", ["=cmd|' /C calc'!A0", "+1", "-x", "@a", "", "a\x1b[2J", "a\u2028b", "a\u202eb", "a\nb", "x" * 501]
 )
 def test_a_label_cannot_be_a_terminal_or_spreadsheet_command(label):
     with pytest.raises(BadExperiment, match=r"method 1: 'label': found .*, expected printable text"):

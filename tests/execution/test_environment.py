@@ -64,6 +64,8 @@ def test_the_name_of_the_machine_is_replaced_where_one_is_given(monkeypatch):
     monkeypatch.setenv("EVALKIT_HOST", "desktop")
     assert environment.describe()["host"] == "desktop"
     assert "lab-7" not in str(environment.describe())
+    monkeypatch.setenv("EVALKIT_HOST", os.fsdecode(b"a\xff\x1b[31m"))  # neither UTF-8 nor fit for a terminal
+    assert environment.describe()["host"] == r"a\udcff\x1b[31m"
     sources = [path.read_text() for path in (CHECKOUT / "evalkit").rglob("*.py")]
     assert sum(len(re.findall(r"platform\.node|gethostname|os\.uname", source)) for source in sources) == 1
 

@@ -156,6 +156,14 @@ def test_answers_before_the_end_are_kept(program, run_backend):
         ("say(protocol=1, kind='odometry', parameters=[{'name': 'a b', 'default': 1}])", "'parameters'"),
         ("say(protocol=1, kind='registration', parameters=[{'name': 'keyframes', 'default': 1}])", "unique names"),
         ("say(protocol=1, kind='odometry', parameters=[{'name': 'a', 'default': float('nan')}])", "finite number"),
+        ("say(protocol=1, kind=['odometry'])", "'kind': found ['odometry']"),
+        ("say(protocol=1, kind='odometry', summary='\\ud800')", "not one line of JSON"),
+        ("say(protocol=1, kind='odometry', summary='x' * 3000)", "a text of at most 2000 characters"),
+        ("say(protocol=1, kind='odometry', parameters=[{'name': 'a', 'default': 10**400}])", "finite number"),
+        ("say(protocol=1, kind='odometry', parameters=[{'name': 'a' * 101, 'default': 1}])", "at most 100 letters"),
+        ("say(protocol=1, kind='odometry', parameters=[{'name': 'answer_timeout_s', 'default': 1}])", "unique names"),
+        ("say(protocol=1, kind='odometry', parameters=[{'name': 'a', 'default': 1}] * 2)", "unique names"),
+        ("say(protocol=1, kind='odometry', parameters=[{'name': f'p{i}'} for i in range(9999)])", "at most 1000"),
         ("print('hello!', flush=True)", "not one line of JSON: hello!"),
         ("time.sleep(60)", "no answer within 0.3 s"),
     ],
@@ -165,6 +173,14 @@ def test_a_program_without_a_valid_description_has_failed(program, run_backend, 
     outcome, _ = run_backend(program(hello=hello))
     assert said in reason(outcome)
     assert outcome.expected == len(run_backend.truth)  # counted as a program that answered no scan
+
+
+def test_a_parameter_of_a_program_may_have_any_name(program, run_backend):
+    names = ["name", "argv", "declared", "self", "answer", "class", "label"]
+    listed = ", ".join(f"{{'name': {name!r}, 'default': 1}}" for name in names)
+    method = program(hello=f"say(protocol=1, kind='odometry', parameters=[{listed}])")
+    outcome, _ = run_backend(method)
+    assert (outcome.status, outcome.reason) == ("complete", "")
 
 
 def test_a_program_without_a_description_may_have_settings(program):

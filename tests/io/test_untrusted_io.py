@@ -95,3 +95,10 @@ def test_json_that_nests_too_deeply_is_rejected():
     assert untrusted_io.parse_json(b'{"a": [1]}') == {"a": [1]}
     with pytest.raises(ValueError, match="nested too deeply"):
         untrusted_io.parse_json("[" * 100_000)
+
+
+@pytest.mark.parametrize("half", [r"\ud800", r"\uDFFF", r"\udc00\ud800"])
+def test_half_a_character_which_no_file_can_hold_is_refused(half):
+    with pytest.raises(ValueError, match="surrogates not allowed"):
+        untrusted_io.parse_json(f'["{half}"]'.encode())
+    assert untrusted_io.parse_json(r'["\ud83d\ude00"]') == ["\U0001f600"]

@@ -73,6 +73,8 @@ def test_a_variant_differs_only_in_its_defaults():
     assert COUNT.default == 3
     with pytest.raises(UnknownName, match="no parameter named 'cuont'"):
         with_defaults(ALL, cuont=7)
+    with pytest.raises(UnknownName, match="no parameter named 'parameters'"):
+        with_defaults(ALL, parameters=7)
 
 
 def test_a_plug_in_without_requirements_is_available():

@@ -1,0 +1,74 @@
+"""Every command: strange arguments, variables and terminals give one line, never a traceback."""
+
+import errno
+import io
+import os
+import signal
+import sys
+
+import pytest
+
+from evalkit.terminal.entry_point import run
+
+
+@pytest.fixture(autouse=True)
+def _unchanged_signals():
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.fixture
+def called(monkeypatch, capsys):
+    """Return ``called(app, *words)``: exit code and standard error of a program."""
+
+    def call(app, *words):
+        monkeypatch.setattr(sys, "argv", ["evalkit", *words])
+        with pytest.raises(SystemExit) as ended:
+            run(app)
+        return ended.value.code, " ".join(capsys.readouterr().err.split())
+
+    return call
+
+
+def test_an_argument_that_is_not_utf_8_is_refused_before_the_command_starts(called):
+    code, err = called(lambda: pytest.fail("started"), "compare", os.fsdecode(b"drive\xff.bag"))
+    assert code == 2
+    assert r"argument 2': found 'drive\udcff.bag', expected UTF-8; rename the file" in err
+
+
+@pytest.mark.parametrize("path", ["a" * 5000, "\x1b[31m/loop"])
+def test_a_path_that_the_system_refuses_is_an_error_that_names_it(called, path):
+    def app():
+        raise OSError(errno.ENAMETOOLONG, "File name too long", path)
+
+    code, err = called(app)
+    assert code == 2
+    assert err.startswith(f"evalkit: {path[:3]}" if path[0] == "a" else r"evalkit: \x1b[31m/loop")
+    assert err.endswith("File name too long; check the path")
+    assert len(err) < 2100
+
+
+def test_an_error_of_the_system_without_a_path_is_not_hidden():
+    with pytest.raises(BrokenPipeError):
+        run(lambda: os.write(os.dup(_closed_pipe()), b"x"))
+
+
+def _closed_pipe():
+    reading, writing = os.pipe()
+    os.close(reading)
+    return writing
+
+
+def test_a_terminal_without_unicode_shows_escapes(monkeypatch):
+    terminal = io.TextIOWrapper(io.BytesIO(), "ascii")
+    monkeypatch.setattr(sys, "stdout", terminal)
+    run(lambda: terminal.write("error ─●─"))
+    terminal.flush()
+    assert terminal.buffer.getvalue() == rb"error \u2500\u25cf\u2500"
+
+
+def test_commands_draw_without_a_screen_whatever_matplotlib_is_told(monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "nonsense")
+    run(lambda: None)
+    assert os.environ["MPLBACKEND"] == "agg"
