@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from evalkit.core.se2 import Floats
-from evalkit.stats.intervals import CONFIDENCE, Interval
+from evalkit.stats.intervals import CONFIDENCE, Interval, student_quantile
 from evalkit.stats.paired_tests import compute_power, detectable_standard_errors
 
 MIN_RUNS = 3
@@ -81,7 +80,7 @@ def runs_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval
         return None
     positive = bool((series > 0.0).all())
     mean, error = _mean_and_error(np.log(series) if positive else series)
-    half = _critical(len(series) - 1, confidence) * error
+    half = student_quantile(len(series) - 1, confidence) * error
     low, high = (math.exp(bound) if positive else bound for bound in (mean - half, mean + half))
     middle = float(np.median(series))
     return Interval(middle, min(low, middle), max(high, middle), len(series), confidence)
@@ -104,7 +103,7 @@ def paired_runs(one: ArrayLike, other: ArrayLike, perturbed: bool = False) -> Pa
     confidence = paired_confidence(count, perturbed)
     positive = bool((first > 0.0).all() and (second > 0.0).all())
     mean, error = _mean_and_error(np.log(first) - np.log(second) if positive else first - second)
-    half = _critical(count - 1, confidence) * error
+    half = student_quantile(count - 1, confidence) * error
     scale = float(np.median(second)) if positive else math.nan
     value, low, high = (
         scale * math.expm1(min(bound, 50.0)) if positive else bound for bound in (mean, mean - half, mean + half)
@@ -115,10 +114,3 @@ def paired_runs(one: ArrayLike, other: ArrayLike, perturbed: bool = False) -> Pa
 def _mean_and_error(series: Floats) -> tuple[float, float]:
     centred = np.round(series, 12)  # equal runs have no spread, not one of rounding errors
     return float(centred.mean()), float(centred.std(ddof=1)) / math.sqrt(len(centred))
-
-
-@cache
-def _critical(freedom: int, confidence: float) -> float:
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, 0.5 + confidence / 2.0))

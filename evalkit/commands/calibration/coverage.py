@@ -14,7 +14,7 @@ from evalkit.metrics.table import Metric
 from evalkit.report.analysis.pairwise import compute_difference, margin, separation
 from evalkit.report.analysis.scores import MethodScore, median_over_runs
 from evalkit.stats.bootstrap import BootstrapDraws, expanded_percentile_interval
-from evalkit.stats.intervals import CONFIDENCE, Interval
+from evalkit.stats.intervals import CONFIDENCE, Interval, student_quantile
 from evalkit.stats.runs import MIN_RUNS, runs_interval
 
 RUNS = (1, 2, 3, 5, 8)
@@ -167,12 +167,12 @@ def expected_coverage(runs: int, population: int) -> float:
     Below three runs, which have no interval, 0.95. Drawn without replacement, the variance of a mean of ``runs``
     of ``population`` values is smaller by the factor ``1 - runs / population`` (Cochran, Sampling Techniques, 2.2).
     """
-    from scipy.special import stdtr, stdtrit  # noqa: PLC0415 - slow to import
+    from scipy.special import stdtr  # noqa: PLC0415 - slow to import
 
     if runs < MIN_RUNS:
         return CONFIDENCE
     freedom, share = runs - 1, 1.0 - runs / population
-    critical = stdtrit(freedom, 0.5 + CONFIDENCE / 2.0)
+    critical = student_quantile(freedom, CONFIDENCE)
     return float(2.0 * stdtr(freedom, critical / math.sqrt(share)) - 1.0)
 
 

@@ -8,12 +8,11 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from scipy.special import stdtrit
 
 from evalkit.commands.study.design import Model
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.stats.intervals import CONFIDENCE, Interval
+from evalkit.stats.intervals import CONFIDENCE, Interval, student_quantile
 
 
 @dataclass(frozen=True)
@@ -173,7 +172,7 @@ class ModelFit:
     def _interval(self, contrast: Floats, confidence: float = CONFIDENCE) -> Interval:
         value = float(contrast @ self._coefficients)
         spread = float(np.sqrt(max(float(contrast @ self._covariance @ contrast), 0.0)))
-        half = spread * float(stdtrit(self._free, 0.5 + confidence / 2.0))
+        half = spread * student_quantile(self._free, confidence)
         return Interval(value, value - half, value + half, len(self.response), confidence)
 
     def _mask(self, term: tuple[int, ...]) -> Bools:

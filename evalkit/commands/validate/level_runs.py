@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from evalkit.commands.validate.acceptance import AcceptanceLevel, Check
 from evalkit.commands.validate.comparison_terms import ComparisonTerms
@@ -23,7 +22,7 @@ from evalkit.metrics.runtime import period_ns
 from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate, rms
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.bootstrap import block_length, bootstrap_interval, paired_difference_interval
-from evalkit.stats.intervals import Interval
+from evalkit.stats.intervals import Interval, student_quantile
 
 CONFIDENCE = 0.90
 """Confidence of all intervals: two one-sided tests at 5 %."""
@@ -212,8 +211,8 @@ def _prediction_bound(values: Floats) -> float:
     """The upper 95 % bound of one more value: Student's t on logarithms, with a spread of at least a factor of two."""
     logarithms = np.log(np.maximum(values, MIN_M))
     spread = max(float(logarithms.std(ddof=1)), math.log(2.0))
-    quantile = stdtrit(len(values) - 1, 0.5 + 0.5 * CONFIDENCE)
-    return math.exp(float(logarithms.mean()) + float(quantile * spread * math.sqrt(1.0 + 1.0 / len(values))))
+    quantile = student_quantile(len(values) - 1, CONFIDENCE)
+    return math.exp(float(logarithms.mean()) + quantile * spread * math.sqrt(1.0 + 1.0 / len(values)))
 
 
 def _pooled_errors(
@@ -318,7 +317,7 @@ def _no_worse_walls(sequence: str, both: Records, terms: ComparisonTerms) -> Che
         return Check(name, sequence, "informative", "never", observed)
     margin = terms.noise_share * float(known[:, 1].std(ddof=1))
     losses = known[:, 1] - known[:, 0]
-    half = float(stdtrit(len(known) - 1, 0.5 + 0.5 * CONFIDENCE) * losses.std(ddof=1) / math.sqrt(len(known)))
+    half = student_quantile(len(known) - 1, CONFIDENCE) * float(losses.std(ddof=1)) / math.sqrt(len(known))
     lost = float(losses.mean())
     outcome, hint = judge_gap(lost, lost - half, lost + half, margin, len(known))
     if (lost <= 0.0 and outcome == "not shown") or not losses.any():

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
 
 from evalkit.core import se2
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
+from evalkit.stats.intervals import student_quantile
 
 FLOAT32_ROUNDOFF = 2.0**-24
 """Relative error of rounding once to single precision."""
@@ -142,7 +142,7 @@ def interval(quantity: str, unit: str, values: ArrayLike, scans: ArrayLike, marg
     if n < 2:
         low, high, method = -math.inf, math.inf, "fewer than two scans"
     elif n < MIN_FOR_BOOTSTRAP:
-        half = float(stdtrit(n - 1, 0.5 + LEVEL / 2.0) * series.std(ddof=1) / math.sqrt(n))
+        half = student_quantile(n - 1, LEVEL) * float(series.std(ddof=1)) / math.sqrt(n)
         low, high, method = float(series.mean()) - half, float(series.mean()) + half, "Student's t"
     else:
         low, high = _block_interval(series, np.random.default_rng(0))
