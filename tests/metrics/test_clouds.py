@@ -8,6 +8,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import clouds
+from evalkit.metrics.consistency import NO_OVERLAP
 from evalkit.metrics.neighbourhoods import compute_neighbourhoods
 from evalkit.metrics.table import Evidence
 
@@ -88,3 +89,17 @@ def test_missing_hits_give_a_reason() -> None:
     assert found["direction_spread_nat"].reason == "the scans contain 0 pieces of wall, at least 100 are needed"
     lonely = tuple(make_scan(np.array([[5.0 * k, 1.0], [5.0 * k + 2.0, 2.0]])) for k in range(1, 5))
     assert compute_scores(lonely)["mme_nat"].reason == "only 0 % of the hits have 5 others within 0.5 m"
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_a_half_without_hits_is_told_from_one_without_common_places(turn) -> None:
+    wall, none, one = (make_scan(points) for points in (make_wall(0.01, 500) + 1.0, np.zeros((0, 2)), np.ones((1, 2))))
+    assert compute_scores((wall, none)[::turn])["coral_nat"].reason == "no mapped scan has a hit"
+    assert compute_scores((wall, one)[::turn])["coral_nat"].reason == NO_OVERLAP
+
+
+def test_a_share_of_hits_at_the_limit_is_enough(monkeypatch) -> None:
+    mapped = (make_scan(make_wall(0.01, 500) + 1.0),)
+    for share, scored in ((clouds.MIN_SHARE, True), (np.nextafter(clouds.MIN_SHARE, 0.0), False)):
+        monkeypatch.setattr(clouds, "_average_entropies", lambda _, share=share: (1.0, 500, share))
+        assert (compute_scores(mapped)["mme_nat"].value is not None) == scored

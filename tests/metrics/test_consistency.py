@@ -175,3 +175,11 @@ def test_a_missing_map_gives_every_metric_a_reason() -> None:
     assert all(score.value is None and score.reason for score in nothing.values())
     unseen = OccupancyGrid(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.bool_), 0.05, 0.0, 0.0)
     assert scores(unseen)["map_entropy"].reason == "the map has no occupied or no free cell"
+
+
+@pytest.mark.parametrize("lacking", [0, 1])
+def test_the_least_number_of_common_places_is_enough(monkeypatch: pytest.MonkeyPatch, lacking: int) -> None:
+    count = consistency.MIN_SHARED - lacking
+    monkeypatch.setattr(consistency, "split_distances", lambda *_: np.full(count, 0.2))
+    found = scores(grid(band(1)), grid(band(1)), grid(band(1)))["split_distance_m"]
+    assert (found.value, found.support) == (None if lacking else pytest.approx(0.2), count)

@@ -168,4 +168,4 @@ def test_pairs_a_second_apart_are_found_by_time_not_by_count() -> None:
     first, last = drift.find_pairs_in_time(stamps, 1.0)
     assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 4), (5, 6)]
     still = match(np.zeros((5, 3)), np.zeros((5, 3)))
-    assert score("rpe_1s_m", still).reason == "no two matched poses are 1 s apart"
+    assert score("rpe_1s_m", still) == Score(None, 0, "no two matched poses are 1 s apart")

@@ -59,6 +59,9 @@ def test_a_uniform_error_is_consistent_and_a_varying_error_is_not() -> None:
     assert gaussians.spatial_consistency(at, np.array([0.3, 0.3, 0.3])) == pytest.approx(0.0, abs=1e-7)
     assert gaussians.spatial_consistency(at, np.array([1.0, 2.0, 3.0])) == pytest.approx(np.sqrt(2 / 3) / 2)
     assert np.isnan(gaussians.spatial_consistency(np.array([[0, 0], [5, 5]]), np.array([1.0, 2.0])))
+    elsewhere = np.concatenate([at, at + 20])  # without any error there: no ratio
+    found = gaussians.spatial_consistency(elsewhere, np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]))
+    assert found == pytest.approx(np.sqrt(2 / 3) / 2)
 
 
 def grid(shift_cells):

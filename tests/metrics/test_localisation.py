@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from evalkit.core import se2
-from evalkit.metrics.localisation import OPEN_M, measure_fit
+from evalkit.core.run_result import Score
+from evalkit.metrics.localisation import OPEN_M, _score_predicted, _score_ratio, measure_fit
 from evalkit.metrics.neighbourhoods import build_kd_tree
 
 CELL_M = 0.05
@@ -45,3 +46,11 @@ def test_between_two_bare_walls_the_position_along_them_is_unknown():
     walls = ROOM[np.abs(ROOM[:, 1]) > 1.99]
     predicted, _ = measure_fit(walls[np.abs(walls[:, 0]) < 2.0], build_kd_tree(walls), CELL_M)
     assert predicted == pytest.approx(OPEN_M, rel=0.05)
+
+
+def test_the_predicted_error_of_a_run_is_the_median_of_the_scans_that_have_one():
+    """Rows: predicted error (m), true error (m), share of the points that fit."""
+    rows = np.array([[0.1, 9.0, 1.0], [0.3, np.nan, 1.0], [0.2, 9.0, 1.0], [np.nan, 0.5, 0.1]])
+    assert _score_predicted(rows) == Score(0.2, 3)
+    ratio = _score_ratio(rows)
+    assert (ratio.value, ratio.support) == (pytest.approx(9.0 / np.sqrt((0.01 + 0.04) / 2)), 2)

@@ -78,6 +78,7 @@ def test_work_on_a_device_has_no_cpu_time_though_the_front_end_answers_the_first
     found = {m.name: m.compute(evidence) for m in runtime.METRICS}
     for name in ("cpu_median_ms", "cpu_max_ms", "conversion_percent", "real_time_factor", "late_percent"):
         assert found[name] == Score(None, 5, "not measured on this machine: no CPU time")
+    assert not any(runtime.is_measured(RunResult(steps, 5), clock) for clock in ("cpu_ns", "wall_ns", "device_ns"))
 
 
 def test_unmeasured_times_give_a_reason() -> None:

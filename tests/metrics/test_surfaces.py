@@ -105,3 +105,11 @@ def test_scans_without_walls_give_a_reason() -> None:
         )
         == 0
     )
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_without_walls_in_two_directions_no_place_is_measured(count: int) -> None:
+    parallel = WallPieces(np.zeros((count, 2)), np.zeros(count), np.zeros((count, 2)))
+    variance, places = surfaces.orthogonal_variance(along_x(1.0, 0.0), parallel)
+    assert np.isnan(variance)
+    assert places == 0

@@ -11,7 +11,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.core.world import World, closed_outline
 from evalkit.metrics.table import Evidence
-from evalkit.metrics.track import find_lost_track
+from evalkit.metrics.track import _find_jumps, _fit, find_lost_track
 
 ROOM = World(closed_outline([[-2, -3], [8, -3], [8, 1], [6, 1], [6, 4], [-2, 4]]), np.array([[1.0, 2.5, 0.4]]))
 OTHER = World(closed_outline([[-20, -9], [25, -9], [25, 14], [-20, 30]]))
@@ -178,3 +178,18 @@ def test_a_run_between_the_true_poses_has_no_known_loss():
     steps["stamp_ns"] = stamps
     far = Trajectory(np.array([-(10**12), 10**12]), np.zeros((2, 3)))
     assert find_lost_track(Evidence(RunResult(steps, len(steps)), Truth("sparse", far)), lambda: ()) is None
+
+
+def test_the_longer_step_after_missing_scans_is_no_jump_and_one_as_long_without_a_gap_is():
+    """10 cm in 0.1 s, once 2 m in 2 s: always 1 m/s."""
+    gap = np.full(60, 0.1)
+    gap[30] = 2.0
+    stamps = np.concatenate([[0], np.cumsum(gap * 1e9)]).astype(np.int64)
+    steps = np.column_stack([gap, np.zeros(60), np.zeros(60)])
+    assert not _find_jumps(steps, stamps).any()
+    assert np.flatnonzero(_find_jumps(steps, np.arange(61) * 100_000_000)).tolist() == [30]
+
+
+def test_no_points_fit_nowhere():
+    some, none, same = np.zeros((3, 2)), np.zeros((0, 2)), np.zeros(3)
+    assert [_fit(*pair, same) for pair in ((some, some), (some, none), (none, some), (none, none))] == [1.0, 0, 0, 0]
