@@ -88,6 +88,29 @@ def test_no_motion_is_returned_where_none_reaches_the_minimum_score():
     assert again.score == best.score
 
 
+def test_the_score_is_that_of_the_cell_at_its_centre_and_their_mean_between_two():
+    """One point in the middle of a cell of 10 cm: the score of a cell follows from its distance, as a byte."""
+    grid = ScoreGrid.from_points(np.array([[0.05, 0.05]]), cell_m=0.1, sigma_m=0.1, depth=1)
+    centre, beside, corner = (round(255 * math.exp(-0.5 * squared)) / 255 for squared in (0.0, 1.0, 2.0))
+    points = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [0.0, -0.1], [0.05, 0.0], [0.0, 0.05], [0.05, 0.05]]) + 0.05
+    halfway = (centre + beside) / 2
+    expected = [centre, beside, beside, beside, halfway, halfway, (centre + 2 * beside + corner) / 4]
+    assert grid.score(points) == pytest.approx(expected)
+
+
+def test_the_whole_window_is_as_large_as_the_grid():
+    grid = ScoreGrid.from_points(room(), cell_m=0.05, sigma_m=0.05, depth=3)
+    window = Window.whole(grid)
+    height, width = grid.levels[0].shape
+    assert (2 * window.x_m, 2 * window.y_m) == pytest.approx((0.05 * width, 0.05 * height))
+    assert (window.centre.x, window.centre.y) == grid.centre
+
+
+def test_the_angles_of_a_window_end_where_it_ends():
+    angles = Window(Pose(), 0.0, 0.0, 0.1, step_rad=0.05).angles(0.05, 10.0)
+    assert angles == pytest.approx([-0.1, -0.05, 0.0, 0.05, 0.1])
+
+
 def test_far_fewer_motions_are_evaluated_than_exist():
     grid = ScoreGrid.from_points(room(), cell_m=0.05, sigma_m=0.05, depth=6)
     window = Window.whole(grid)

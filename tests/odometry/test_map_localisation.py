@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,12 +12,14 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.known_map import KnownMap
 from evalkit.core.map_start import MapStart
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.io.map_server import read_rotated_map, write_map
 from evalkit.odometry import map_localisation
 from evalkit.odometry.frontend import complete_parameters
-from evalkit.odometry.map_localisation import find_start, localise
+from evalkit.odometry.known_map import Place
+from evalkit.odometry.map_localisation import MapTracker, find_start, localise
 from evalkit.odometry.run_odometry import estimate_poses
 from evalkit.plugins import registry
 from evalkit.plugins.known_map import load_known_map, parse_start
@@ -157,6 +160,22 @@ def test_a_kidnapped_robot_is_found_again(floor, monkeypatch):
     _, poses = track(floor, [measure(pose, k) for k, pose in enumerate(PATH)] + carried)
     assert distance(poses[12], away[0]) > 1.0  # the wheels did not turn
     assert distance(poses[-1], away[-1]) < 0.05
+
+
+@pytest.mark.parametrize(("better", "jumps"), [(-0.05, False), (0.05, False), (0.2, True)])
+def test_a_lost_track_jumps_only_to_a_place_that_fits_better_by_a_tenth(monkeypatch, better, jumps):
+    """The scans fit by 0.3 where the track is, against 0.9 at the start: lost from the second on."""
+    there = Pose(5.0, 5.0, 1.0)
+    monkeypatch.setattr(map_localisation, "LOST_SCANS", 2)
+    monkeypatch.setattr(
+        map_localisation, "PlaceSearch", lambda _: SimpleNamespace(feed=lambda _frame: Place(there, 0.3 + better, 0.0))
+    )
+    standing = SimpleNamespace(update=lambda _frame: OdometryEstimate(Pose()))
+    tracker = MapTracker(
+        lambda _pose: standing, SimpleNamespace(score=lambda _points: 0.3), MapStart(Pose(), 1, 0.0, True, 0.9)
+    )
+    poses = [tracker.update(measure(Pose(), index)).pose for index in range(2)]
+    assert poses == [Pose(), there if jumps else Pose()]
 
 
 def test_a_back_end_that_reads_the_map_is_given_it_with_the_start(floor):
