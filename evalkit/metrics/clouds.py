@@ -13,7 +13,7 @@ from evalkit.metrics.consistency import (
     NO_HIT,
     NO_OVERLAP,
     collect_all_hits,
-    collect_hits,
+    collect_half_hits,
     sample_all_neighbourhoods,
     sample_neighbourhoods,
 )
@@ -99,8 +99,7 @@ def _score_mean_map_entropy(evidence: Evidence) -> Score:
 
 
 def _score_joint_entropy(evidence: Evidence) -> Score:
-    middle = len(evidence.mapped) // 2
-    first, second = collect_hits(evidence.mapped[:middle]), collect_hits(evidence.mapped[middle:])
+    first, second = collect_half_hits(evidence)
     if len(first) == 0 or len(second) == 0:
         return Score(None, 0, NO_HIT)
     value, places = joint_minus_separate(first, second)

@@ -169,9 +169,16 @@ def collect_hits(mapped: PlacedScans) -> Floats:
 
 
 @cached
+def collect_half_hits(evidence: Evidence) -> tuple[Floats, Floats]:
+    """Return the hits (N, 2) of the first and of the second half of the mapped scans, in the world (m)."""
+    middle = len(evidence.mapped) // 2
+    return collect_hits(evidence.mapped[:middle]), collect_hits(evidence.mapped[middle:])
+
+
+@cached
 def collect_all_hits(evidence: Evidence) -> Floats:
     """Return the hits (N, 2) of all mapped scans, in the world (m)."""
-    return collect_hits(evidence.mapped)
+    return np.concatenate(collect_half_hits(evidence))
 
 
 @cached
@@ -234,11 +241,12 @@ def _score_enclosed_size(grid: OccupancyGrid) -> Score:
 
 
 def _score_cleared(evidence: Evidence) -> Score:
-    first, second, middle = evidence.first_half, evidence.second_half, len(evidence.mapped) // 2
+    first, second = evidence.first_half, evidence.second_half
     if isinstance(first, MissingMap) or isinstance(second, MissingMap):
         return Score(None, 0, _NO_HALVES)
-    one, shared_one = cleared_share(collect_hits(evidence.mapped[:middle]), second)
-    other, shared_other = cleared_share(collect_hits(evidence.mapped[middle:]), first)
+    earlier, later = collect_half_hits(evidence)
+    one, shared_one = cleared_share(earlier, second)
+    other, shared_other = cleared_share(later, first)
     if min(shared_one, shared_other) < MIN_SHARED:
         return Score(None, shared_one + shared_other, NO_OVERLAP)
     return make_score(50.0 * (one + other), shared_one + shared_other)

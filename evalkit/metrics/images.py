@@ -69,10 +69,16 @@ def _resample(grid: OccupancyGrid, rows: Ints, columns: Ints, shape: tuple[int, 
 
     ``rows``, ``columns``: the cell of each row and column of the grid.
     """
-    kept = [(at >= 0) & (at < size) for at, size in zip((rows, columns), shape, strict=True)]
-    own = np.ix_(*kept)
+    lines = [np.flatnonzero((at >= 0) & (at < size)) for at, size in zip((rows, columns), shape, strict=True)]
+    own = tuple(slice(at[0], at[-1] + 1) if len(at) else slice(0) for at in lines)  # rows and columns ascend
     observed, p = grid.observed[own], grid.probability()[own]
-    flat = (rows[kept[0]][:, None] * shape[1] + columns[kept[1]])[observed]
+    rows, columns = rows[own[0]], columns[own[1]]
+    if all((np.diff(at) == 1).all() for at in (rows, columns)) and observed.size:  # one cell of the grid in each
+        mean, seen = np.full(shape, 0.5), np.zeros(shape, np.bool_)
+        into = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        mean[into], seen[into] = np.where(observed, p, 0.5), observed
+        return mean, seen
+    flat = (rows[:, None] * shape[1] + columns)[observed]
     counts = np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
     sums = np.bincount(flat, p[observed], minlength=shape[0] * shape[1]).reshape(shape)
     return np.where(counts > 0, sums / np.maximum(counts, 1), 0.5), np.asarray(counts > 0)

@@ -61,13 +61,24 @@ def _touched(mapped: OccupancyGrid, true: OccupancyGrid, cells: Bools) -> Bools:
     """
     height, width = mapped.shape
     marked = np.zeros((height, width), dtype=np.bool_)
-    rows, columns = np.nonzero(cells)
     for at_y in _find_cells(true.origin_y, true, mapped.origin_y, mapped, len(cells)):
         for at_x in _find_cells(true.origin_x, true, mapped.origin_x, mapped, cells.shape[1]):
+            if (np.diff(at_y) == 1).all() and (np.diff(at_x) == 1).all():  # cells of the same size: whole blocks
+                into_y, own_y = _overlap(at_y[0], height, len(at_y))
+                into_x, own_x = _overlap(at_x[0], width, len(at_x))
+                marked[into_y, into_x] |= cells[own_y, own_x]
+                continue
+            rows, columns = np.nonzero(cells)
             y, x = at_y[rows], at_x[columns]
             inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
             marked[y[inside], x[inside]] = True
     return marked
+
+
+def _overlap(start: int, size: int, count: int) -> tuple[slice, slice]:
+    """Return the places of ``count`` lines that begin at ``start`` within 0 to size - 1, and which lines these are."""
+    low, high = max(start, 0), min(start + count, size)
+    return slice(low, max(high, low)), slice(low - start, max(high, low) - start)
 
 
 def _find_cells(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, collect_all_hits
 from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, build_kd_tree, compute_neighbourhoods, thin_evenly
 from evalkit.metrics.table import Evidence, PlacedScans, cached, make_metrics, make_score
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 MAX_SCANS = 100
 PLACES_A_SCAN = 40
@@ -42,6 +46,9 @@ DEEPEST = 0.5
 
 _REACH = round((FARTHEST_M + 0.1) / BIN_M)
 """Bins on each side of a piece of wall."""
+
+_BLOCK = 64
+"""Stretches of wall whose hits are in memory at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,16 +165,25 @@ def _compute_profiles(hits: Floats, sensors: Floats, stretches: WallPieces) -> F
     normals = np.stack([-np.sin(stretches.direction), np.cos(stretches.direction)], axis=1)
     side = np.sign(np.sum((stretches.sensors - stretches.middles) * normals, axis=1))
     normals *= np.where(side == 0.0, 1.0, side)[:, None]
-    tree, width = build_kd_tree(hits), 2 * _REACH + 1
-    counts = np.zeros((len(stretches), width))
-    around = tree.query_ball_point(stretches.middles, float(np.hypot(ALONG_M, _REACH * BIN_M)), return_sorted=False)
-    for row, (near, middle, normal) in enumerate(zip(around, stretches.middles, normals, strict=True)):
-        offsets = hits[near] - middle
-        ours = (sensors[near] - middle) @ normal > 0.0
-        along = np.abs(offsets @ np.array([normal[1], -normal[0]])) <= ALONG_M
-        bins = np.round((offsets @ normal)[ours & along] / BIN_M).astype(int) + _REACH
-        counts[row] = np.bincount(bins[(bins >= 0) & (bins < width)], minlength=width)
-    return np.asarray(ndimage.gaussian_filter1d(counts, SMOOTH_M / BIN_M, axis=1, mode="constant"))
+    tree = build_kd_tree(hits)
+    blocks = [
+        _count_across(hits, sensors, tree, stretches.middles[begin : begin + _BLOCK], normals[begin : begin + _BLOCK])
+        for begin in range(0, len(stretches), _BLOCK)
+    ]
+    return np.asarray(ndimage.gaussian_filter1d(np.concatenate(blocks), SMOOTH_M / BIN_M, axis=1, mode="constant"))
+
+
+def _count_across(hits: Floats, sensors: Floats, tree: cKDTree, middles: Floats, normals: Floats) -> Floats:
+    """Return the histogram (K, B) of hits across each stretch, seen from its own side, in bins of 1 cm."""
+    width, reach = 2 * _REACH + 1, float(np.hypot(ALONG_M, _REACH * BIN_M))
+    pairs = build_kd_tree(middles).sparse_distance_matrix(tree, reach, output_type="ndarray")
+    row, near = pairs["i"], pairs["j"]
+    (x, y), middle = normals[row].T, middles[row]
+    (off_x, off_y), (to_x, to_y) = (hits[near] - middle).T, (sensors[near] - middle).T
+    bins = np.round((off_x * x + off_y * y) / BIN_M).astype(int) + _REACH
+    ours = (to_x * x + to_y * y > 0.0) & (np.abs(off_x * y - off_y * x) <= ALONG_M) & (bins >= 0) & (bins < width)
+    counts = np.bincount(row[ours] * width + bins[ours], minlength=len(middles) * width)
+    return counts.reshape(-1, width).astype(np.float64)
 
 
 def _find_second_mode(density: Floats) -> float:

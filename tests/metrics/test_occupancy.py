@@ -25,6 +25,16 @@ def test_a_true_cell_of_half_the_size_marks_the_cell_that_contains_its_centre():
     assert free.tolist() == [[True, False, False]]
 
 
+@pytest.mark.parametrize(("columns", "rows"), [(0, 0), (1, 0), (-2, 1), (2, -1), (5, 0), (0, -4)])
+def test_a_true_map_displaced_by_whole_cells_marks_the_cells_below_it(columns, rows):
+    states = np.random.default_rng(3).choice([-5.0, 0.0, 5.0], (3, 4))
+    found = find_true_states(grid(np.ones((3, 4))), grid(states, x=0.1 * columns, y=0.1 * rows))
+    for row, column in np.ndindex(3, 4):
+        y, x = row - rows, column - columns
+        state = states[y, x] if 0 <= y < 3 and 0 <= x < 4 else 0.0
+        assert [bool(kind[row, column]) for kind in found] == [state > 0.0, state < 0.0]
+
+
 def test_a_centre_on_an_edge_counts_for_both_cells_and_walls_win_over_free_space():
     true = grid([[5, -5]], resolution_m=0.05, x=0.075)  # centres 0.1, on the edge, and 0.15
     occupied, free = find_true_states(grid([[1, 1]]), true)
