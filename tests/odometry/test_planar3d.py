@@ -112,3 +112,11 @@ def test_covariances_are_thin_across_a_wall_and_isotropic_elsewhere():
     assert np.allclose(np.linalg.eigvalsh(covariances[1]), [0.01, 1.0, 1.0])
     assert np.allclose(covariances[1] @ [0.6, 0.8, 0.0], [0.006, 0.008, 0.0])
     assert np.allclose(covariances[2], np.eye(3))
+
+
+def test_a_matrix_may_differ_from_a_motion_of_the_plane_by_the_tolerance():
+    matrix = np.eye(4)
+    matrix[2, 3] = 0.25
+    assert planar3d.pose_2d(matrix, tolerance=0.25) == Pose()
+    with pytest.raises(ValueError, match=r"z = 0\.25 m"):
+        planar3d.pose_2d(matrix, tolerance=np.nextafter(0.25, 0.0))

@@ -69,7 +69,11 @@ def test_names_with_scripts_are_escaped(tags, html):
     assert sum(tag == "script" for tag, _ in tags.found) == 1
 
 
-EVIL = "</script><!--<script>alert(1)//--></style>\u2028\"'><img src=x onerror=alert(1)>{{7*7}}javascript:alert(1)"
+HIDDEN = "\x00\x1b[31m\x85\u202e\uffff"
+EVIL = (
+    HIDDEN
+    + "</script><!--<script>alert(1)//--></style>\u2028\"'><img src=x onerror=alert(1)>{{7*7}}javascript:alert(1)"
+)
 
 
 def test_data_is_escaped_in_every_place(build, record, tmp_path):
@@ -97,6 +101,8 @@ def test_data_is_escaped_in_every_place(build, record, tmp_path):
     assert "</script" not in script
     assert "<!--" not in script
     assert "49javascript" not in html
+    assert not set(html) & set(HIDDEN.replace("[31m", ""))
+    assert r"\u202e\uffff&lt;/script&gt;" in html
 
 
 def test_nothing_is_loaded_from_elsewhere(tags):

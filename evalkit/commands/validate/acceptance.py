@@ -188,7 +188,7 @@ class AcceptanceReport:
 
 def as_junit(report: AcceptanceReport) -> str:
     """The report as JUnit XML: a suite for each level, a case for each check; what the claim needs may fail."""
-    root = ElementTree.Element("testsuites", name=f"evalkit validate {report.subject}")
+    root = ElementTree.Element("testsuites", name=_printable(f"evalkit validate {report.subject}"))
     for level in report.levels:
         skipped = [one for one in level.checks if one.outcome in ("not applicable", "waived")]
         failed = level.failed(report.claim) + level.not_shown(report.claim)

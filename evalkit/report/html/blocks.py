@@ -6,7 +6,7 @@ import re
 from base64 import b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
@@ -16,6 +16,12 @@ from evalkit.report.html.palette import Stroke
 Tone = Literal["", "good", "bad", "warn", "tied"]
 Chips = Sequence[tuple[str, Tone]]
 """Words with a background and their tone."""
+
+
+_HIDDEN = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff\ufff9-\ufffb\ufffe\uffff]"
+)
+"""Control characters without tab and line feed, changes of the reading direction, and what no file can hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,16 +265,28 @@ def render(document: Document) -> str:
 
 
 def load_template(name: str, **filters: Callable[..., str]) -> Template:
-    """Load a template of this package; it escapes every text."""
+    """Load a template of this package; it escapes every text, and shows characters that would not be seen."""
     environment = Environment(
         loader=PackageLoader("evalkit.report.html"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=_show_hidden,
     )
     environment.filters.update(filters)
     return environment.get_template(name)
+
+
+def _show_hidden(value: Any) -> Any:
+    r"""Return a value; in a text, control characters and changes of the reading direction as ``\u202e``.
+
+    So written, they mean the same in HTML, JSON and JavaScript, and damage none of them.
+    """
+    if not isinstance(value, str) or not _HIDDEN.search(value):
+        return value
+    shown = _HIDDEN.sub(lambda found: f"\\u{ord(found[0]):04x}", value)
+    return Markup(shown) if isinstance(value, Markup) else shown
 
 
 def slug(title: str) -> str:

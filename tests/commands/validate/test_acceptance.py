@@ -171,7 +171,9 @@ def test_the_verdict_names_what_is_waived_beside_equivalent():
 def test_the_junit_file_has_a_case_for_each_check_and_a_failure_for_each_that_refutes():
     wrong = replace(SAME, outcome="failed", observed="pair 3: <units>\x00")
     skipped = Check("mapper", "", "not applicable", "never", "none")
-    found = ElementTree.fromstring(as_junit(report(KEPT, level(1, "registrations", SAME, wrong, GOOD, skipped))))
+    made = replace(report(KEPT, level(1, "registrations", SAME, wrong, GOOD, skipped)), subject="lib:\x01mine")
+    found = ElementTree.fromstring(as_junit(made))
+    assert found.get("name") == "evalkit validate lib:mine"
     suites = {suite.get("name"): suite for suite in found}
     one = suites["1 registrations"]
     assert (one.get("tests"), one.get("failures"), one.get("skipped")) == ("4", "1", "1")
