@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import platform
+import shutil
 import signal
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -169,6 +170,25 @@ def make_comparison(records: Sequence[RunRecord], **changes: object) -> Comparis
         fairness=("One thread each.",),
     )
     return replace(made, **changes)  # type: ignore[arg-type]
+
+
+BROWSERS = ("chromium-headless-shell", "chromium", "google-chrome", "google-chrome-stable", "chromium-browser")
+"""The first takes a third of the time of the second."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Return the browser that opens pages; while it is open, nothing else in this process may use asyncio."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed: pip install playwright"
+    )
+    program = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if program is None:
+        pytest.skip(f"no browser found, none of: {', '.join(BROWSERS)}")
+    with playwright.sync_playwright() as running:
+        started = running.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+        yield started
+        started.close()
 
 
 @pytest.fixture(scope="session")

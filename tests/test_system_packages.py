@@ -19,7 +19,12 @@ def run(tmp_path, monkeypatch):
     monkeypatch.delenv("EVALKIT_OFFLINE", raising=False)
 
     def start(*parts, **programs):
-        pretended = {"uname": "echo Linux", "apt-get": f'echo "$@" >> {tmp_path}/log', "chromium": "", **programs}
+        pretended = {
+            "uname": "echo Linux",
+            "apt-get": f'echo "$@" >> {tmp_path}/log',
+            "chromium-headless-shell": "",
+            **programs,
+        }
         for name, commands in pretended.items():
             program = tmp_path / name.replace("_", "-")
             program.write_text(f"#!/bin/sh\n{commands}\n")

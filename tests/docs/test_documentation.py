@@ -283,22 +283,16 @@ def test_every_internal_link_and_anchor_exists(built):
 
 
 @pytest.mark.slow
-def test_the_search_of_a_site_opened_from_disk_finds_a_metric_without_a_network(built):
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    program = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chromium-browser"))), None)
-    if program is None:
-        pytest.skip("no browser found: chromium")
+def test_the_search_of_a_site_opened_from_disk_finds_a_metric_without_a_network(built, browser):
     asked_for = []
-    with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
-        page = browser.new_page()
-        page.on("request", lambda request: asked_for.append(request.url))
-        page.on("pageerror", lambda error: asked_for.append(f"error {error}"))
-        page.goto((built / "index.html").as_uri())
-        page.click("[data-md-component=search-query]")
-        page.keyboard.type("wall_thickness")
-        page.wait_for_selector(".md-search-result__item a[href*='reference/metrics.html']", timeout=20_000)
-        browser.close()
+    page = browser.new_page()
+    page.on("request", lambda request: asked_for.append(request.url))
+    page.on("pageerror", lambda error: asked_for.append(f"error {error}"))
+    page.goto((built / "index.html").as_uri())
+    page.click("[data-md-component=search-query]")
+    page.keyboard.type("wall_thickness")
+    page.wait_for_selector(".md-search-result__item a[href*='reference/metrics.html']", timeout=20_000)
+    page.close()
     assert [url for url in asked_for if not url.startswith(("file:", "data:", "about:"))] == []
 
 
