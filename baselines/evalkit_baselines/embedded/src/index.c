@@ -199,6 +199,16 @@ static inline ek_real search_square(const ek_index *index, ek_real x, ek_real y,
     return ek_cell_grid_is_all(frame, box) ? EK_FAR : radius - margin;
 }
 
+/* Distance (m) of a place to the cells, along x or y, whichever is larger: no point is nearer; 0 inside. */
+static inline ek_real distance_to_cells(const ek_cell_grid *cells, ek_real x, ek_real y)
+{
+    const ek_real right = cells->left + (ek_real)cells->columns * cells->cell;
+    const ek_real top = cells->bottom + (ek_real)cells->rows * cells->cell;
+    const ek_real across = cells->left - x > x - right ? cells->left - x : x - right;
+    const ek_real up = cells->bottom - y > y - top ? cells->bottom - y : y - top, farther = across > up ? across : up;
+    return farther > EK_R(0.0) ? farther : EK_R(0.0);
+}
+
 ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_real limit, ek_real radius)
 {
     ek_neighbour answer = {EK_NONE, EK_FAR, EK_FAR};
@@ -211,6 +221,14 @@ ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_re
     /* far from the points rounding errors are larger; without this term the search would not end */
     const ek_real margin = index->cells.margin + EK_R(16.0) * EK_EPSILON * (EK_FABS(x) + EK_FABS(y));
     ek_real border = search_square(index, x, y, radius, margin, &box, &found), best = EK_SQRT(found.best);
+    if (border <= best && border < limit) {
+        const ek_real outside = distance_to_cells(&index->cells, x, y);
+        if (outside - margin >= limit) {
+            answer.others = outside - margin;
+            return answer;
+        }
+        radius = radius > outside ? radius : EK_R(0.5) * outside + radius; /* the next look reaches the cells */
+    }
     while (border <= best && border < limit) {
         const ek_real needed = (best < limit ? best : limit) + EK_R(4.0) * margin;
         radius = needed < EK_R(2.0) * radius ? needed : EK_R(2.0) * radius;

@@ -75,6 +75,27 @@ static void from_far_away_the_search_ends(void)
     }
 }
 
+/* Beside the cells, whose border is 1/16 of the width, a search ends at once where the limit does not reach them, and the
+ * bound is then their distance. */
+static void beside_the_cells_the_bound_is_their_distance(void)
+{
+    ek_real square[2u * 64u];
+    for (size_t k = 0; k < 64u; k++) {
+        square[2u * k] = EK_R((double)(k % 8u) / 7.0);
+        square[2u * k + 1u] = EK_R((double)(k / 8u) / 7.0);
+    }
+    CHECK(ek_index_build(&reference, square, 64u) == EK_OK);
+    static const double places[4][2] = {{10.0, 0.5}, {-9.0, 0.5}, {0.5, 10.0}, {0.2, -9.0}};
+    for (size_t k = 0; k < 4u; k++) {
+        const ek_real x = EK_R(places[k][0]), y = EK_R(places[k][1]);
+        const ek_neighbour none = ek_index_nearest(&reference, x, y, EK_R(2.0), EK_R(0.1));
+        CHECK(none.slot == EK_NONE && none.others > EK_R(8.0) && none.others <= EK_R(9.0));
+        const ek_neighbour found = ek_index_nearest(&reference, x, y, EK_R(20.0), EK_R(0.1));
+        CHECK(found.slot != EK_NONE && found.distance >= EK_R(9.0) && found.distance < EK_R(9.01));
+        CHECK(found.others >= none.others && found.others <= EK_R(9.02));
+    }
+}
+
 /* The largest world in the smallest cells: as many cells as there is memory for, at most 2^20 on a side. */
 static void cells_cover_the_largest_world(void)
 {
@@ -129,6 +150,7 @@ int main(void)
     answers_are_those_of_a_search_of_all(1u, 0.5, &seed);
     of_equally_near_points_the_lowest_wins();
     from_far_away_the_search_ends();
+    beside_the_cells_the_bound_is_their_distance();
     cells_cover_the_largest_world();
     an_empty_or_wide_cloud_is_searched_too();
     bad_input_is_named();
