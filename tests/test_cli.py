@@ -23,7 +23,7 @@ from evalkit.core.errors import NotInstalled
 from evalkit.plugins import registry
 from evalkit.terminal.command_spec import CommandSpec
 
-pytestmark = pytest.mark.usefixtures("strangers", "scoring_in_threads")
+pytestmark = [pytest.mark.slow(60), pytest.mark.usefixtures("strangers", "scoring_in_threads")]
 
 FAULTY = '[[method]]\nuse = "faulty"\nlabel = "{0}"\nfault = "{0}"\n'
 MAPPER = "[mapper]\nresolution_m = 0.25\n"
@@ -510,7 +510,6 @@ def carmen(tmp_path):
     return tmp_path / "drive.log"
 
 
-@pytest.mark.slow
 def test_a_carmen_log_is_compared_by_one_command(evalkit, carmen, tmp_path):
     folder = tmp_path / "out"
     code, out, _ = evalkit(
@@ -565,7 +564,6 @@ def ros_bag(path):
                 writer.write(connections[topic], (1000 + index) * 100_000_000, raw)
 
 
-@pytest.mark.slow
 def test_a_ros_bag_is_compared_by_one_command(evalkit, carmen, tmp_path):
     ros_bag(tmp_path / "drive.bag")
     code, out, _ = evalkit(

@@ -34,7 +34,7 @@ TABLES = (registration.PARAMETERS, frontend.PARAMETERS, mapper.PARAMETERS)
 LAB = {p.name: p.default for p in registry.dataset("lab").parameters} | {"laps": 0.12, "seed": 5}
 
 
-@pytest.mark.slow
+@pytest.mark.slow(40)
 @pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOOLS)}; the core's own tests need them")
 @pytest.mark.parametrize(
     "checks", ["-DEK_BUILD_FLOAT=OFF", pytest.param("-DEK_SANITIZE=ON", marks=pytest.mark.thorough)]

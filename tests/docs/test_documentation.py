@@ -116,7 +116,7 @@ def follow_page(tmp_path_factory):
     return folder_of
 
 
-@pytest.mark.slow
+@pytest.mark.slow(60)
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=[pytest.mark.thorough] * (name in SLOW_PAGES)) for name in filter(consoles, WRITTEN)],

@@ -27,7 +27,7 @@ from evalkit.plugins import registry
 from evalkit.results.seal import seal
 from evalkit.results.store import Store
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("strangers")]
+pytestmark = [pytest.mark.slow(60), pytest.mark.usefixtures("strangers")]
 
 
 class RecordedProgress:

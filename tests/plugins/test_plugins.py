@@ -14,7 +14,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter, resolve_parameters
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(40)
 
 SHIPPED = ("evalkit_baselines", "evalkit_datasets")
 

@@ -15,7 +15,7 @@ from evalkit.report.html.array_encoding import unpack_array
 from evalkit.report.html.blocks import Document, Section, Table, Text, render
 from evalkit.report.html.player import load_beams, place_hits
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(90)
 
 SCRIPT = "<script>alert(1)</script>"
 PLAYER = "#sequence-1 .player"

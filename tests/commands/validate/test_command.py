@@ -108,7 +108,7 @@ def test_single_precision_does_not_excuse_a_fault(misfits):
     assert "iteration cap" in level.failed("equal")[0].observed
 
 
-@pytest.mark.slow
+@pytest.mark.slow(40)
 def test_the_report_of_the_compiled_core_is_complete(tmp_path, monkeypatch, capsys, scoring_in_threads):
     monkeypatch.setattr(plan, "QUICK", TINY)
     words = ["validate", present("embedded"), "--quick", "--on", "room laps=0.04", "--peer", "paper", "--json"]

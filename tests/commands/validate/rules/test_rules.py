@@ -30,7 +30,7 @@ from evalkit.core.errors import BackendFailed, BadParameter, NotInstalled, Unkno
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(40)
 
 sys.path.append(str(Path(__file__).parents[3] / "misfits"))  # as a package under development would be
 faulty = importlib.import_module("faulty_backends")
