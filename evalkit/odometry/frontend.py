@@ -175,6 +175,15 @@ class FrontEnd:
             start_from_base, estimates, accepted, sum((stage.cost for stage in stages.values()), NO_COST)
         )
 
+    def predict(self, frame: Frame) -> Pose:
+        """Return the pose ``start_from_base`` that the motion prior predicts for the next scan."""
+        start_from_last, last_from_base = self._motion.predict(frame)
+        return start_from_last @ last_from_base
+
+    def is_measured(self, frame: Frame) -> bool:
+        """Return whether wheel odometry measured the motion that ``predict`` returns."""
+        return self._motion.is_measured(frame)
+
     def _source(self, frame: Frame) -> Cloud:
         points = frame.points_in_base(self._motion.within_scan(frame) if self._settings.deskew else None)
         if self._settings.local_radius_m > 0.0:

@@ -13,6 +13,7 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.pose import Pose
 from evalkit.core.pose_graph import PoseGraph
 from evalkit.core.se2 import Floats
+from evalkit_baselines.slam.match_doubt import Doubt
 from evalkit_baselines.slam.observability import BLIND, SEEING, Openness, measure_openness
 
 CLOSURE_LENGTH_M = 0.5
@@ -21,6 +22,7 @@ CLOSURE_LENGTH_M = 0.5
 UNKNOWN = np.diag([1e-4, 1e-4, 1e-2])
 """Information of a motion that is not known: 100 m, 10 rad."""
 
+NO_DOUBT = Doubt()
 
 OPEN_FACTOR = 20.0
 """Variance along the walls of a bare corridor, as a multiple of that in a room."""
@@ -36,14 +38,14 @@ class DriftModel:
     sigma_m: float = 0.02
     sigma_rad: float = math.radians(0.3)
 
-    def information(self, length_m: float, openness: Openness) -> Floats:
+    def information(self, length_m: float, openness: Openness, doubt: Doubt) -> Floats:
         """Return the information (3, 3) of a motion over a path, in the frame of the scan at its end."""
         length = max(length_m, 0.05)
         share = min(max((ROOM_RATIO - openness.ratio) / (ROOM_RATIO - BLIND), 0.0), 1.0)
         variance = self.sigma_m**2 * length * (np.eye(2) + OPEN_FACTOR * share * np.outer(*[openness.direction] * 2))
         information = np.zeros((3, 3))
-        information[:2, :2] = np.linalg.inv(variance)
-        information[2, 2] = 1.0 / (self.sigma_rad**2 * length)
+        information[:2, :2] = np.linalg.inv(variance + doubt.position_m2 * np.eye(2))
+        information[2, 2] = 1.0 / (self.sigma_rad**2 * length + doubt.heading_rad2)
         return 0.5 * (information + information.T)
 
 
@@ -93,7 +95,9 @@ class Keyframes:
         """Return the corrected pose of a keyframe."""
         return Pose.of(self._poses[row])
 
-    def add(self, stamp_ns: int, points: Floats, last_from_keyframe: Pose, known: bool = True) -> None:
+    def add(
+        self, stamp_ns: int, points: Floats, last_from_keyframe: Pose, known: bool = True, doubt: Doubt = NO_DOUBT
+    ) -> None:
         """Add a keyframe by its motion from the last one; ``known``: whether that motion was measured."""
         row, length = len(self), math.hypot(last_from_keyframe.x, last_from_keyframe.y)
         openness = measure_openness(points)
@@ -102,7 +106,7 @@ class Keyframes:
             self._apart_m = np.concatenate([self._apart_m, np.zeros_like(self._apart_m)])
         if row:
             self._poses[row] = (self.pose(row - 1) @ last_from_keyframe).row
-            information = self.drift.information(length, openness) if known else UNKNOWN
+            information = self.drift.information(length, openness, doubt) if known else UNKNOWN
             self.steps.append(Edge(row - 1, row, last_from_keyframe, information))
             self._apart_m[:row] += length if known else np.inf
         self._apart_m[row] = 0.0

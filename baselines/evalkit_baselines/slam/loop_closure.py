@@ -44,6 +44,9 @@ _SOURCE_POINTS = 300
 _SIGMAS = 3.0
 _MIN_WINDOW_M, _MIN_WINDOW_RAD = 0.3, math.radians(3.0)
 _MAX_WINDOW_RAD = math.radians(30.0)
+_COARSE = 2.0
+"""After a lost track the cells of branch and bound have so many times the side: the windows are large."""
+
 _CORRELATED = 10.0
 """Points near each other have the same error: so many count as one."""
 _FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])
@@ -89,12 +92,21 @@ class Candidate(NamedTuple):
 class _Prediction(NamedTuple):
     """The motion ``target_from_source`` that the graph predicts and its covariance (3, 3) in the source's frame.
 
-    ``known``: False after a lost track; then the motion is a place to search around, at any heading.
+    ``known``: False after a lost track; then the motion is a guess to search around. ``turned``: or a place, at any
+    heading.
     """
 
     motion: Pose
     covariance: Floats
     known: bool = True
+    turned: bool = False
+
+
+class _Place(NamedTuple):
+    """A keyframe to compare with the last one, and where that may be, ``start_from_last``; None: at any heading."""
+
+    row: int
+    expected: Pose | None
 
 
 class LoopFinder:
@@ -104,61 +116,79 @@ class LoopFinder:
         self._settings, self._coarse, self._fine = settings, coarse, fine
         self._tried_at_m = -math.inf
         self._next_place = 0
-        self._looks_near = False
+        self._looks_near = self._looks_elsewhere = False
 
-    def find(self, keyframes: Keyframes) -> Candidate | None:
-        """Return the candidate of the last keyframe, None where there is no place to compare."""
+    def find(self, keyframes: Keyframes, expected: Edge | None, measured: bool) -> Candidate | None:
+        """Return the candidate of the last keyframe, None where there is no place to compare.
+
+        ``expected``: an unconfirmed loop, beside which another one may confirm it. ``measured``: the keyframe has wheel
+        odometry.
+        """
         last = len(keyframes) - 1
         if keyframes.path_m[last] - self._tried_at_m < self._settings.loop_spacing_m:
             return None
-        other = self._nearest_place(keyframes)
-        if other is None:
-            other = self._another_place(keyframes)
-        if other is None:
+        place = self._expected_place(keyframes, expected) if expected is not None else None
+        if place is None:
+            place = self._next_unexpected_place(keyframes, measured)
+        if place is None:
             return None
         self._tried_at_m = keyframes.path_m[last]
-        return self._verify(keyframes, other, last)
+        return self._verify(keyframes, place, last)
 
-    def _nearest_place(self, keyframes: Keyframes) -> int | None:
+    def _expected_place(self, keyframes: Keyframes, loop: Edge) -> _Place | None:
+        pose, last = keyframes.pose(loop.first) @ loop.first_from_second, keyframes.pose(len(keyframes) - 1)
+        pose = pose @ (keyframes.pose(loop.second).inverse() @ last)
+        apart = bool(np.isinf(keyframes.apart_m[loop.first]))
+        row = self._nearest_other_part(keyframes, pose) if apart else self._nearest_place(keyframes, pose)
+        return None if row is None else _Place(row, pose)
+
+    def _next_unexpected_place(self, keyframes: Keyframes, measured: bool) -> _Place | None:
+        """Return the nearest place; while another part of the drive is not connected, by turns one of it."""
+        pose = keyframes.pose(len(keyframes) - 1)
+        row, is_apart = self._nearest_place(keyframes, pose), bool(np.isinf(keyframes.apart_m).any())
+        self._looks_elsewhere = is_apart and (row is None or not self._looks_elsewhere)
+        if not self._looks_elsewhere:
+            return None if row is None else _Place(row, pose)
+        return self._another_place(keyframes, pose, measured)
+
+    def _nearest_place(self, keyframes: Keyframes, pose: Pose) -> int | None:
         settings, apart = self._settings, keyframes.apart_m
-        gap = keyframes.poses[:, :2] - keyframes.poses[-1, :2]
-        distance = np.hypot(gap[:, 0], gap[:, 1])
+        distance = np.hypot(keyframes.poses[:, 0] - pose.x, keyframes.poses[:, 1] - pose.y)
         radius = np.minimum(settings.loop_radius_m, 1.0 + 0.1 * apart)
         eligible = np.flatnonzero((apart >= settings.loop_path_m) & np.isfinite(apart) & (distance <= radius))
         if not len(eligible):
             return None
         return int(eligible[np.argmin(distance[eligible])])
 
-    def _another_place(self, keyframes: Keyframes) -> int | None:
-        """Return the next place to look for the robot after a lost track, one for each keyframe.
+    def _nearest_other_part(self, keyframes: Keyframes, pose: Pose) -> int | None:
+        distance = np.hypot(keyframes.poses[:, 0] - pose.x, keyframes.poses[:, 1] - pose.y)
+        distance = np.where(np.isinf(keyframes.apart_m), distance, np.inf)
+        return int(np.argmin(distance)) if distance.min() <= self._settings.loop_radius_m else None
+
+    def _another_place(self, keyframes: Keyframes, pose: Pose, measured: bool) -> _Place | None:
+        """Return the next place to look for the robot after a lost track.
 
         By turns the one nearest to where the robot seems to be, because the track may be only a little wrong, and the
         next of all.
         """
+        near = self._nearest_other_part(keyframes, pose)
+        self._looks_near = not self._looks_near and near is not None
+        if self._looks_near and near is not None:
+            return _Place(near, pose if measured else None)
         path, apart = np.array(keyframes.path_m), keyframes.apart_m
-        self._looks_near = not self._looks_near
-        if self._looks_near:
-            gap = keyframes.poses[:, :2] - keyframes.poses[-1, :2]
-            distance = np.where(np.isinf(apart), np.hypot(gap[:, 0], gap[:, 1]), np.inf)
-            if distance.min() <= self._settings.loop_radius_m:
-                return int(np.argmin(distance))
         ahead = np.flatnonzero(np.isinf(apart) & (path >= path[min(self._next_place, len(path) - 1)]))
         if not len(ahead):
             self._next_place = 0
             ahead = np.flatnonzero(np.isinf(apart))
-        if not len(ahead):
-            return None
         place = int(ahead[0])
         self._next_place = int(np.searchsorted(path, path[place] + 0.5 * self._settings.loop_radius_m))
-        return place
+        return _Place(place, None)
 
-    def _verify(self, keyframes: Keyframes, other: int, last: int) -> Candidate:
-        settings = self._settings
-        target = voxel_means(
-            keyframes.points_around(other, keyframes.near_in_time(other, settings.loop_submap_m)), 0.05
-        )
+    def _verify(self, keyframes: Keyframes, place: _Place, last: int) -> Candidate:
+        settings, other, predicted = self._settings, place.row, self._predict(keyframes, place, last)
+        reach = settings.loop_submap_m if predicted.known else settings.loop_radius_m
+        target = voxel_means(keyframes.points_around(other, keyframes.near_in_time(other, reach)), 0.05)
         source = voxel_means(keyframes.points_around(last, keyframes.near_in_time(last, settings.loop_submap_m)), 0.1)
-        predicted = self._predict(keyframes, other, last)
         guess = Edge(other, last, predicted.motion, np.eye(3))
         if len(source) < 50 or len(target) < 50:
             return Candidate(guess, False, f"{min(len(source), len(target))} points, fewer than 50")
@@ -170,11 +200,15 @@ class LoopFinder:
         match = self._fine.register(cloud, Cloud(source, "source"), coarse.target_from_source)
         return self._judge(target, source, match, predicted, guess, is_local)
 
-    def _predict(self, keyframes: Keyframes, other: int, last: int) -> _Prediction:
-        motion = keyframes.pose(other).inverse() @ keyframes.pose(last)
-        if np.isinf(keyframes.apart_m[other]):
-            return _Prediction(Pose(), np.diag([1e4, 1e4, 1e2]), known=False)
-        return _Prediction(motion, pose_graph.relative_covariance(keyframes.graph(), other, last))
+    def _predict(self, keyframes: Keyframes, place: _Place, last: int) -> _Prediction:
+        other = keyframes.pose(place.row)
+        if np.isfinite(keyframes.apart_m[place.row]):
+            motion = other.inverse() @ keyframes.pose(last)
+            return _Prediction(motion, pose_graph.relative_covariance(keyframes.graph(), place.row, last))
+        anywhere = np.diag([1e4, 1e4, 1e2])
+        if place.expected is None:
+            return _Prediction(Pose(), anywhere, known=False, turned=True)
+        return _Prediction(other.inverse() @ place.expected, anywhere, known=False)
 
     def _search(self, target: Floats, source: Floats, predicted: _Prediction) -> tuple[Pose | None, str, bool]:
         """Return the motion that branch and bound finds, or None and the reason, and whether the window was small."""
@@ -184,8 +218,11 @@ class LoopFinder:
         sigma = np.sqrt(np.diag(turn @ predicted.covariance[:2, :2] @ turn.T))
         half = np.clip(_SIGMAS * sigma, _MIN_WINDOW_M, settings.loop_radius_m)
         sigma_rad = math.sqrt(predicted.covariance[2, 2])
-        half_rad = min(max(_SIGMAS * sigma_rad, _MIN_WINDOW_RAD), _MAX_WINDOW_RAD) if predicted.known else math.pi
-        grid = ScoreGrid.from_points(target, settings.loop_cell_m, settings.loop_cell_m, 5)
+        half_rad = min(max(_SIGMAS * sigma_rad, _MIN_WINDOW_RAD), _MAX_WINDOW_RAD)
+        if predicted.turned:  # places half a radius apart are searched one after the other
+            half, half_rad = np.full(2, 0.5 * settings.loop_radius_m), math.pi
+        cell_m = settings.loop_cell_m * (1.0 if predicted.known else _COARSE)
+        grid = ScoreGrid.from_points(target, cell_m, cell_m, 5)
         thinned = source[:: max(len(source) // _SOURCE_POINTS, 1)]
         window = Window(motion, float(half[0]), float(half[1]), half_rad)
         best = branch_and_bound(grid, thinned, window, settings.loop_score, _weight(half / _SIGMAS, half_rad / _SIGMAS))
@@ -194,6 +231,8 @@ class LoopFinder:
             return None, f"score below {settings.loop_score:.2f}", is_local
         bound = settings.loop_ambiguity * best.score
         turned = [] if predicted.known else [other_headings(best.target_from_source)]
+        if not predicted.known:  # another place that fits may be farther away than where this one was sought
+            window = Window(motion, settings.loop_radius_m, settings.loop_radius_m, math.pi)
         for part in (*windows_around(window, best.target_from_source), *turned):
             rival = branch_and_bound(grid, thinned, part, bound)
             if rival is not None and self._is_possible(rival.target_from_source, predicted):

@@ -31,6 +31,7 @@ from evalkit_baselines.slam.continuity import Continuity
 from evalkit_baselines.slam.keyframes import DriftModel, Edge, Keyframes
 from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
 from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder, LoopSettings
+from evalkit_baselines.slam.match_doubt import MatchDoubt
 from evalkit_baselines.slam.observability import ObservableIcp
 from evalkit_baselines.slam.odometry_gate import OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
@@ -99,6 +100,7 @@ class PaperSlam:
         self._odom_from_keyframe: list[Floats] = []
         self._corrected = False
         self._scale = OdometryScale()
+        self._doubt = MatchDoubt()
         self._wheels: Pose | None = None  # raw odometry at the last keyframe
 
     def update(self, frame: Frame) -> OdometryEstimate:
@@ -114,13 +116,17 @@ class PaperSlam:
         wheels = frame.odom_from_base
         self._gate.is_measured = self._settings.odometry_gate and frame.odom_from_base is not None
         frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
+        predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         estimate = self._front.update(frame)
+        if measured and "s2m" in estimate.stages and estimate.stages["s2m"].accepted:
+            self._doubt.observe(predicted, estimate.pose, estimate.stages["s2m"], int(frame.scan.hits.sum()))
         points = frame.points_in_base(frame.start_from_end)
         lost = self._is_lost(frame, points, estimate.pose)
         new = self._map.take() or (NewKeyframe(points, estimate.pose) if lost else None)
         if new is not None:
-            thinned = voxel_means(new.points, _STORED_VOXEL_M)
-            self._insert(frame.scan.stamp_ns, thinned, new.odom_from_base, wheels, known=not lost)
+            new = NewKeyframe(voxel_means(new.points, _STORED_VOXEL_M), new.odom_from_base)
+            expected = predicted if measured else estimate.pose
+            self._insert(frame.scan.stamp_ns, new, wheels, expected if lost else None)
         if lost:
             estimate = replace(estimate, accepted=False)
         self._stamps_ns.append(frame.scan.stamp_ns)
@@ -155,19 +161,22 @@ class PaperSlam:
         has_odometry, near = frame.odom_from_base is not None, self._map.cloud(odom_from_base).points
         return self._continuity.is_lost(points, odom_from_base, frame.base_from_sensor, has_odometry, near)
 
-    def _insert(self, stamp_ns: int, points: Floats, odom_from_base: Pose, wheels: Pose | None, known: bool) -> None:
-        last = Pose.of(self._odom_from_keyframe[-1]) if self._odom_from_keyframe else odom_from_base
-        motion = last.inverse() @ odom_from_base
-        self._keyframes.add(stamp_ns, points, motion, known)
-        self._odom_from_keyframe.append(odom_from_base.row)
+    def _insert(self, stamp_ns: int, new: NewKeyframe, wheels: Pose | None, expected: Pose | None) -> None:
+        """Add a keyframe. ``expected``: after a lost track, the pose ``odom_from_base`` that the graph takes."""
+        known = expected is None
+        last = Pose.of(self._odom_from_keyframe[-1]) if self._odom_from_keyframe else new.odom_from_base
+        motion = last.inverse() @ (new.odom_from_base if expected is None else expected)
+        self._keyframes.add(stamp_ns, new.points, motion, known, self._doubt.take())
+        self._odom_from_keyframe.append(new.odom_from_base.row)
         if known and wheels is not None and self._wheels is not None and self._keyframes.is_last_step_seen():
             self._scale.observe(motion, self._wheels.inverse() @ wheels)
         self._wheels = wheels
         if not known:
             self._waiting = []
+            self._map.odom_from_start = new.odom_from_base @ self._keyframes.pose(len(self._keyframes) - 1).inverse()
             self._map.rebuild()
             return
-        candidate = self._finder.find(self._keyframes)
+        candidate = self._finder.find(self._keyframes, self._expected_loop(), wheels is not None)
         if candidate is None or not self._consider(candidate):
             self._map.extend()
 
@@ -192,6 +201,12 @@ class PaperSlam:
         self._record(edge, True, lost + candidate.reason)
         self._optimise()
         return True
+
+    def _expected_loop(self) -> Edge | None:
+        """Return the last unconfirmed candidate, where another one may still confirm it."""
+        path_m = self._keyframes.path_m
+        edge = self._waiting[-1].edge if self._waiting else None
+        return edge if edge is not None and path_m[-1] - path_m[edge.second] <= _CONFIRMED_WITHIN_M else None
 
     def _agree(self, earlier: Candidate, later: Candidate) -> bool:
         keyframes, first, second = self._keyframes, earlier.edge, later.edge

@@ -2,7 +2,8 @@
 
 ``intel-exact``: the 3,361 scans of intel with exact stamps; MRPT's scans, whose stamps are matched by odometry, are
 left out (it reads ``$EVALKIT_DATA/sources``). ``--band N`` repeats each N times with noise of 0.1 mm on every range: it
-changes which closures are found, so that one run is an anecdote.
+changes which closures are found, so that one run is an anecdote. ``--rough N``: further runs with noise of 3 mm, up to
+60 scans missing at the start, and 2 % of the others.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from evalkit.plugins.protocols import Slam
 from evalkit_datasets.building import intel
 from evalkit_datasets.building.log_lines import format_scan, iter_log, source_scan
 
-NUISANCE_M = 1e-4
+NUISANCE_M, ROUGH_M = 1e-4, 0.003
 RECORDINGS = ("fr079", "intel", "intel-exact")
 HEAD = (
     "recording", "scans", "n", "coverage", "online all / short", "corrected all / short", "closures", "corrections",
@@ -44,6 +45,7 @@ def main() -> int:
     )
     parser.add_argument("recordings", nargs="*", default=list(RECORDINGS), help=f"of {', '.join(RECORDINGS)}")
     parser.add_argument("--band", type=int, default=0, help="further runs with noise of 0.1 mm")
+    parser.add_argument("--rough", type=int, default=0, help="further runs with noise of 3 mm and missing scans")
     arguments = parser.parse_args()
     spec = registry.backend(arguments.method)
     given = {name: float(value) for name, value in (one.split("=") for one in arguments.set)}
@@ -58,6 +60,8 @@ def main() -> int:
         for seed in range(arguments.band + 1):
             slam = spec.make(**parameters)
             run(name if not seed else f"{name}, noise {seed}", slam, shaken(frames, seed), relations)
+        for seed in range(arguments.rough):
+            run(f"{name}, rough {seed}", spec.make(**parameters), roughened(frames, seed), relations)
     return 0
 
 
@@ -79,9 +83,20 @@ def shaken(frames: Sequence[Frame], seed: int) -> list[Frame]:
     """Return the frames with noise of 0.1 mm on every range; seed 0: unchanged."""
     if not seed:
         return list(frames)
-    rng = np.random.default_rng(seed)
+    return add_noise(frames, NUISANCE_M, np.random.default_rng(seed))
+
+
+def roughened(frames: Sequence[Frame], seed: int) -> list[Frame]:
+    """Return the frames without some, with noise of 3 mm on every range."""
+    rng = np.random.default_rng(100 + seed)
+    begin, kept = int(rng.integers(0, 60)), rng.random(len(frames)) >= 0.02
+    return add_noise([frame for frame, keep in zip(frames[begin:], kept[begin:], strict=True) if keep], ROUGH_M, rng)
+
+
+def add_noise(frames: Sequence[Frame], sigma_m: float, rng: np.random.Generator) -> list[Frame]:
+    """Return the frames with noise on every range, within the limits of the lidar."""
     limits = [(frame.scan.range_min_m, frame.scan.range_max_m) for frame in frames]
-    noisy = [frame.scan.ranges + NUISANCE_M * rng.standard_normal(len(frame.scan.ranges)) for frame in frames]
+    noisy = [frame.scan.ranges + sigma_m * rng.standard_normal(len(frame.scan.ranges)) for frame in frames]
     kept = [np.where(np.isfinite(one), np.clip(one, *limit), one) for one, limit in zip(noisy, limits, strict=True)]
     return [replace(frame, scan=replace(frame.scan, ranges=ranges)) for frame, ranges in zip(frames, kept, strict=True)]
 

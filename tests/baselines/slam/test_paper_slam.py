@@ -9,7 +9,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.core.world import World, closed_outline
 from evalkit_baselines.slam import paper_slam
 from evalkit_baselines.slam.keyframes import DriftModel, Edge, Keyframes
-from evalkit_baselines.slam.loop_closure import Candidate
+from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder
 from evalkit_baselines.slam.observability import ObservableIcp, measure_openness
 
 pytest.importorskip("evalkit_baselines.embedded._core64")
@@ -129,6 +129,7 @@ def test_a_kidnapped_robot_is_reported_and_found_again_by_a_loop_closure():
         estimates.append(slam.update(replace(moved, odom_from_base=frames[-1].odom_from_base)))
     assert all(estimate.accepted is not False for estimate in estimates[: len(drive)])
     assert estimates[len(drive)].accepted is False
+    assert estimates[len(drive)].pose.row == pytest.approx(estimates[len(drive) - 1].pose.row)  # the wheels go on
     found = [loop for loop in slam.loop_closures() if loop.accepted and "lost track" in loop.reason]
     assert found
     assert errors_m(slam.trajectory().poses, true).max() < 0.1
@@ -192,6 +193,61 @@ def test_the_distance_through_the_graph_is_short_across_a_loop_and_infinite_afte
     assert keyframes.apart_m[0] == pytest.approx(2.5)
     keyframes.add(31, np.zeros((0, 2)), Pose(), known=False)
     assert np.isinf(keyframes.apart_m[:31]).all()
+
+
+class PlaceFinder(LoopFinder):
+    """A LoopFinder whose candidates are the places to compare, and where it expects the robot."""
+
+    def _verify(self, keyframes, place, last):
+        return place.row, place.expected and place.expected.x
+
+
+def make_two_parts():
+    """Keyframes of two lost parts of 31 m, 1 m apart, on one line: the second begins at 10.2 m of the first."""
+    keyframes = make_chain(31)
+    keyframes.add(31, np.zeros((0, 2)), Pose(-19.8, 0.0, 0.0), known=False)
+    return keyframes
+
+
+def drive_on(keyframes, metres):
+    for _ in range(metres):
+        keyframes.add(keyframes.stamps_ns[-1] + 1, np.zeros((0, 2)), Pose(1.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_after_a_lost_track_the_robot_is_sought_by_turns_where_it_seems_to_be_and_at_all_places(measured):
+    keyframes, finder, found = make_two_parts(), PlaceFinder(paper_slam.SlamSettings(), None, None), []
+    for _ in range(6):
+        drive_on(keyframes, 1)
+        found.append(finder.find(keyframes, None, measured))
+    near = [(11, 11.2), (13, 13.2), (15, 15.2)]  # without odometry at any heading
+    assert found[::2] == near if measured else [(row, None) for row, _ in near]
+    assert found[1::2] == [(0, None), (4, None), (8, None)]  # every 3.5 m
+
+
+def test_beside_an_unconfirmed_loop_another_one_is_sought_before_all_else():
+    keyframes, finder = make_two_parts(), PlaceFinder(paper_slam.SlamSettings(), None, None)
+    drive_on(keyframes, 20)  # a place of the same part is 15 m away along the path
+    loop = Edge(2, len(keyframes) - 1, Pose(0.4, 0.0, 0.0), np.eye(3))  # the robot was at 2.4 m of the first part
+    drive_on(keyframes, 2)
+    assert finder.find(keyframes, loop, True) == (4, pytest.approx(4.4))
+    keyframes = make_chain(41)
+    keyframes.add(41, np.zeros((0, 2)), Pose(-35.0, 0.0, 0.0))  # back at 5 m, as it seems
+    loop = Edge(8, 41, Pose(0.0, 0.0, 0.0), np.eye(3))
+    drive_on(keyframes, 1)
+    assert finder.find(keyframes, loop, True) == (9, pytest.approx(9.0))
+    drive_on(keyframes, 1)
+    assert finder.find(keyframes, None, True) == (7, pytest.approx(7.0))
+
+
+def test_while_another_part_is_not_connected_it_has_every_second_turn():
+    keyframes, finder, rows = make_two_parts(), PlaceFinder(paper_slam.SlamSettings(), None, None), []
+    drive_on(keyframes, 17)
+    keyframes.add(100, np.zeros((0, 2)), Pose(-16.0, 0.0, 0.0))  # near the beginning of its own part
+    for _ in range(4):
+        drive_on(keyframes, 1)
+        rows.append(finder.find(keyframes, None, True)[0])
+    assert [row <= 30 for row in rows] == [True, False, True, False]
 
 
 # --- observability

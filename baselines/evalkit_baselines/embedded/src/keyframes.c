@@ -38,28 +38,29 @@ ek_status ek_keyframes_init(ek_keyframes *keyframes, ek_arena *arena, size_t cap
 }
 
 /* Information of a step over a path, in the frame of the scan at its end. */
-static ek_sym3 step_information(const ek_drift *drift, ek_real path, const ek_openness *open)
+static ek_sym3 step_information(const ek_drift *drift, ek_real path, const ek_openness *open, ek_doubt doubt)
 {
     const ek_real length = path > MIN_LENGTH ? path : MIN_LENGTH, part = (ROOM_RATIO - open->ratio) / (ROOM_RATIO - BLIND);
     const ek_real share = part < EK_R(0.0) ? EK_R(0.0) : part < EK_R(1.0) ? part : EK_R(1.0);
     const ek_real variance = drift->sigma * drift->sigma * length, more = variance * OPEN_FACTOR * share;
-    const ek_sym3 covariance = {variance + more * open->x * open->x, more * open->x * open->y,
-                                EK_R(0.0), variance + more * open->y * open->y,
-                                EK_R(0.0), drift->sigma_theta * drift->sigma_theta * length};
+    const ek_real position = variance + doubt.position;
+    const ek_sym3 covariance = {position + more * open->x * open->x, more * open->x * open->y,
+                                EK_R(0.0), position + more * open->y * open->y,
+                                EK_R(0.0), drift->sigma_theta * drift->sigma_theta * length + doubt.heading};
     ek_sym3 information = UNKNOWN;
     ek_sym3_inverse(&covariance, &information);
     return information;
 }
 
 ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t count, ek_pose last_from_keyframe, int known,
-                           const ek_openness *open, ek_work *work)
+                           const ek_openness *open, ek_doubt doubt, ek_work *work)
 {
     const size_t row = keyframes->count, used = row ? keyframes->start[row] : 0u;
     if (row == keyframes->capacity || count > keyframes->point_capacity - used) {
         return EK_TOO_MANY_POINTS;
     }
     const ek_real x = last_from_keyframe.x, y = last_from_keyframe.y, length = EK_SQRT(x * x + y * y);
-    const ek_sym3 information = known ? step_information(&keyframes->drift, length, open) : UNKNOWN;
+    const ek_sym3 information = known ? step_information(&keyframes->drift, length, open, doubt) : UNKNOWN;
     const ek_status status = ek_pose_graph_add(&keyframes->graph, last_from_keyframe, &information);
     if (status != EK_OK) {
         return status;

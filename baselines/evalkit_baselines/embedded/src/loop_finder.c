@@ -17,6 +17,7 @@
 #define NORMAL_WORK 160u
 #define MATCH_WORK 12u
 #define RIVALS 5u
+#define COARSE EK_R(2.0) /* after a lost track the cells have so many times the side */
 
 /* Gather the points of the keyframes near one, in its frame, one keyframe in a part; 1: done. */
 static int gather(ek_loop_finder *finder, const ek_keyframes *keyframes, uint32_t row, ek_work *work)
@@ -39,9 +40,8 @@ static int gather(ek_loop_finder *finder, const ek_keyframes *keyframes, uint32_
 }
 
 /* Select the keyframes of the same part of the drive within a driven distance of one, as far as there is memory. */
-static void select_near(ek_loop_finder *finder, const ek_keyframes *keyframes, size_t row)
+static void select_near(ek_loop_finder *finder, const ek_keyframes *keyframes, size_t row, ek_real reach)
 {
-    const ek_real reach = finder->settings.submap;
     size_t low = row, high = row + 1u;
     for (int grows = 1; grows;) {
         grows = 0;
@@ -84,7 +84,10 @@ static void fit_window(ek_loop_finder *finder)
         const ek_real half = SIGMAS * sigma[k] > low[k] ? SIGMAS * sigma[k] : low[k];
         finder->half[k] = half < high[k] ? half : high[k];
     }
-    finder->half[2] = finder->known ? finder->half[2] : EK_PI;
+    if (!finder->known && finder->turned) { /* places half a radius apart are searched one after the other */
+        finder->half[0] = finder->half[1] = EK_R(0.5) * finder->settings.radius;
+        finder->half[2] = EK_PI;
+    }
     finder->candidate.is_local = finder->half[0] <= LOCAL && finder->half[1] <= LOCAL;
 }
 
@@ -145,7 +148,8 @@ static void predict(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *wo
         }
         finder->covariance = keyframes->graph.solver.predicted;
     }
-    select_near(finder, keyframes, finder->candidate.edge.first);
+    select_near(finder, keyframes, finder->candidate.edge.first,
+                finder->known ? finder->settings.submap : finder->settings.radius);
     finder->phase = EK_FINDER_TARGET;
 }
 
@@ -157,7 +161,7 @@ static void take_maps(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *
     }
     if (target) {
         finder->target_count = ek_thin(&finder->thinner, finder->raw, finder->raw_count, TARGET_CELL, finder->target, work);
-        select_near(finder, keyframes, finder->candidate.edge.second);
+        select_near(finder, keyframes, finder->candidate.edge.second, finder->settings.submap);
         finder->phase = EK_FINDER_SOURCE;
         return;
     }
@@ -173,8 +177,8 @@ static void take_maps(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *
 
 static void draw(ek_loop_finder *finder, ek_work *work)
 {
-    ek_score_grid_draw(&finder->grid, &finder->thinner, finder->target, finder->target_count, finder->settings.cell,
-                       finder->motion.x, finder->motion.y, finder->raw, work);
+    const ek_real cell = (finder->known ? EK_R(1.0) : COARSE) * finder->settings.cell;
+    ek_score_grid_draw(&finder->grid, &finder->thinner, finder->target, finder->target_count, cell, finder->motion.x, finder->motion.y, finder->raw, work);
     finder->level = 1u;
     finder->phase = EK_FINDER_RAISE;
 }
@@ -191,6 +195,10 @@ static void search(ek_loop_finder *finder, ek_work *work)
     finder->best = finder->search.best;
     finder->best_score = finder->search.score;
     finder->rival = 0u;
+    if (!finder->known) { /* another place that fits may be farther away than where this one was sought */
+        finder->half[0] = finder->half[1] = finder->settings.radius;
+        finder->half[2] = EK_PI;
+    }
     finder->phase = begin_rival(finder) ? EK_FINDER_RIVAL : EK_FINDER_INDEX;
 }
 

@@ -80,11 +80,11 @@ ek_status ek_loop_finder_init(ek_loop_finder *finder, ek_arena *arena, const ek_
     return status;
 }
 
-/* The nearest keyframe that is far apart through the graph, within the radius that the drift since then allows. */
-static size_t nearest_place(const ek_loop_finder *finder, const ek_keyframes *keyframes)
+/* The keyframe nearest to a pose that is far apart through the graph, within the radius that the drift since then allows. */
+static size_t nearest_place(const ek_loop_finder *finder, const ek_keyframes *keyframes, ek_pose last)
 {
     const ek_loop_settings *const settings = &finder->settings;
-    const ek_pose *const pose = keyframes->graph.pose, last = pose[keyframes->count - 1u];
+    const ek_pose *const pose = keyframes->graph.pose;
     ek_real least = EK_FAR;
     size_t place = keyframes->count;
     for (size_t k = 0; k < keyframes->count; k++) {
@@ -100,9 +100,9 @@ static size_t nearest_place(const ek_loop_finder *finder, const ek_keyframes *ke
 }
 
 /* The place of another part of the drive nearest to where the robot seems to be, within the radius. */
-static size_t nearest_other_part(const ek_loop_finder *finder, const ek_keyframes *keyframes)
+static size_t nearest_other_part(const ek_loop_finder *finder, const ek_keyframes *keyframes, ek_pose last)
 {
-    const ek_pose *const pose = keyframes->graph.pose, last = pose[keyframes->count - 1u];
+    const ek_pose *const pose = keyframes->graph.pose;
     ek_real least = EK_FAR;
     size_t place = keyframes->count;
     for (size_t k = 0; k < keyframes->count; k++) {
@@ -122,9 +122,10 @@ static size_t another_place(ek_loop_finder *finder, const ek_keyframes *keyframe
     const size_t count = keyframes->count;
     const ek_real from = keyframes->path[finder->next_place < count ? finder->next_place : count - 1u];
     size_t first = count, ahead = count;
-    finder->looks_near = !finder->looks_near;
-    if (finder->looks_near && nearest_other_part(finder, keyframes) < count) {
-        return nearest_other_part(finder, keyframes);
+    const size_t near = nearest_other_part(finder, keyframes, keyframes->graph.pose[count - 1u]);
+    finder->looks_near = !finder->looks_near && near < count;
+    if (finder->looks_near) {
+        return near;
     }
     for (size_t k = count; k-- > 0u;) {
         if (keyframes->apart[k] >= EK_APART) {
@@ -147,7 +148,19 @@ static size_t another_place(ek_loop_finder *finder, const ek_keyframes *keyframe
     return ahead;
 }
 
-int ek_loop_finder_begin(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *work)
+/* 1 if some part of the drive is not connected with the last keyframe. */
+static int is_apart(const ek_keyframes *keyframes)
+{
+    for (size_t k = 0; k < keyframes->count; k++) {
+        if (keyframes->apart[k] >= EK_APART) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+int ek_loop_finder_begin(ek_loop_finder *finder, ek_keyframes *keyframes, const ek_loop_edge *expected, int measured,
+                         ek_work *work)
 {
     const ek_sym3 anywhere = {EK_R(1e4), EK_R(0.0), EK_R(0.0), EK_R(1e4), EK_R(0.0), EK_R(1e2)};
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
@@ -155,16 +168,32 @@ int ek_loop_finder_begin(ek_loop_finder *finder, ek_keyframes *keyframes, ek_wor
     if (count < 2u || (finder->tried && keyframes->path[last] - finder->tried_at < finder->settings.spacing)) {
         return 0;
     }
-    size_t place = nearest_place(finder, keyframes);
-    ek_work_spend(work, 2u * (uint64_t)count);
-    place = place < count ? place : another_place(finder, keyframes);
+    const ek_pose *const poses = keyframes->graph.pose;
+    ek_pose pose = poses[last];
+    size_t place = count;
+    if (expected) {
+        const ek_pose then = ek_se2_compose(poses[expected->first], expected->first_from_second);
+        pose = ek_se2_compose(then, ek_se2_between(poses[expected->second], poses[last]));
+        place = keyframes->apart[expected->first] < EK_APART ? nearest_place(finder, keyframes, pose)
+                                                             : nearest_other_part(finder, keyframes, pose);
+    }
+    const int is_expected = place < count;
+    ek_work_spend(work, 4u * (uint64_t)count);
+    if (!is_expected) {
+        pose = poses[last];
+        place = nearest_place(finder, keyframes, pose);
+        finder->looks_elsewhere = is_apart(keyframes) && (place == count || !finder->looks_elsewhere);
+        place = finder->looks_elsewhere ? another_place(finder, keyframes) : place;
+    }
     if (place >= last) {
         return 0;
     }
     finder->tried = 1;
     finder->tried_at = keyframes->path[last];
     finder->known = keyframes->apart[place] < EK_APART;
-    finder->motion = finder->known ? ek_se2_between(keyframes->graph.pose[place], keyframes->graph.pose[last]) : identity;
+    finder->turned = !is_expected && !(measured && finder->looks_near);
+    finder->motion = finder->known ? ek_se2_between(poses[place], poses[last])
+                                   : finder->turned ? identity : ek_se2_between(poses[place], pose);
     finder->covariance = anywhere;
     memset(&finder->candidate, 0, sizeof finder->candidate);
     finder->candidate.edge.first = (uint32_t)place;

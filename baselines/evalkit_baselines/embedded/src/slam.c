@@ -169,6 +169,7 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     if (!slam->motion.started) {
         return EK_OK;
     }
+    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, last_from_base);
     const ek_openness open =
         ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
     ek_status status = run_stage(slam, &slam->last, &open, &last_from_base, &estimate->scan_to_scan,
@@ -179,6 +180,9 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     }
     if (status == EK_OK) {
         status = run_stage(slam, &slam->map_index, &open, &pose, &estimate->scan_to_map, &estimate->scan_to_map_accepted);
+    }
+    if (estimate->scan_to_map_accepted && slam->motion.has_last_odometry && prior->has_odometry) {
+        ek_slam_doubt(slam, predicted, pose, &estimate->scan_to_map);
     }
     estimate->has_stages = 1;
     estimate->odom_from_base = pose;
@@ -229,10 +233,12 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, int has_odometry, ek
     if (status == EK_OK) {
         status = index_lines(&slam->last, slam->last_normals, slam->scan.hits, slam->scan.count);
     }
+    const int measured = slam->motion.has_last_odometry && prior->has_odometry;
+    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, ek_motion_predict(&slam->motion, prior));
     ek_motion_store(&slam->motion, prior, pose);
     ek_work task = ek_work_make(p->work ? p->work : INT64_MAX);
     if (status == EK_OK && (keyframe || estimate->lost)) {
-        status = ek_slam_insert(slam, pose, !estimate->lost, &task);
+        status = ek_slam_insert(slam, pose, !estimate->lost, measured ? predicted : pose, &task);
     }
     ek_slam_work(slam, &task);
     estimate->work = task.done;

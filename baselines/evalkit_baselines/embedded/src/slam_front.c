@@ -16,6 +16,8 @@
 #define GATE_THETA (EK_R(20.0) * EK_PI / EK_R(180.0))
 #define CLEAR EK_R(0.04)     /* m: unless it has converged to a smaller error with CLEAR_SHARE of the points in pairs */
 #define CLEAR_SHARE EK_R(0.9)
+#define USUAL_SCANS EK_R(50.0) /* scans over which the usual error of matches is averaged */
+#define DOUBTED EK_R(2.0)    /* times the usual error: beyond it a match is doubted, beyond twice that wholly */
 #define FEWEST 40u           /* a match of a scan with fewer points is not believed either */
 
 static const ek_real TURNS[] = {EK_R(0.0), EK_R(-12.0), EK_R(12.0), EK_R(-24.0), EK_R(24.0)}; /* deg: of further tries */
@@ -127,4 +129,17 @@ int ek_slam_is_believed(size_t points, ek_pose guess, ek_pose answer, const ek_m
     const int clear = match->converged && match->error < CLEAR &&
                       (ek_real)match->inliers >= CLEAR_SHARE * (ek_real)points;
     return points >= FEWEST && (clear || !far);
+}
+
+void ek_slam_doubt(ek_slam *slam, ek_pose predicted, ek_pose matched, const ek_match *match)
+{
+    const ek_real usual = slam->usual_error > EK_R(0.0) ? slam->usual_error : match->error;
+    const ek_real most = DOUBTED * usual, counted = match->error < most ? match->error : most;
+    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
+    const ek_real over = usual > EK_R(0.0) ? match->error / most - EK_R(1.0) : EK_R(0.0);
+    const ek_real share = !paired || over > EK_R(1.0) ? EK_R(1.0) : over > EK_R(0.0) ? over : EK_R(0.0);
+    const ek_pose gap = ek_se2_between(predicted, matched);
+    slam->usual_error = usual + (counted - usual) / USUAL_SCANS;
+    slam->doubt.position += share * share * (gap.x * gap.x + gap.y * gap.y);
+    slam->doubt.heading += share * share * gap.theta * gap.theta;
 }

@@ -155,28 +155,37 @@ static void begin_anew(ek_slam *slam, ek_work *work)
                  slam->odom_from_keyframe[last], work);
 }
 
-ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, int known, ek_work *work)
+/* The last unconfirmed candidate, where another one may still confirm it; NULL: there is none. */
+static const ek_loop_edge *expected_loop(const ek_slam *slam)
+{
+    const ek_loop_edge *const edge = slam->waiting_count ? &slam->waiting[slam->waiting_count - 1u].edge : NULL;
+    const ek_real *const path = slam->keyframes.path;
+    return edge && path[slam->keyframes.count - 1u] - path[edge->second] <= CONFIRMED_WITHIN ? edge : NULL;
+}
+
+ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, int known, ek_pose expected, ek_work *work)
 {
     ek_keyframes *const keyframes = &slam->keyframes;
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
     const size_t row = keyframes->count;
     const size_t count = ek_thin(&slam->thinner, slam->scan.hits, slam->scan.count, STORED_VOXEL, slam->stored, work);
     const ek_openness open = ek_observer_measure(&slam->observer, &slam->thinner, slam->stored, count, work);
-    const ek_pose step = row ? ek_se2_between(slam->odom_from_keyframe[row - 1u], odom_from_base) : identity;
+    const ek_pose step = row ? ek_se2_between(slam->odom_from_keyframe[row - 1u], known ? odom_from_base : expected) : identity;
     ek_slam_observe_wheels(slam, step, &open, known);
-    ek_status status = ek_keyframes_add(keyframes, slam->stored, count, step, known, &open, work);
+    ek_status status = ek_keyframes_add(keyframes, slam->stored, count, step, known, &open, slam->doubt, work);
     if (status != EK_OK) { /* no room: from now on an odometry on the lasting map */
         slam->full = 1;
         ek_slam_draw(slam, slam->drawn, slam->stored, count, odom_from_base, work);
         return status == EK_TOO_MANY_POINTS ? EK_OK : status;
     }
     slam->odom_from_keyframe[row] = odom_from_base;
+    slam->doubt.position = slam->doubt.heading = EK_R(0.0);
     if (!known) {
         begin_anew(slam, work);
         return EK_OK;
     }
     ek_slam_draw(slam, slam->drawn, slam->stored, count, odom_from_base, work);
-    if (!slam->full && slam->task == EK_TASK_IDLE && ek_loop_finder_begin(&slam->finder, keyframes, work)) {
+    if (!slam->full && slam->task == EK_TASK_IDLE && ek_loop_finder_begin(&slam->finder, keyframes, expected_loop(slam), slam->wheels.has_last, work)) {
         slam->task = EK_TASK_FIND;
         ek_slam_work(slam, work);
     }

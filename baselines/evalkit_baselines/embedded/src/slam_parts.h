@@ -9,6 +9,7 @@
 #define ek_slam_observe_wheels EK_NAME(slam_observe_wheels)
 #define ek_slam_match EK_NAME(slam_match)
 #define ek_slam_is_believed EK_NAME(slam_is_believed)
+#define ek_slam_doubt EK_NAME(slam_doubt)
 #define ek_slam_init EK_NAME(slam_init)
 #define ek_slam_track EK_NAME(slam_track)
 #define ek_slam_draw EK_NAME(slam_draw)
@@ -38,6 +39,10 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek
 /* 0 where a match of a scan contradicts the odometry that its guess comes from (odometry_gate.py). */
 int ek_slam_is_believed(size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
 
+/* Add to the doubt of the step: where a match fits poorly, the truth may be anywhere between it and the pose
+ * that wheel odometry predicts. */
+void ek_slam_doubt(ek_slam *slam, ek_pose predicted, ek_pose matched, const ek_match *match);
+
 /* Match the projected scan with the last one and with the map; fills stages and odom_from_base. */
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work);
 
@@ -47,8 +52,9 @@ void ek_slam_draw(ek_slam *slam, uint32_t map, const ek_real *xy, size_t count, 
 /* Begin to draw the map anew, with `next_odom_from_start`. */
 void ek_slam_redraw(ek_slam *slam);
 
-/* Make the projected scan a keyframe at a pose; `known`: whether the track was not lost. */
-ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, int known, ek_work *work);
+/* Make the projected scan a keyframe at a pose; `known`: whether the track was not lost. If it was, the graph has the
+ * keyframe at the expected pose. */
+ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, int known, ek_pose expected, ek_work *work);
 
 /* Begin to optimise all keyframes with the loops; those that contradict the others are withdrawn. */
 void ek_slam_solve(ek_slam *slam);

@@ -121,10 +121,12 @@ static void a_scan_of_other_places_is_believed_with_odometry_only(void)
     }
 }
 
+static ek_doubt doubt;
+
 static ek_status add(double x, size_t points, int known, double ratio)
 {
     const ek_openness open = {EK_R(0.6), EK_R(0.8), EK_R(ratio)};
-    return ek_keyframes_add(&keyframes, xy, points, pose_of(x, 0.0, 0.0), known, &open, &work);
+    return ek_keyframes_add(&keyframes, xy, points, pose_of(x, 0.0, 0.0), known, &open, doubt, &work);
 }
 
 /* Steps of 1 m: a variance of 0.0004 m^2, and 20 times more along (0.6, 0.8) where the walls leave it open. */
@@ -143,8 +145,17 @@ static void the_information_of_a_step_follows_its_path_and_the_open_direction(vo
         CHECK_NEAR((double)covariance.xy, 0.48 * more, 1e-6);
         CHECK_NEAR((double)covariance.tt / 0.000025, 1.0, 1e-4);
     }
+    doubt.position = EK_R(0.01);
+    doubt.heading = EK_R(0.001);
+    CHECK(add(1.0, 2u, 1, 1.0) == EK_OK);
+    doubt.position = doubt.heading = EK_R(0.0);
+    const ek_sym3 *const doubted = &keyframes.graph.step[6].information; /* what is doubted is added to all directions */
+    CHECK_NEAR((double)doubted->xx * 0.0104, 1.0, 1e-4);
+    CHECK_NEAR((double)doubted->yy * 0.0104, 1.0, 1e-4);
+    CHECK_NEAR((double)doubted->tt * 0.001025, 1.0, 1e-4);
+    keyframes.count = keyframes.graph.count = 6u;
     CHECK_NEAR(keyframes.path[5], 5.0, TOLERANCE);
-    CHECK_NEAR(keyframes.apart[0], 5.0, TOLERANCE);
+    CHECK_NEAR(keyframes.apart[0], 6.0, TOLERANCE);
     CHECK(keyframes.start[6] == 13u && keyframes.count == 6u);
 }
 

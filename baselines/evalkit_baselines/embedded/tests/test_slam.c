@@ -213,6 +213,31 @@ static void a_carried_robot_finds_its_place(void)
     free(arena.memory);
 }
 
+/* A usual error of 0.02 m: a match of 0.04 m is not doubted, one of 0.06 m by half, and wholly from 0.08 m or with pairs
+ * for less than 80 % of the points on. Its share, squared, of the squared gap to the prediction is the variance. */
+static void a_step_is_doubted_where_its_matches_fit_poorly(void)
+{
+    static const double errors[] = {0.02, 0.04, 0.06, 0.08, 0.5, 0.01}, shares[] = {0.0, 0.0, 0.5, 1.0, 1.0, 1.0};
+    const ek_slam_parameters parameters = parameters_of(0);
+    ek_arena arena = start(&parameters);
+    slam.scan.count = 100u;
+    for (size_t k = 0; k < 6u; k++) {
+        const ek_match match = {pose_of(0.0, 0.0, 0.0), 1, 5, k < 5u ? 80 : 79, EK_R(errors[k]), 0u};
+        slam.usual_error = EK_R(0.02);
+        slam.doubt.position = slam.doubt.heading = EK_R(1.0);
+        ek_slam_doubt(&slam, pose_of(1.0, 1.0, 0.1), pose_of(1.3, 1.4, 0.3), &match);
+        CHECK_NEAR((double)slam.doubt.position - 1.0, 0.25 * shares[k] * shares[k], 1e-6);
+        CHECK_NEAR((double)slam.doubt.heading - 1.0, 0.04 * shares[k] * shares[k], 1e-6);
+        CHECK_NEAR((double)slam.usual_error, 0.02 + ((errors[k] < 0.04 ? errors[k] : 0.04) - 0.02) / 50.0, 1e-7);
+    }
+    slam.usual_error = EK_R(0.0); /* the first match is the usual one */
+    const ek_match first = {pose_of(0.0, 0.0, 0.0), 1, 5, 100, EK_R(0.3), 0u};
+    ek_slam_doubt(&slam, pose_of(0.0, 0.0, 0.0), pose_of(1.0, 0.0, 0.0), &first);
+    CHECK_NEAR((double)slam.doubt.position, 1.25, 1e-6); /* of the last one above */
+    CHECK_NEAR((double)slam.usual_error, 0.3, 1e-7);
+    free(arena.memory);
+}
+
 static ek_arena lasting; /* of the last drive_and_count */
 
 /* Drive the ring; counts how many candidates had each outcome, and at index 7 how many were accepted. */
@@ -270,7 +295,7 @@ static ek_loop_candidate find(int64_t slice)
 {
     slam.finder.tried = 0;
     ek_work work = ek_work_make(INT64_MAX);
-    CHECK(ek_loop_finder_begin(&slam.finder, &slam.keyframes, &work));
+    CHECK(ek_loop_finder_begin(&slam.finder, &slam.keyframes, NULL, 1, &work));
     do {
         work = ek_work_make(slice);
     } while (!ek_loop_finder_work(&slam.finder, &slam.keyframes, &work));
@@ -684,6 +709,7 @@ int main(void)
     memory_and_parameters_are_checked();
     refused_scans_change_nothing();
     a_carried_robot_finds_its_place();
+    a_step_is_doubted_where_its_matches_fit_poorly();
     each_bound_refuses_candidates_with_its_own_outcome();
     slices_change_no_bit_of_a_candidate();
     a_search_in_small_slices_is_dropped_by_a_lost_track();

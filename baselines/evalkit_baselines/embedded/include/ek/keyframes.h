@@ -21,6 +21,12 @@ typedef struct {
     ek_real sigma_theta; /* rad */
 } ek_drift;
 
+/* Variance that a step has beyond that of the drift, where its matches fit poorly: of each coordinate (m^2) and of the
+ * heading (rad^2). */
+typedef struct {
+    ek_real position, heading;
+} ek_doubt;
+
 typedef struct {
     size_t capacity, point_capacity;
     size_t count;
@@ -46,7 +52,7 @@ ek_status ek_keyframes_init(ek_keyframes *keyframes, ek_arena *arena, size_t cap
  * measured. EK_TOO_MANY_POINTS: no room for it or its points; what ek_pose_graph_add refuses. An error changes nothing.
  * One operation a keyframe. */
 ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t count, ek_pose last_from_keyframe, int known,
-                           const ek_openness *open, ek_work *work);
+                           const ek_openness *open, ek_doubt doubt, ek_work *work);
 
 /* Measure the distances through the graph again: at most one pass of all keyframes for each loop. */
 void ek_keyframes_measure(ek_keyframes *keyframes, ek_work *work);

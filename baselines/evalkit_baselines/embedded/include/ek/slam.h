@@ -108,6 +108,8 @@ typedef struct {
     uint32_t *record_of_loop;
     ek_slam_task task;
     ek_wheels wheels;
+    ek_doubt doubt;          /* of the step since the last keyframe */
+    ek_real usual_error;     /* m: of matches with the map */
     ek_real *smoothed, *scratch;
     int32_t undecided, corrected, full, rounds;
     ek_real mu, built_at;
