@@ -44,6 +44,14 @@ static ek_slam_parameters slam;
         CHECK(STATUS(kind, member, (most) + 1) == EK_OUT_OF_RANGE);                                                   \
     } while (0)
 
+/* The same for the values of an enumeration, from 0. */
+#define VALUES(kind, member, type, most)                                                                              \
+    do {                                                                                                              \
+        CHECK(STATUS(kind, member, (type)0) == EK_OK && STATUS(kind, member, most) == EK_OK);                         \
+        CHECK(STATUS(kind, member, (type)-1) == EK_OUT_OF_RANGE);                                                     \
+        CHECK(STATUS(kind, member, (type)((most) + 1)) == EK_OUT_OF_RANGE);                                           \
+    } while (0)
+
 /* The same without an upper bound. */
 #define REAL_FROM_ZERO(kind, member, no_number)                                                                       \
     do {                                                                                                              \
@@ -119,8 +127,8 @@ static ek_status slam_status(void)
 
 static void of_a_registration(void)
 {
-    WHOLE(icp, error, EK_ERROR_MEAN, EK_ERROR_RMSE);
-    WHOLE(icp, metric, EK_METRIC_POINT, EK_METRIC_LINE);
+    VALUES(icp, error, ek_error_measure, EK_ERROR_RMSE);
+    VALUES(icp, metric, ek_metric, EK_METRIC_LINE);
     CHECK(STATUS(icp, max_iterations, 1) == EK_OK && STATUS(icp, max_iterations, 0) == EK_OUT_OF_RANGE);
     CHECK(STATUS(icp, min_pairs, 2) == EK_OK && STATUS(icp, min_pairs, 1) == EK_OUT_OF_RANGE);
     REAL_FROM_ZERO(icp, epsilon, EK_OUT_OF_RANGE);
