@@ -11,6 +11,7 @@ from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
 from evalkit.core import se2
+from evalkit.core.pose import Pose
 
 METRES = st.floats(-1e3, 1e3)
 ROWS = st.tuples(METRES, METRES, st.floats(-math.pi, math.pi))
@@ -116,3 +117,10 @@ def test_a_single_pose_is_known_only_at_its_own_time():
     assert se2.interpolate(np.array([5]), [[1, 2, 3]], []).shape == (0, 3)
     with pytest.raises(ValueError, match="outside"):
         se2.interpolate(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), [5])
+
+
+@given(ROWS, ROWS)
+def test_a_pose_computes_what_rows_give_to_the_bit(a_from_b, b_from_c):
+    a, b = Pose(*a_from_b), Pose(*b_from_c)
+    for found, row in ((a @ b, se2.compose(a.row, b.row)), (a.inverse(), se2.inverse(a.row))):
+        assert found.row.tobytes() == np.array([*row[:2], se2.wrap(row[2])]).tobytes()
