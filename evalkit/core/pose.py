@@ -23,7 +23,7 @@ class Pose:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.x) and math.isfinite(self.y) and math.isfinite(self.theta)):
             raise ValueError(f"pose: not finite: ({self.x}, {self.y}, {self.theta})")
-        object.__setattr__(self, "theta", _wrap(self.theta))
+        object.__setattr__(self, "theta", se2.wrap_angle(self.theta))
 
     @classmethod
     def of(cls, row: ArrayLike) -> Pose:
@@ -38,26 +38,16 @@ class Pose:
 
     def __matmul__(self, other: Pose) -> Pose:
         """Return ``a_from_c`` for ``a_from_b @ b_from_c``."""
-        cos, sin = _direction(self.theta)
-        x = self.x + cos * other.x - sin * other.y
-        y = self.y + sin * other.x + cos * other.y
-        return Pose(float(x), float(y), _wrap(self.theta + other.theta))
+        return Pose(*se2.compose_one(self._motion, other._motion))
 
     def inverse(self) -> Pose:
         """Return ``b_from_a``."""
-        cos, sin = _direction(self.theta)
-        return Pose(float(-cos * self.x - sin * self.y), float(sin * self.x - cos * self.y), _wrap(-self.theta))
+        return Pose(*se2.invert_one(self._motion))
 
     def transform(self, points: ArrayLike) -> Floats:
         """Return points (N, 2) of frame b in frame a."""
         return se2.transform(self.row, points)
 
-
-def _wrap(theta: float) -> float:
-    """Return what ``se2.wrap`` returns, without arrays: they cost ten times as much for one angle."""
-    return (float(theta) + math.pi) % (2.0 * math.pi) - math.pi
-
-
-def _direction(theta: float) -> tuple[float, float]:
-    """Return cosine and sine of NumPy, whose last bits may differ from those of ``math``."""
-    return float(np.cos(theta)), float(np.sin(theta))
+    @property
+    def _motion(self) -> se2.Motion:
+        return float(self.x), float(self.y), self.theta

@@ -120,7 +120,10 @@ def test_a_single_pose_is_known_only_at_its_own_time():
 
 
 @given(ROWS, ROWS)
-def test_a_pose_computes_what_rows_give_to_the_bit(a_from_b, b_from_c):
+def test_one_motion_alone_is_computed_as_in_an_array_to_the_bit(a_from_b, b_from_c):
     a, b = Pose(*a_from_b), Pose(*b_from_c)
-    for found, row in ((a @ b, se2.compose(a.row, b.row)), (a.inverse(), se2.inverse(a.row))):
+    composed, inverse = se2.compose(a.row[None], b.row)[0], se2.inverse(a.row[None])[0]
+    assert se2.compose(a.row, b.row).tobytes() == composed.tobytes()
+    assert se2.inverse(a.row).tobytes() == inverse.tobytes()
+    for found, row in ((a @ b, composed), (a.inverse(), inverse)):
         assert found.row.tobytes() == np.array([*row[:2], se2.wrap(row[2])]).tobytes()
