@@ -1,4 +1,4 @@
-"""Bound the number of topics of a bag before it is opened: rosbags makes an object of each, slowly in some formats."""
+"""Check a bag before it is opened: not too many topics, and a database that only stores what is read from it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from pathlib import Path
 from evalkit.core.errors import BadData
 
 MAX_TOPICS = 100_000
-"""Recorded bags have tens to hundreds. Reading so many takes seconds and 100 MB; an MCAP file cannot hold more."""
+"""Recorded bags have tens to hundreds. rosbags makes an object of each: so many take seconds and 100 MB. An MCAP file
+cannot hold more."""
 
 MAX_METADATA_BYTES = 8 * 2**20
 """Of metadata.yaml, with some 250 bytes a topic; parsing takes seconds."""
@@ -24,9 +25,36 @@ def check_topics(bag: Path) -> None:
     if metadata.is_file() and metadata.stat().st_size > MAX_METADATA_BYTES:
         found = f"its metadata.yaml has {metadata.stat().st_size / 2**20:.0f} MiB"
         raise _too_many(bag, f"{found}: more topics than the {MAX_METADATA_BYTES // 2**20} MiB that are read")
+    if bag.is_file() and bag.suffix == ".db3":
+        check_tables(bag)
     count = {".bag": _count_ros1, ".db3": _count_sqlite}.get(bag.suffix)
     if bag.is_file() and count is not None and (topics := count(bag)) > MAX_TOPICS:
         raise _too_many(bag, f"it has {topics:,} topics, and at most {MAX_TOPICS:,} are read")
+
+
+def check_tables(base: Path) -> None:
+    """Raise BadData for an SQLite database with views or computed columns: a few bytes can take hours or gigabytes.
+
+    Other damage is left to the reader.
+    """
+    try:
+        with closing(_open_sqlite(base)) as opened:
+            strange = opened.execute(_NOT_STORED).fetchone() or opened.execute(_COMPUTED).fetchone()
+    except (sqlite3.Error, UnicodeDecodeError):  # also a message that is not UTF-8
+        return
+    if strange is not None:
+        what = f"its database computes '{strange[0]}' instead of storing it"
+        raise BadData(str(base), "", what, "record or fetch the bag again: only tables and indices are read")
+
+
+_NOT_STORED = """SELECT name FROM sqlite_master WHERE sql NOT NULL AND sql NOT LIKE 'CREATE TABLE %'
+    AND sql NOT LIKE 'CREATE INDEX %' AND sql NOT LIKE 'CREATE UNIQUE INDEX %'"""
+_COMPUTED = """SELECT held.name || '.' || part.name FROM sqlite_master held, pragma_table_xinfo(held.name) part
+    WHERE held.type = 'table' AND part.hidden"""
+
+
+def _open_sqlite(base: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f"{base.resolve().as_uri()}?mode=ro", uri=True)
 
 
 def _too_many(bag: Path, what: str) -> BadData:
@@ -46,8 +74,8 @@ def _count_ros1(bag: Path) -> int:
 def _count_sqlite(bag: Path) -> int:
     """Return the number of rows in the table of topics, 0 if it cannot be read."""
     try:
-        with closing(sqlite3.connect(f"{bag.resolve().as_uri()}?mode=ro", uri=True)) as base:
+        with closing(_open_sqlite(bag)) as base:
             found = base.execute("SELECT count(*) FROM (SELECT 1 FROM topics LIMIT 10000000)").fetchone()
-    except sqlite3.Error:
+    except (sqlite3.Error, UnicodeDecodeError):
         return 0
     return int(found[0])

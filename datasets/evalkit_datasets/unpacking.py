@@ -1,7 +1,8 @@
 """Bound what the bag reader unpacks: a small file cannot take gigabytes, nor hours.
 
 rosbags unpacks every compressed chunk, message or file whole. ``bounded_unpacking`` replaces its decompressors (bz2,
-lz4 and zstd) by ones that stop at a limit on the piece, and at a limit on all pieces of a file together.
+lz4 and zstd) by ones that stop at a limit on the piece, and at a limit on all pieces of a file together. A database,
+also one that was compressed, is checked before it is opened.
 """
 
 from __future__ import annotations
@@ -10,8 +11,11 @@ import bz2
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, Any
+
+from evalkit_datasets.bag_limits import check_tables
 
 MAX_PIECE_BYTES = 2**28
 """Unpacked size of one chunk or message. Recorders write chunks of 0.75 to 4 MiB."""
@@ -92,6 +96,7 @@ def _replace_decompressors() -> None:
     from rosbags.rosbag1 import reader as ros1  # noqa: PLC0415
     from rosbags.rosbag2 import reader as ros2  # noqa: PLC0415
     from rosbags.rosbag2 import storage_mcap as mcap  # noqa: PLC0415
+    from rosbags.rosbag2 import storage_sqlite3 as sqlite  # noqa: PLC0415
 
     zstd: Any = getattr(vars(ros2)["zstd"], "original", vars(ros2)["zstd"])  # not ours, if this module was loaded again
     unpack_lz4 = partial(unpack, lz4.frame.LZ4FrameDecompressor)
@@ -105,6 +110,17 @@ def _replace_decompressors() -> None:
         original=zstd, decompress=unpack_zstd, open=lambda file, mode: _CountedFile(zstd.open(file, mode))
     )
     setattr(ros2, "zstd", bounded)  # noqa: B010 - not declared as an attribute
+    for kind in vars(sqlite).values():
+        if isinstance(kind, type) and "Reader" in kind.__name__ and hasattr(kind, "open"):
+            setattr(kind, "open", _check_first(kind.open))  # noqa: B010 - as above
+
+
+def _check_first(open_base: Callable[[Any], None]) -> Callable[[Any], None]:
+    def open_checked(reader: Any) -> None:
+        check_tables(Path(reader.path))
+        open_base(reader)
+
+    return open_checked
 
 
 class _CountedFile:

@@ -1,6 +1,7 @@
 """Bags without laser scans or without an index: point clouds, messages of other types, files cut short."""
 
 import math
+import re
 import sqlite3
 import sys
 import time
@@ -259,6 +260,46 @@ def test_a_sqlite3_bag_that_was_cut_short_is_refused_with_what_to_do(tmp_path, w
     for read in (RosBag, lambda path: inspect_recording(Path(path))):
         with pytest.raises(BadData, match=r"not a readable bag \(.*malformed\); record or fetch the bag again"):
             read(str(base))
+
+
+ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT x FROM n WHERE x < 0"
+
+
+@pytest.mark.parametrize("form", ["folder", "file", "compressed"])
+@pytest.mark.parametrize(
+    ("computed", "changes"),
+    [("topics", ["DROP TABLE topics", f"CREATE VIEW topics(id) AS {ENDLESS}"]),
+     ("schema", ["DROP TABLE schema", f"CREATE VIEW schema(schema_version) AS {ENDLESS}"]),
+     ("messages.data", ["DROP TABLE messages", "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, "
+      "timestamp INTEGER, data BLOB AS (zeroblob(900000000)))", "INSERT INTO messages VALUES (1, 1, 1)"])],
+)  # fmt: skip
+def test_a_database_that_computes_for_ever_is_refused_before_it_is_asked(tmp_path, form, computed, changes):
+    folder = Bag("sqlite3").scan(T0, [1, 2]).write(tmp_path)
+    base, metadata = folder / "made.db3", folder / "metadata.yaml"
+    with closing(sqlite3.connect(base)) as opened, opened:
+        for change in changes:
+            opened.execute(change)
+    if form == "file":
+        metadata.unlink()
+    elif form == "compressed":
+        (folder / "made.db3.zstd").write_bytes(pytest.importorskip("zstandard").compress(base.read_bytes()))
+        base.unlink()
+        text = metadata.read_text().replace("made.db3", "made.db3.zstd")
+        text = re.sub("compression_format:.*", "compression_format: zstd", text)
+        metadata.write_text(re.sub("compression_mode:.*", "compression_mode: file", text))
+    for read in (RosBag, lambda path: inspect_recording(Path(path))):
+        with pytest.raises(BadData, match=f"its database computes '{computed}' instead of storing it"):
+            read(str(base if form == "file" else folder))
+
+
+def test_a_database_whose_damage_cannot_be_described_in_utf_8_is_refused(tmp_path):
+    folder = Bag("sqlite3").scan(T0, [1, 2]).write(tmp_path)
+    (folder / "metadata.yaml").unlink()
+    with closing(sqlite3.connect(folder / "made.db3")) as base, base:
+        base.execute("PRAGMA writable_schema = 1")
+        base.execute("UPDATE sqlite_master SET name = CAST(x'a0' AS TEXT), sql = 'nothing' WHERE name = 'topics'")
+    with pytest.raises(BadData, match="not a readable bag"):
+        RosBag(str(folder / "made.db3"))
 
 
 # --- very many topics
