@@ -7,6 +7,7 @@ scan begins, so that nothing computed is lost if the process dies.
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import time
@@ -21,7 +22,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from evalkit.core.errors import BackendFailed, DataMissing, EvalkitError, MachineFault, NotInstalled, StoreError, plain
-from evalkit.core.odometry_estimate import OdometryEstimate
+from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
 from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
 from evalkit.core.scan import Frame
 from evalkit.core.timing import CallTiming
@@ -220,23 +221,24 @@ def _append(steps: BinaryIO, record: bytes) -> None:
 
 
 def _record_step(frame: Frame, estimate: OdometryEstimate, timing: CallTiming, around_ns: int) -> bytes:
-    record = np.zeros((), dtype=STEP)
-    record["stamp_ns"] = frame.scan.stamp_ns
-    record["x"], record["y"], record["theta"] = estimate.pose.row
-    record["wall_ns"], record["cpu_ns"], record["conversion_ns"] = timing.wall_ns, timing.cpu_ns, timing.conversion_ns
-    record["harness_ns"], record["device_ns"] = around_ns, timing.device_ns
-    record["preparation_ns"] = timing.preparation_ns
-    for name in ("s2s", "s2m"):
-        stage = estimate.stages.get(name)
-        record[f"{name}_error"] = np.nan if stage is None else stage.residual_m
-        record[f"{name}_iterations"] = 0 if stage is None else stage.iterations
-        record[f"{name}_inliers"] = 0 if stage is None else stage.inliers
-        record[f"{name}_accepted"] = NOT_REPORTED if stage is None else stage.accepted
-        record[f"{name}_converged"] = NOT_REPORTED if stage is None else stage.converged
+    pose, s2s, s2m = estimate.pose, estimate.stages.get("s2s"), estimate.stages.get("s2m")
+    (error, *counts), flags = _list_stage(s2s)
+    (map_error, *map_counts), (accepted, converged) = _list_stage(s2m)
     if not estimate.stages and estimate.accepted is not None:
-        record["s2m_accepted"] = estimate.accepted
-    record["corrected"] = NOT_REPORTED if estimate.corrected is None else estimate.corrected
-    return record.tobytes()
+        accepted = estimate.accepted
+    record = (
+        frame.scan.stamp_ns, pose.x, pose.y, pose.theta, timing.wall_ns, timing.cpu_ns, timing.conversion_ns, around_ns,
+        timing.device_ns, timing.preparation_ns, error, *counts, map_error, *map_counts, *flags, accepted, converged,
+        NOT_REPORTED if estimate.corrected is None else estimate.corrected,
+    )  # fmt: skip
+    return np.array(record, dtype=STEP).tobytes()
+
+
+def _list_stage(stage: StageEstimate | None) -> tuple[tuple[float, int, int], tuple[int, int]]:
+    """Return error, iterations and inliers of a stage, and whether it accepted and converged."""
+    if stage is None:
+        return (math.nan, 0, 0), (NOT_REPORTED, NOT_REPORTED)
+    return (stage.residual_m, stage.iterations, stage.inliers), (stage.accepted, stage.converged)
 
 
 def _peak_memory_bytes() -> int:
