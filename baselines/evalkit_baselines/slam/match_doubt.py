@@ -35,13 +35,20 @@ class MatchDoubt:
         self._usual_m = 0.0
         self._sum = Doubt()
 
-    def observe(self, predicted: Pose, matched: Pose, match: StageEstimate, points: int) -> None:
-        """Add a scan of so many points, by its accepted match with the map and the pose that odometry predicts."""
+    @property
+    def usual_m(self) -> float:
+        """Usual error of matches, a recent mean (m); 0 before the first one."""
+        return self._usual_m
+
+    def observe(self, predicted: Pose | None, matched: Pose, match: StageEstimate, points: int) -> None:
+        """Add a scan of so many points, by its accepted match with the map and the pose by odometry, if any."""
         usual = self._usual_m if self._usual_m > 0.0 else match.residual_m
         over = match.residual_m / (DOUBTED * usual) - 1.0 if usual > 0.0 else 0.0
         share = 1.0 if match.inliers < MIN_SHARE * points else min(max(over, 0.0), 1.0)
-        gap = predicted.inverse() @ matched
         self._usual_m = usual + (min(match.residual_m, DOUBTED * usual) - usual) / USUAL_SCANS
+        if predicted is None:
+            return
+        gap = predicted.inverse() @ matched
         self._sum = Doubt(
             self._sum.position_m2 + share**2 * math.hypot(gap.x, gap.y) ** 2,
             self._sum.heading_rad2 + share**2 * gap.theta**2,

@@ -88,7 +88,8 @@ class PaperSlam:
         )
         wide = _make_icp(settings.matcher)
         narrow = _make_icp(settings.matcher, max_correspondence_m=0.3)
-        self._gate = OdometryGate(ObservableIcp(SecondTry(wide, narrow)))
+        self._tries = SecondTry(wide, narrow)
+        self._gate = OdometryGate(ObservableIcp(self._tries))
         self._front = FrontEnd(self._gate, self._gate, front_end, self._map)
         self._finder = LoopFinder(settings, wide, narrow)
         self._continuity = Continuity()
@@ -117,9 +118,11 @@ class PaperSlam:
         self._gate.is_measured = self._settings.odometry_gate and frame.odom_from_base is not None
         frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
+        self._tries.usual_m = self._doubt.usual_m
         estimate = self._front.update(frame)
-        if measured and "s2m" in estimate.stages and estimate.stages["s2m"].accepted:
-            self._doubt.observe(predicted, estimate.pose, estimate.stages["s2m"], int(frame.scan.hits.sum()))
+        match = estimate.stages.get("s2m")
+        if match is not None and match.accepted:
+            self._doubt.observe(predicted if measured else None, estimate.pose, match, int(frame.scan.hits.sum()))
         points = frame.points_in_base(frame.start_from_end)
         lost = self._is_lost(frame, points, estimate.pose)
         new = self._map.take() or (NewKeyframe(points, estimate.pose) if lost else None)

@@ -19,6 +19,9 @@ from evalkit.plugins.protocols import Registration
 POOR_M = 0.1
 """A mean distance above this is doubted. Good matches have 0.02 m, with range noise of 5 cm 0.04 m."""
 
+UNUSUAL = 4.0
+"""And one of more than so many times the usual one: with little noise a wrong match may have 0.06 m."""
+
 MIN_SHARE = 0.8
 """A smaller share of points in pairs is doubted too: the pairs that are left may fit well in a wrong place."""
 
@@ -32,17 +35,22 @@ MAX_M, MAX_RAD = 0.5, math.radians(36.0)
 """A further try that ends farther than one of these from the guess does not count: it has left its place."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class SecondTry:
-    """A Registration: ``wide``, and where that fits poorly the best of it and ``narrow`` from several headings."""
+    """A Registration: ``wide``, and where that fits poorly the best of it and ``narrow`` from several headings.
+
+    ``usual_m``: usual error of matches, set before each scan; 0: unknown.
+    """
 
     wide: Registration
     narrow: Registration
+    usual_m: float = 0.0
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
         first = self.wide.register(target, source, guess)
-        if not first.error > POOR_M and first.inliers >= MIN_SHARE * len(source):
+        poor_m = min(POOR_M, UNUSUAL * self.usual_m) if self.usual_m > 0.0 else POOR_M
+        if not first.error > poor_m and first.inliers >= MIN_SHARE * len(source):
             return first
         starts = [guess @ Pose(0.0, 0.0, turn) for turn in TURNS_RAD]
         tries = [self.narrow.register(target, source, start) for start in starts]

@@ -29,6 +29,15 @@ def test_a_step_is_doubted_by_the_gap_to_the_prediction_where_its_match_fits_wor
     assert doubt.take() == (0.0, 0.0)  # of the next step
 
 
+def test_without_odometry_no_gap_is_doubted_and_of_a_far_larger_error_twice_the_usual_one_counts():
+    doubt = MatchDoubt()
+    assert doubt.usual_m == 0.0
+    for residual_m in (0.1, 0.3):
+        doubt.observe(None, Pose(), StageEstimate(True, True, 5, residual_m, 10), 100)
+    assert doubt.usual_m == pytest.approx(0.1 + (0.2 - 0.1) / 50.0)
+    assert doubt.take() == (0.0, 0.0)
+
+
 def test_the_doubts_of_several_scans_add_up_and_a_bad_stretch_does_not_become_usual_soon():
     doubt = MatchDoubt()
     observe(doubt, 0.02)

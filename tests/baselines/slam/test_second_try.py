@@ -42,6 +42,14 @@ def test_an_answer_with_pairs_for_less_than_four_fifths_of_the_points_is_doubted
         assert bool(narrow.calls) is doubted
 
 
+@pytest.mark.parametrize(("usual_m", "limit_m"), [(0.0, 0.1), (0.01, 0.04), (0.02, 0.08), (0.05, 0.1)])
+def test_an_answer_with_more_than_four_times_the_usual_error_is_doubted(usual_m, limit_m):
+    for error, doubted in ((limit_m, False), (1.01 * limit_m, True)):
+        narrow = Answer(Pose(), 0.01)
+        SecondTry(Answer(Pose(), error), narrow, usual_m).register(CORNER, CORNER, Pose())
+        assert bool(narrow.calls) is doubted
+
+
 def test_a_further_try_that_ends_far_from_the_guess_does_not_count():
     first = Pose(0.3, 0.3, 0.2)
     for guess, taken in ((Pose(0.4, 0.0, 0.6), Pose()), (Pose(0.6, 0.0, 0.0), first), (Pose(0.0, 0.0, 0.64), first)):

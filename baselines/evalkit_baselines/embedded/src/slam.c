@@ -181,8 +181,9 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     if (status == EK_OK) {
         status = run_stage(slam, &slam->map_index, &open, &pose, &estimate->scan_to_map, &estimate->scan_to_map_accepted);
     }
-    if (estimate->scan_to_map_accepted && slam->motion.has_last_odometry && prior->has_odometry) {
-        ek_slam_doubt(slam, predicted, pose, &estimate->scan_to_map);
+    if (estimate->scan_to_map_accepted) {
+        const int measured = slam->motion.has_last_odometry && prior->has_odometry;
+        ek_slam_doubt(slam, measured ? &predicted : NULL, pose, &estimate->scan_to_map);
     }
     estimate->has_stages = 1;
     estimate->odom_from_base = pose;

@@ -6,7 +6,8 @@
 #define MAX_ERROR EK_R(0.1)  /* a motion whose length differs by a larger share does not count */
 #define MIN_STEP EK_R(0.1)   /* m */
 #define SEEING EK_R(0.065)
-#define POOR EK_R(0.1)       /* m: a larger mean distance is doubted */
+#define POOR EK_R(0.1)       /* m: a larger mean distance is doubted, */
+#define UNUSUAL EK_R(4.0)    /* and one of more than so many times the usual one */
 #define MIN_SHARE EK_R(0.8)  /* a smaller share of points in pairs is doubted too */
 #define NEAR EK_R(0.15)      /* m: of several answers, the one with most points within it is taken */
 #define FARTHEST EK_R(0.5)   /* m, and 36 deg: a further try that ends farther from the guess does not count */
@@ -103,7 +104,8 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek
     const ek_status status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, guess, &narrow, NULL, NULL,
                                        match);
     const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
-    if (status != EK_OK || (paired && !(match->error > POOR))) {
+    const ek_real unusual = UNUSUAL * slam->usual_error, poor = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
+    if (status != EK_OK || (paired && !(match->error > poor))) {
         return status;
     }
     narrow.max_correspondence = slam->parameters.fine_correspondence;
@@ -131,15 +133,18 @@ int ek_slam_is_believed(size_t points, ek_pose guess, ek_pose answer, const ek_m
     return points >= FEWEST && (clear || !far);
 }
 
-void ek_slam_doubt(ek_slam *slam, ek_pose predicted, ek_pose matched, const ek_match *match)
+void ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match)
 {
     const ek_real usual = slam->usual_error > EK_R(0.0) ? slam->usual_error : match->error;
     const ek_real most = DOUBTED * usual, counted = match->error < most ? match->error : most;
     const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
     const ek_real over = usual > EK_R(0.0) ? match->error / most - EK_R(1.0) : EK_R(0.0);
     const ek_real share = !paired || over > EK_R(1.0) ? EK_R(1.0) : over > EK_R(0.0) ? over : EK_R(0.0);
-    const ek_pose gap = ek_se2_between(predicted, matched);
     slam->usual_error = usual + (counted - usual) / USUAL_SCANS;
+    if (!predicted) {
+        return;
+    }
+    const ek_pose gap = ek_se2_between(*predicted, matched);
     slam->doubt.position += share * share * (gap.x * gap.x + gap.y * gap.y);
     slam->doubt.heading += share * share * gap.theta * gap.theta;
 }

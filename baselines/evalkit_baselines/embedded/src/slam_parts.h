@@ -40,8 +40,8 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek
 int ek_slam_is_believed(size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
 
 /* Add to the doubt of the step: where a match fits poorly, the truth may be anywhere between it and the pose
- * that wheel odometry predicts. */
-void ek_slam_doubt(ek_slam *slam, ek_pose predicted, ek_pose matched, const ek_match *match);
+ * that wheel odometry predicts (NULL: without odometry there is no such doubt). Averages the usual error. */
+void ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match);
 
 /* Match the projected scan with the last one and with the map; fills stages and odom_from_base. */
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work);

@@ -220,21 +220,28 @@ static void a_step_is_doubted_where_its_matches_fit_poorly(void)
     static const double errors[] = {0.02, 0.04, 0.06, 0.08, 0.5, 0.01}, shares[] = {0.0, 0.0, 0.5, 1.0, 1.0, 1.0};
     const ek_slam_parameters parameters = parameters_of(0);
     ek_arena arena = start(&parameters);
+    const ek_pose predicted = pose_of(1.0, 1.0, 0.1);
     slam.scan.count = 100u;
     for (size_t k = 0; k < 6u; k++) {
         const ek_match match = {pose_of(0.0, 0.0, 0.0), 1, 5, k < 5u ? 80 : 79, EK_R(errors[k]), 0u};
+        ek_match none = match;
+        none.inliers = 0;
         slam.usual_error = EK_R(0.02);
         slam.doubt.position = slam.doubt.heading = EK_R(1.0);
-        ek_slam_doubt(&slam, pose_of(1.0, 1.0, 0.1), pose_of(1.3, 1.4, 0.3), &match);
+        ek_slam_doubt(&slam, &predicted, pose_of(1.3, 1.4, 0.3), &match);
+        ek_slam_doubt(&slam, NULL, pose_of(9.0, 9.0, 0.3), &none); /* without odometry no gap is doubted */
         CHECK_NEAR((double)slam.doubt.position - 1.0, 0.25 * shares[k] * shares[k], 1e-6);
         CHECK_NEAR((double)slam.doubt.heading - 1.0, 0.04 * shares[k] * shares[k], 1e-6);
-        CHECK_NEAR((double)slam.usual_error, 0.02 + ((errors[k] < 0.04 ? errors[k] : 0.04) - 0.02) / 50.0, 1e-7);
     }
     slam.usual_error = EK_R(0.0); /* the first match is the usual one */
+    const ek_pose origin = pose_of(0.0, 0.0, 0.0);
     const ek_match first = {pose_of(0.0, 0.0, 0.0), 1, 5, 100, EK_R(0.3), 0u};
-    ek_slam_doubt(&slam, pose_of(0.0, 0.0, 0.0), pose_of(1.0, 0.0, 0.0), &first);
+    ek_slam_doubt(&slam, &origin, pose_of(1.0, 0.0, 0.0), &first);
     CHECK_NEAR((double)slam.doubt.position, 1.25, 1e-6); /* of the last one above */
     CHECK_NEAR((double)slam.usual_error, 0.3, 1e-7);
+    slam.usual_error = EK_R(0.1); /* of an error that is larger by far, 0.2 counts */
+    ek_slam_doubt(&slam, NULL, origin, &first);
+    CHECK_NEAR((double)slam.usual_error, 0.102, 1e-7);
     free(arena.memory);
 }
 
