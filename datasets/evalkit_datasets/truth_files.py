@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
@@ -207,9 +208,10 @@ def _parse_point(path: Path, place: str, value: object) -> tuple[float, float]:
 
 
 def _parse_number(path: Path, place: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)) or not Decimal(value).is_finite():
+    number = float(value) if isinstance(value, (int, float, Decimal)) and not isinstance(value, bool) else math.nan
+    if not math.isfinite(number):  # 1e400 is infinite, though not as a decimal
         raise BadData(str(path), place, f"'{brief(str(value))[1:-1]}' is not a number", "give a number in metres")
-    return float(value)
+    return number
 
 
 def _check_keys(path: Path, place: str, row: Mapping[str, Any], keys: tuple[str, ...]) -> None:

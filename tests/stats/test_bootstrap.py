@@ -45,6 +45,12 @@ def test_draws_of_a_score_lie_around_it_in_its_own_unit():
     assert scaled.values == pytest.approx(1000.0 * plain.values)
 
 
+@pytest.mark.parametrize(("score", "fits"), [(4.0, True), (4.3, True), (4.6, False), (3.4, False)])
+def test_a_series_that_does_not_give_the_score_is_not_resampled(score, fits):
+    series = Series(np.arange(100), np.tile([3.0, 5.0], 50), "mean", None)
+    assert (bootstrap_score(series, score, np.random.default_rng(0)) is not None) == fits
+
+
 def test_blocks_of_one_agree_with_the_interval_of_independent_values():
     """The expanded percentile of a mean approximates Student's t interval (Hesterberg 2015)."""
     values = np.random.default_rng(4).normal(3.0, 2.0, 12)

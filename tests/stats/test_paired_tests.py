@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from evalkit.stats.paired_tests import (
     adjust_by_holm,
@@ -53,3 +54,10 @@ def test_an_effect_of_half_a_standard_deviation_needs_thirty_four_pairs():
 
     assert detectable(34) <= 0.5 < detectable(33)
     assert smallest_detectable_difference([0.1]) == math.inf
+
+
+def test_the_smallest_detectable_difference_of_three_has_the_power_of_the_noncentral_t():
+    error = 1.0 / math.sqrt(3.0)  # of 0, 1, 2
+    shift = smallest_detectable_difference([0.0, 1.0, 2.0]) / error
+    limit = stats.t.ppf(0.975, 2)
+    assert stats.nct.sf(limit, 2, shift) + stats.nct.cdf(-limit, 2, shift) == pytest.approx(0.8, abs=1e-3)

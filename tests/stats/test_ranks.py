@@ -50,3 +50,4 @@ def test_the_correlation_equals_scipys_including_ties() -> None:
     expected = [stats.spearmanr(x, y).statistic for x, y in zip(a, b, strict=True)]
     assert spearman_correlation(a.astype(float), b) == pytest.approx(expected)
     assert np.isnan(spearman_correlation(np.ones(5), np.arange(5.0)))
+    assert spearman_correlation(np.array([[1.0, 2.0], [2.0, 1.0]]), np.array([3.0, 9.0])) == pytest.approx([1.0, -1.0])

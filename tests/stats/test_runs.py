@@ -80,6 +80,8 @@ def test_values_that_are_not_all_positive_are_compared_by_differences():
     found = paired_runs([0.1, 0.2, 0.3], [0.0, 0.0, 0.0])
     half = 9.92484 * 0.1 / math.sqrt(3.0)
     assert (found.interval.low, found.interval.high) == pytest.approx((0.2 - half, 0.2 + half), abs=1e-6)
+    moved = paired_runs([0.0, 0.1, 0.2], [-0.1, -0.1, -0.1]).interval
+    assert (moved.low, moved.high) == pytest.approx((found.interval.low, found.interval.high))
 
 
 def test_the_difference_does_not_depend_on_the_unit():
@@ -107,6 +109,7 @@ def test_the_number_of_runs_that_settles_is_the_first_with_the_power():
     ]
     assert power[0] < 0.8 <= power[1]
     assert paired_runs([1.0, 1.0], [1.0, 1.0]).runs_needed() is None
+    assert paired_runs([2.0, 2.0001, 2.0002], [1.0, 1.0, 1.0]).runs_needed() == 2
     assert paired_runs([1.0, 1.02, 0.97], [1.0, 1.0, 1.0]).runs_needed() is None  # more than MAX_RUNS
     assert MAX_RUNS == 200
 
