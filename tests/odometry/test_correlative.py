@@ -111,6 +111,17 @@ def test_the_angles_of_a_window_end_where_it_ends():
     assert angles == pytest.approx([-0.1, -0.05, 0.0, 0.05, 0.1])
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_narrow_window_is_searched_to_its_ends_and_no_farther(turned):
+    truth = Pose(2.5, 1.5, 0.4)
+    grid = ScoreGrid.from_points(room(), cell_m=0.05, sigma_m=0.1, depth=6)
+    source = truth.inverse().transform(room())
+    centre = Pose(truth.x - 0.9, truth.y, 0.4) if turned else Pose(truth.x, truth.y - 0.9, 0.4)
+    found = branch_and_bound(grid, source, Window(centre, *((1.0, 0.1) if turned else (0.1, 1.0)), 0.02))
+    assert found is not None
+    assert math.hypot(found.target_from_source.x - truth.x, found.target_from_source.y - truth.y) < 0.04
+
+
 def test_far_fewer_motions_are_evaluated_than_exist():
     grid = ScoreGrid.from_points(room(), cell_m=0.05, sigma_m=0.05, depth=6)
     window = Window.whole(grid)

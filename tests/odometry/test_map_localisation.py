@@ -19,7 +19,7 @@ from evalkit.io.map_server import read_rotated_map, write_map
 from evalkit.odometry import map_localisation
 from evalkit.odometry.frontend import complete_parameters
 from evalkit.odometry.known_map import Place
-from evalkit.odometry.map_localisation import MapTracker, find_start, localise
+from evalkit.odometry.map_localisation import MapTracker, PlaceSearch, find_start, localise
 from evalkit.odometry.run_odometry import estimate_poses
 from evalkit.plugins import registry
 from evalkit.plugins.known_map import load_known_map, parse_start
@@ -160,6 +160,18 @@ def test_a_kidnapped_robot_is_found_again(floor, monkeypatch):
     _, poses = track(floor, [measure(pose, k) for k, pose in enumerate(PATH)] + carried)
     assert distance(poses[12], away[0]) > 1.0  # the wheels did not turn
     assert distance(poses[-1], away[-1]) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("odom", "after_s", "due"),
+    [(Pose(0.6), 0.0, True), (Pose(0.0, 0.0, 0.6), 0.0, True), (Pose(0.3, 0.3, 0.3), 9.0, False),
+     (None, 0.9, False), (None, 1.0, True)],
+)  # fmt: skip
+def test_a_map_is_searched_again_after_half_a_metre_or_30_degrees_or_without_odometry_a_second(odom, after_s, due):
+    search = PlaceSearch(SimpleNamespace())
+    assert search._is_due(odom, 0)  # never searched
+    search._tried = (None if odom is None else Pose(), 5 * 10**9)
+    assert search._is_due(odom, round((5.0 + after_s) * 1e9)) == due
 
 
 @pytest.mark.parametrize(("better", "jumps"), [(-0.05, False), (0.05, False), (0.2, True)])
