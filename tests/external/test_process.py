@@ -139,7 +139,7 @@ def test_a_program_may_flood_its_standard_error_and_still_answer(program, run_ba
 
 def test_output_without_a_request_is_detected_before_the_next_answer(program, run_backend):
     outcome, _ = run_backend(program(ANSWER + "\nprint('done', flush=True)"))
-    assert "without being asked" in reason(outcome) or "not one line of JSON" in reason(outcome)
+    assert "wrote a line without a question" in reason(outcome) or "not one line of JSON" in reason(outcome)
 
 
 def test_answers_before_the_end_are_kept(program, run_backend):
