@@ -116,7 +116,7 @@ static size_t nearest_other_part(const ek_loop_finder *finder, const ek_keyframe
 }
 
 /* The next place to look for the robot after a lost track, one for each keyframe: by turns the one nearest to where the
- * robot seems to be, because the track may be only a little wrong, and the next of all. */
+ * robot seems to be, because the track may be only a little wrong, and the next of all. Some part must be apart. */
 static size_t another_place(ek_loop_finder *finder, const ek_keyframes *keyframes)
 {
     const size_t count = keyframes->count;
@@ -133,13 +133,7 @@ static size_t another_place(ek_loop_finder *finder, const ek_keyframes *keyframe
             ahead = keyframes->path[k] >= from ? k : ahead;
         }
     }
-    if (ahead == count) {
-        finder->next_place = 0u;
-        ahead = first;
-    }
-    if (ahead == count) {
-        return count;
-    }
+    ahead = ahead < count ? ahead : first; /* after the last one the first again */
     size_t next = 0u;
     while (next < count && keyframes->path[next] < keyframes->path[ahead] + EK_R(0.5) * finder->settings.radius) {
         next++;

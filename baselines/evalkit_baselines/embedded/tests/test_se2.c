@@ -31,6 +31,9 @@ int main(void)
             CHECK(wrapped >= -EK_PI && wrapped < EK_PI && EK_FABS(wrapped) > EK_R(3.1));
         }
     }
+    /* an odd multiple of pi, so large that in double precision its turns are rounded to one too few */
+    const ek_real huge = ek_se2_wrap(EK_R(0x1.1782d4fcdd0f9p+42));
+    CHECK(huge >= -EK_PI && huge < EK_PI);
     const ek_pose without_turn = {EK_R(0.0), EK_R(0.0), (ek_real)NAN}, without_x = {(ek_real)NAN, EK_R(0.0), EK_R(0.0)};
     CHECK(!ek_se2_is_finite(without_turn) && !ek_se2_is_finite(without_x));
     const ek_pose broken = {EK_R(0.0), (ek_real)NAN, EK_R(0.0)};
