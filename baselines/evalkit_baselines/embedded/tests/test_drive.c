@@ -121,6 +121,28 @@ static void a_scan_of_other_places_is_believed_with_odometry_only(void)
     }
 }
 
+/* The rays of a scan are sorted by bearing, whatever the order of its points and whatever lies behind them in memory. */
+static void rays_are_sorted_by_bearing(void)
+{
+    for (size_t count = 20u; count < 40u; count++) {
+        for (size_t k = 0; k < POINTS; k++) {
+            continuity.ray[k].bearing = continuity.other[k].bearing = EK_R(-9.0);
+        }
+        for (size_t k = 0; k < count; k++) { /* on a circle of 3 m, in mixed order */
+            const double angle = 2.0 * (double)EK_PI * (double)(k * 17u % 41u) / 41.0 - 3.0;
+            xy[2u * k] = EK_R(3.0 * cos(angle));
+            xy[2u * k + 1u] = EK_R(3.0 * sin(angle));
+        }
+        continuity.started = 0;
+        CHECK(!is_lost(count, ORIGIN, 0, NULL) && continuity.rays == count);
+        for (size_t k = 0; k < count; k++) {
+            CHECK_NEAR(continuity.ray[k].range, 3.0, 1e-5);
+            CHECK(k == 0u || continuity.ray[k].bearing > continuity.ray[k - 1u].bearing);
+        }
+        CHECK(continuity.ray[0].bearing >= -EK_PI);
+    }
+}
+
 static ek_doubt doubt;
 
 static ek_status add(double x, size_t points, int known, double ratio)
@@ -269,6 +291,7 @@ int main(void)
     a_match_counts_along_the_open_direction_by_what_the_walls_say();
     a_scan_is_lost_where_it_contradicts_the_one_before();
     a_scan_of_other_places_is_believed_with_odometry_only();
+    rays_are_sorted_by_bearing();
     the_information_of_a_step_follows_its_path_and_the_open_direction();
     a_loop_joins_what_a_lost_track_has_parted();
     what_does_not_fit_is_refused_and_changes_nothing();

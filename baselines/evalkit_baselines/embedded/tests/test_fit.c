@@ -41,6 +41,25 @@ static void exact_pairs_give_the_motion(void)
     check_motion(ek_fit_lines(&pairs, EK_R(0.0), EK_R(1.0), EK_R(2.0)), shift, 10.0 * TOLERANCE);
 }
 
+/* Walls that face 30, 100 and 250 degrees: none of the sums of the equations vanishes. */
+static void oblique_walls_give_the_motion(void)
+{
+    static const double facing[] = {30.0, 100.0, 250.0};
+    const ek_pose shift = {EK_R(0.03), EK_R(-0.02), EK_R(0.0)};
+    for (size_t k = 0; k < COUNT; k++) {
+        const double angle = facing[k % 3u] * (double)EK_PI / 180.0, c = cos(angle), s = sin(angle);
+        const double along = 0.3 * (double)k - 5.0;
+        tx[k] = EK_R(2.0 * c - along * s);
+        ty[k] = EK_R(2.0 * s + along * c);
+        nx[k] = EK_R(c);
+        ny[k] = EK_R(s);
+        x[k] = tx[k] - shift.x;
+        y[k] = ty[k] - shift.y;
+        weight[k] = EK_R(1.0);
+    }
+    check_motion(ek_fit_lines(&pairs, EK_R(0.0), EK_R(1.0), EK_R(2.0)), shift, 10.0 * TOLERANCE);
+}
+
 static void along_a_single_wall_nothing_moves(void)
 {
     const ek_pose shift = {EK_R(0.5), EK_R(0.04), EK_R(0.0)}, across = {EK_R(0.0), EK_R(0.04), EK_R(0.0)};
@@ -66,6 +85,7 @@ static void far_pairs_weigh_less(void)
 int main(void)
 {
     exact_pairs_give_the_motion();
+    oblique_walls_give_the_motion();
     along_a_single_wall_nothing_moves();
     far_pairs_weigh_less();
     return verdict();

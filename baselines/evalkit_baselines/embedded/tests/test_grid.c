@@ -132,6 +132,24 @@ static void a_fixed_map_takes_its_own_cells_from_every_side(void)
     CHECK(observed() == 0u);
 }
 
+/* A block of 32 x 32 cells: the marks of rows and columns together, and not those of the next block. */
+static void a_block_is_read_from_its_own_rows(void)
+{
+    uint32_t across[128], along[128], crossed[33];
+    ek_window window = {64u, 2u, across, along, NULL, NULL};
+    memset(across, 0, sizeof across);
+    memset(along, 0, sizeof along);
+    memset(crossed, 0, sizeof crossed);
+    across[2u * 9u] = 1u << 7;         /* column 7 of row 9 */
+    along[2u * 3u] = 1u << 5;          /* row 5 of column 3 */
+    across[2u * 32u] = across[1] = ~0u; /* the blocks above and beside it */
+    along[2u * 32u] = along[1] = ~0u;
+    ek_window_read_block(&window, 0u, 0u, crossed);
+    for (size_t k = 0; k < 33u; k++) {
+        CHECK(crossed[k] == (k == 9u ? 1u << 7 : k == 5u ? 1u << 3 : 0u));
+    }
+}
+
 static void bad_input_is_named(void)
 {
     ek_grid_parameters bad = grid.parameters;
@@ -170,6 +188,7 @@ int main(void)
     a_fixed_map_clips_and_a_rolling_one_follows();
     a_rolling_map_keeps_what_stays_inside();
     a_fixed_map_takes_its_own_cells_from_every_side();
+    a_block_is_read_from_its_own_rows();
     bad_input_is_named();
     free(arena.memory);
     return verdict();

@@ -1,5 +1,6 @@
 #include "check.h"
 #include "ek/grid.h"
+#include "ek/polygon.h"
 
 #define BEAMS 400u
 #define SIDE 256u
@@ -156,6 +157,25 @@ static void the_last_cells_of_the_window_are_marked(void)
     CHECK(grid.ignored_beams == 0u && cell_at(0.0, last - 1.6) == 847 && cell_at(0.0, 5.0) == -847);
 }
 
+/* A window of 64 cells, seen from its middle: ends in the first cells count, also on their outer sides; those on the outer
+ * sides of the last cells do not. */
+static void the_first_cells_of_the_window_are_marked(void)
+{
+    static const double places[][2] = {{-31.5, 0.5}, {-32.0, -20.5}, {0.5, -31.5}, {20.5, -32.0},
+                                       {31.5, 0.5},  {32.0, 20.5},   {0.5, 31.5},  {-20.5, 32.0}};
+    uint32_t bits[4][128];
+    ek_window window = {64u, 2u, bits[0], bits[1], bits[2], bits[3]};
+    const ek_view view = {EK_R(1.0), EK_R(0.0), EK_R(32.0), EK_R(32.0), EK_R(32.0), EK_R(32.0)};
+    for (size_t k = 0; k < 8u; k++) {
+        const ek_real end[] = {EK_R(places[k][0]), EK_R(places[k][1])};
+        const int outside = places[k][0] >= 32.0 || places[k][1] >= 32.0;
+        memset(bits, 0, sizeof bits);
+        CHECK(ek_window_fill_outline(&window, &view, end, 1u, EK_R(0.05)) == (uint32_t)outside);
+        const uint32_t column = (uint32_t)(places[k][0] + 32.0), row = (uint32_t)(places[k][1] + 32.0);
+        CHECK(outside || bits[2][2u * row + column / 32u] == (uint32_t)1 << column % 32u);
+    }
+}
+
 static void few_beams_are_drawn_as_beams(void)
 {
     add(0u);
@@ -190,6 +210,7 @@ int main(void)
     a_gap_is_not_filled_and_an_edge_is_cut();
     ends_outside_the_window_are_left_out();
     the_last_cells_of_the_window_are_marked();
+    the_first_cells_of_the_window_are_marked();
     few_beams_are_drawn_as_beams();
     free(arena.memory);
     return verdict();

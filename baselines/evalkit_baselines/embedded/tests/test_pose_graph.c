@@ -247,6 +247,31 @@ static void only_positive_definite_matrices_have_an_inverse(void)
     }
 }
 
+static void check_matrix(ek_sym3 found, const double expected[6])
+{
+    const ek_real all[] = {found.xx, found.xy, found.xt, found.yy, found.yt, found.tt};
+    for (size_t k = 0; k < 6u; k++) {
+        CHECK_NEAR(all[k], expected[k], TOLERANCE);
+    }
+}
+
+/* Products of whole numbers, and an inverse by its minors: its determinant is 67. */
+static void matrices_are_those_of_hand_calculations(void)
+{
+    const ek_sym3 a = {EK_R(2.0), EK_R(3.0), EK_R(5.0), EK_R(7.0), EK_R(11.0), EK_R(13.0)};
+    const ek_sym3 positive = {EK_R(4.0), EK_R(2.0), EK_R(1.0), EK_R(5.0), EK_R(3.0), EK_R(6.0)};
+    const ek_real v[] = {EK_R(1.0), EK_R(-2.0), EK_R(3.0)};
+    const ek_real b[] = {EK_R(1.0), EK_R(2.0), EK_R(0.0), EK_R(0.0), EK_R(1.0), EK_R(3.0), EK_R(4.0), EK_R(0.0), EK_R(1.0)};
+    static const double congruent[] = {42, 98, 59, 190, 122, 85}, sum[] = {4, 4, 5.5, 9.5, 12.5, 16};
+    static const double inverted[] = {21.0 / 67, -9.0 / 67, 1.0 / 67, 23.0 / 67, -10.0 / 67, 16.0 / 67};
+    ek_sym3 inverse = UNIT;
+    CHECK_NEAR(ek_sym3_quadratic(&a, v), 33.0, 0.0); /* (1, -2, 3) times (11, 22, 22) */
+    check_matrix(ek_sym3_congruence(b, &a), congruent);
+    check_matrix(ek_sym3_sum(&a, &positive, EK_R(0.5)), sum);
+    CHECK(ek_sym3_inverse(&positive, &inverse));
+    check_matrix(inverse, inverted);
+}
+
 static void bad_input_is_named_and_changes_nothing(void)
 {
     const ek_solver_settings none = {0, EK_R(0.0), EK_R(0.0)};
@@ -292,6 +317,7 @@ int main(void)
     slices_change_no_bit_and_stay_within_their_work(&seed);
     loops_that_cannot_be_told_apart_are_singular();
     only_positive_definite_matrices_have_an_inverse();
+    matrices_are_those_of_hand_calculations();
     a_false_loop_loses_its_weight(&seed);
     bad_input_is_named_and_changes_nothing();
     free(arena.memory);
