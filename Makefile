@@ -27,7 +27,8 @@ system:  ## install the system libraries that Open3D needs, where that is possib
 	@.ci/system-packages open3d
 
 # Two more than there are cores, because some tests wait for a limit or a browser; each computes with one thread.
-WORKERS ?= $$($(PYTHON) -c 'import os; print(min(os.cpu_count() + 2, 6))')
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+WORKERS ?= $$($(PYTHON) -c 'import os; print(min(2 + ($(CORES)), 6))')
 test test-all: export OPENBLAS_NUM_THREADS := 1
 test: $(VENV)/test  ## run the tests, and print the ten slowest
 	@.ci/system-packages open3d browser
