@@ -1,4 +1,4 @@
-"""Shared fixtures: a made-up comparison for the report, and third-party plug-ins."""
+"""Shared fixtures: a made-up comparison for the report, the browser that opens it, and third-party plug-ins."""
 
 from __future__ import annotations
 

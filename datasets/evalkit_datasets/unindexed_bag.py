@@ -68,7 +68,7 @@ class UnindexedBag(ros1.Reader):
         except UnpackedTooMuch:
             raise
         except (ValueError, EOFError, RuntimeError, OSError, ros1.ReaderError):
-            return
+            return  # its scans are lost; that the bag was read without its index is counted and reported
         file, inner = self.bio, BytesIO(data)
         times, counts = [], Counter[int]()
         try:

@@ -158,6 +158,8 @@ MAX_TURN = math.radians(35.0)
 MAX_PAIRS = 200
 MIN_PAIRS = 8
 CLIP_M = 10.0
+MAX_DIFFERENCES = 500_000
+"""Differences of ranges in memory at a time: a scan may have very many beams."""
 
 
 def compare_turns(wheels: OdometryStream, laser: LaserStream) -> TurnComparison | None:
@@ -230,7 +232,13 @@ def _shift_costs(one: Floats, other: Floats, max_shift: int) -> Floats:
     The shifts are all from -max_shift to max_shift; NaN for a shift with fewer than 20 common beams.
     """
     shifted = sliding_window_view(np.pad(one, max_shift, constant_values=np.nan), len(other))
-    apart = np.sort(np.abs(shifted - other), axis=1)  # unknown differences last
+    blocks = np.array_split(shifted, shifted.size // MAX_DIFFERENCES + 1)
+    return np.concatenate([_median_differences(block, other) for block in blocks if len(block)])
+
+
+def _median_differences(rows: Floats, other: Floats) -> Floats:
+    """Return the median difference between each row and the other scan; NaN for fewer than 20 common beams."""
+    apart = np.sort(np.abs(rows - other), axis=1)  # unknown differences last
     known = np.isfinite(apart).sum(axis=1)
     middle = np.stack([(known - 1) // 2, known // 2], axis=1)
     return np.where(known >= 20, np.take_along_axis(apart, middle, axis=1).mean(axis=1), np.nan)
