@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from evalkit.core.arrays import Bools, Ints
 from evalkit.core.se2 import Floats
 
-_BLOCK = 192  # beams cast together: fits the cache, and their sector is narrow enough to exclude most walls
+_BLOCK = 24  # consecutive beams that share candidates: their sector is narrow and excludes most boundaries
+_TOGETHER = 64  # blocks computed at once: their arrays fit the cache
 _OVERLAP = 1e-9  # share by which walls are lengthened, so that rounding opens no gap at a corner
 _PARALLEL = 1e-9  # m: a wall whose ends lie within this distance of the beam's line counts as parallel: not hit
 
@@ -45,16 +48,25 @@ class World:
         """
         starts = np.asarray(origins, dtype=np.float64)
         bearings = np.asarray(angles, dtype=np.float64)
-        directions = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
-        ranges = np.empty(len(bearings))
-        for first in range(0, len(bearings), _BLOCK):
-            beams = slice(first, first + _BLOCK)
-            segments, circles = self._select_ahead(starts[beams], directions[beams])
-            ranges[beams] = np.minimum(
-                _cast_to_segments(starts[beams], directions[beams], segments),
-                _cast_to_circles(starts[beams], directions[beams], circles),
-            )
-        return ranges
+        blocks = -(-len(bearings) // _BLOCK)
+        filled = np.minimum(np.arange(blocks * _BLOCK), len(bearings) - 1).reshape(blocks, _BLOCK)  # by the last beam
+        ranges = np.full((blocks, _BLOCK), np.inf)
+        for first in range(0, blocks, _TOGETHER):
+            some = filled[first : first + _TOGETHER]
+            x, y = starts[some].transpose(2, 0, 1)
+            beams = _Beams(x, y, np.cos(bearings[some]), np.sin(bearings[some]))
+            sectors = _find_sectors(beams)
+            for reached, distances_to, boundaries in (
+                (_segments_reached, _distances_to_segments, self.segments),
+                (_circles_reached, _distances_to_circles, self.circles),
+            ):
+                block, boundary = np.nonzero(reached(sectors, boundaries))
+                if len(block):
+                    distances = distances_to(beams.take(block), boundaries[boundary].T[..., None])
+                    begins = np.flatnonzero(np.diff(block, prepend=-1))  # the pairs of a block are consecutive
+                    own = first + block[begins]
+                    ranges[own] = np.minimum(ranges[own], np.minimum.reduceat(distances, begins, axis=0))
+        return ranges.reshape(-1)[: len(bearings)]
 
     def clearance(self, points: ArrayLike) -> Floats:
         """Return the distances (N,) in m from points (N, 2) to the nearest boundary."""
@@ -80,29 +92,6 @@ class World:
         to_circles = np.abs(np.linalg.norm(at - self.circles[:, :2], axis=-1) - self.circles[:, 2])
         return np.concatenate([to_walls, to_circles], axis=1)
 
-    def _select_ahead(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        """Return the segments and circles that reach into the sector covered by these beams."""
-        middle = directions.sum(axis=0)
-        length = float(np.hypot(*middle))
-        narrowest = float((directions @ middle).min()) / length if length > 1e-6 else -1.0
-        if narrowest < 0.1:  # wider than about 168 degrees
-            return self.segments, self.circles
-        cos, sin = middle / length
-        cos_half, sin_half = narrowest, np.sqrt(max(1.0 - narrowest**2, 0.0))
-        # inward normals of the sector's right and left edge, as columns
-        inward = np.array(
-            [
-                [-(sin * cos_half - cos * sin_half), sin * cos_half + cos * sin_half],
-                [cos * cos_half + sin * sin_half, -(cos * cos_half - sin * sin_half)],
-            ]
-        )
-        centre = origins.mean(axis=0)
-        slack = float(np.linalg.norm(origins - centre, axis=1).max()) + 1e-6
-        ends = (self.segments.reshape(-1, 2, 2) - centre) @ inward
-        seen = (ends.max(axis=1) >= -slack).all(axis=1)
-        near = ((self.circles[:, :2] - centre) @ inward >= -slack - self.circles[:, 2:]).all(axis=1)
-        return self.segments[seen], self.circles[near]
-
 
 def closed_outline(corners: ArrayLike) -> Floats:
     """Return the walls (N, 4) of the closed polygon through ``corners`` (N, 2), in m."""
@@ -110,35 +99,79 @@ def closed_outline(corners: ArrayLike) -> Floats:
     return np.concatenate([points, np.roll(points, -1, axis=0)], axis=1)
 
 
-def _cast_to_segments(origins: Floats, directions: Floats, segments: Floats) -> Floats:
-    """Return the distances (B,) to the nearest segment: Cramer's rule on origin + t direction = start + u along."""
-    along = segments[:, 2:] - segments[:, :2]
-    start_cross_along = segments[:, 0] * along[:, 1] - segments[:, 1] * along[:, 0]
-    origin_cross_direction = origins[:, 0] * directions[:, 1] - origins[:, 1] * directions[:, 0]
-    # matrix products avoid (B, S) temporaries
-    normals = np.stack([along[:, 1], -along[:, 0]])
-    tilt = directions @ normals
-    distance = start_cross_along - origins @ normals
-    share = directions @ np.stack([-segments[:, 1], segments[:, 0]]) - origin_cross_direction[:, None]
+class _Beams(NamedTuple):
+    """Beams in N blocks (N, B): origins in m and unit directions."""
+
+    x: Floats
+    y: Floats
+    cos: Floats
+    sin: Floats
+
+    def take(self, blocks: Ints) -> _Beams:
+        return _Beams(*(values[blocks] for values in self))
+
+
+class _Sectors(NamedTuple):
+    """Sectors that contain the beams of N blocks, as two half planes each: x nx + y ny >= least, all (2, N, 1)."""
+
+    nx: Floats
+    ny: Floats
+    least: Floats
+
+
+def _find_sectors(beams: _Beams) -> _Sectors:
+    """Return the sectors of blocks of beams; the whole plane for a block wider than about 168 degrees."""
+    middle_x, middle_y = beams.cos.sum(axis=1), beams.sin.sum(axis=1)
+    length = np.maximum(np.hypot(middle_x, middle_y), 1e-6)
+    cos, sin = middle_x / length, middle_y / length
+    cos_half = (beams.cos * cos[:, None] + beams.sin * sin[:, None]).min(axis=1)
+    sin_half = np.sqrt(np.maximum(1.0 - cos_half**2, 0.0))
+    # inward normals of the right and of the left edge
+    nx = np.stack([cos * sin_half - sin * cos_half, cos * sin_half + sin * cos_half])
+    ny = np.stack([cos * cos_half + sin * sin_half, sin * sin_half - cos * cos_half])
+    x, y = beams.x.mean(axis=1), beams.y.mean(axis=1)
+    apart = np.hypot(beams.x - x[:, None], beams.y - y[:, None]).max(axis=1) + 1e-6
+    least = np.where(cos_half < 0.1, -np.inf, nx * x + ny * y - apart)
+    return _Sectors(nx[..., None], ny[..., None], least[..., None])
+
+
+def _segments_reached(sectors: _Sectors, segments: Floats) -> Bools:
+    """Return which of S segments reach into which of N sectors (N, S): an end lies in each half plane."""
+    x1, y1, x2, y2 = segments.T
+    ends = np.maximum(sectors.nx * x1 + sectors.ny * y1, sectors.nx * x2 + sectors.ny * y2)
+    return np.asarray((ends >= sectors.least).all(axis=0))
+
+
+def _circles_reached(sectors: _Sectors, circles: Floats) -> Bools:
+    """Return which of C circles reach into which of N sectors (N, C)."""
+    x, y, radius = circles.T
+    return np.asarray((sectors.nx * x + sectors.ny * y + radius >= sectors.least).all(axis=0))
+
+
+def _distances_to_segments(beams: _Beams, segments: Floats) -> Floats:
+    """Return the distances (P, B) from blocks of beams to one segment each (4, P, 1), inf for a miss.
+
+    Cramer's rule on origin + t direction = start + u along.
+    """
+    x1, y1, x2, y2 = segments
+    along_x, along_y, from_x, from_y = x2 - x1, y2 - y1, x1 - beams.x, y1 - beams.y
+    tilt = beams.cos * along_y - beams.sin * along_x
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        distance /= tilt
-        share /= tilt
-    missed = ~((np.abs(tilt) > _PARALLEL) & (distance >= 0.0) & (share >= -_OVERLAP) & (share <= 1.0 + _OVERLAP))
-    distance[missed] = np.inf
-    return np.asarray(distance.min(axis=1, initial=np.inf))
+        distance = (from_x * along_y - from_y * along_x) / tilt
+        share = (from_x * beams.sin - from_y * beams.cos) / tilt
+    hit = (np.abs(tilt) > _PARALLEL) & (distance >= 0.0) & (share >= -_OVERLAP) & (share <= 1.0 + _OVERLAP)
+    return np.where(hit, distance, np.inf)
 
 
-def _cast_to_circles(origins: Floats, directions: Floats, circles: Floats) -> Floats:
-    """Return the distances (B,) to the nearest circle: the first crossing ahead, from outside or inside."""
-    if not len(circles):
-        return np.full(len(origins), np.inf)
-    ahead = directions @ circles[:, :2].T - (origins * directions).sum(axis=1)[:, None]
-    aside = (
-        directions @ np.stack([circles[:, 1], -circles[:, 0]])
-        - (directions[:, 0] * origins[:, 1] - directions[:, 1] * origins[:, 0])[:, None]
-    )
+def _distances_to_circles(beams: _Beams, circles: Floats) -> Floats:
+    """Return the distances (P, B) from blocks of beams to one circle each (3, P, 1): to the first crossing ahead, from
+    outside or inside; inf for a miss.
+    """
+    x, y, radius = circles
+    from_x, from_y = x - beams.x, y - beams.y
+    ahead = beams.cos * from_x + beams.sin * from_y
+    aside = beams.cos * from_y - beams.sin * from_x
     with np.errstate(invalid="ignore"):  # nan, the root of a negative number, is a miss
-        half_chord = np.sqrt(circles[:, 2] ** 2 - aside**2)
+        half_chord = np.sqrt(radius**2 - aside**2)
     near, far = ahead - half_chord, ahead + half_chord
-    distance = np.where(near >= 0.0, near, np.where(far >= 0.0, far, np.inf))
-    return np.asarray(distance.min(axis=1, initial=np.inf))
+    return np.where(near >= 0.0, near, np.where(far >= 0.0, far, np.inf))
