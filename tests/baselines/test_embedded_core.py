@@ -306,7 +306,7 @@ endforeach()
 """
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOOLS)}; the core's own tests need them")
 def test_another_project_finds_the_installed_core_and_uses_the_memory_stated_in_the_readme(tmp_path):
     (tmp_path / "robot.c").write_text(CONSUMER)

@@ -23,11 +23,11 @@ HASTE = Limits(run_s=60.0, scan_s=30.0, memory_mib=1024)
 LIMITS = {
     "hang": replace(HASTE, scan_s=2.5),
     "child": replace(HASTE, scan_s=4.0),
-    "spin": replace(HASTE, run_s=4.0),
+    "spin": replace(HASTE, run_s=3.0),
     "leak": replace(HASTE, memory_mib=300),
     "hold": replace(HASTE, scan_s=2.5),
     "daemon": replace(HASTE, scan_s=2.5),
-    "spin-in-child": replace(HASTE, scan_cpu_s=2.0),
+    "spin-in-child": replace(HASTE, scan_cpu_s=1.0),
     "leak-in-child": replace(HASTE, memory_mib=300),
 }
 
@@ -53,7 +53,7 @@ EXPECTED = (
     ("raise", "failed", "RuntimeError: lost the plot"),
     ("memory-error", "out-of-memory", "cannot allocate 7 TiB"),
     ("hang", "timeout", f"no answer for 2.5 s after scan {AT}"),
-    ("spin", "timeout", "not finished after 4 s"),
+    ("spin", "timeout", "not finished after 3 s"),
     ("leak", "out-of-memory", "used more than 300 MiB"),
     ("nan", "failed", "pose: not finite"),
     ("unchecked-nan", "failed", "a pose that is not finite: (nan, 0.0, 0.0)"),
@@ -73,7 +73,7 @@ EXPECTED = (
     ("linger", "complete", ""),
     ("hold", "timeout", f"no answer for 2.5 s after scan {AT}"),
     ("daemon", "timeout", "no answer for 2.5 s"),
-    ("spin-in-child", "timeout", f"no answer for 2 s of CPU time after scan {AT}"),
+    ("spin-in-child", "timeout", f"no answer for 1 s of CPU time after scan {AT}"),
     ("leak-in-child", "out-of-memory", "used more than 300 MiB"),
     ("flood", "failed", "code 9; last output: the wheel is off"),
     ("hidden", "complete", ""),
