@@ -133,6 +133,7 @@ static void bench_registration(size_t scans, int table)
         (void)ek_index_init(&r.index, &arena, r.targets, 262144u);
         (void)ek_icp_init(&r.icp, &arena, r.sources, r.targets);
         if (table) {
+            (void)ek_icp_init_table(&r.icp, &arena);
             (void)ek_table_init(&r.table, &arena, &r.index, 60000u, 400000u);
         }
         memory = pass ? memory : taken(arena.used);

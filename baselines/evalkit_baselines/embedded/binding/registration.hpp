@@ -133,7 +133,8 @@ private:
             const ek_status status =
                 ek_icp_init(&larger, arena, std::max(sources, icp_.capacity), std::max(targets, icp_.targets));
             const bool lines = parameters_.metric == EK_METRIC_LINE;
-            return status == EK_OK && lines ? ek_icp_init_lines(&larger, arena) : status;
+            const ek_status further = status == EK_OK && lines ? ek_icp_init_lines(&larger, arena) : status;
+            return further == EK_OK ? ek_icp_init_table(&larger, arena) : further;
         });
         icp_ = larger;
     }

@@ -123,9 +123,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     ek_arena measured = ek_arena_make(NULL, 0u);
     const size_t cells = 1u + take_byte(&input);
     HOLDS(ek_icp_init(&icp, &measured, MAX_COUNT, MAX_COUNT) == EK_OK && ek_icp_init_lines(&icp, &measured) == EK_OK);
+    HOLDS(ek_icp_init_table(&icp, &measured) == EK_OK);
     HOLDS(ek_index_init(&index, &measured, MAX_COUNT, cells) == EK_OK);
     ek_arena arena = memory_for(&measured);
     HOLDS(ek_icp_init(&icp, &arena, MAX_COUNT, MAX_COUNT) == EK_OK && ek_icp_init_lines(&icp, &arena) == EK_OK);
+    HOLDS(ek_icp_init_table(&icp, &arena) == EK_OK);
     HOLDS(ek_index_init(&index, &arena, MAX_COUNT, cells) == EK_OK && ek_arena_check(&arena) == EK_OK);
     for (int rounds = 0; rounds < 2 && input.left; rounds++) {
         clouds known;

@@ -1,4 +1,5 @@
 #include "ek/fit.h"
+#include "ek/wide.h"
 
 #define RANK EK_R(1e-9) /* eigenvalues below this share of the largest count as zero */
 #define SWEEPS 12       /* of Jacobi's method; a matrix of 3 x 3 needs about 5 */
@@ -12,7 +13,29 @@ static ek_real add_lanes(const ek_real lanes[EK_LANES])
     return total;
 }
 
-ek_real ek_fit_sum(const ek_real *weight, const ek_real *distance, size_t padded, int squared)
+EK_LOOP ek_real count_lanes(size_t padded, const ek_real *EK_RESTRICT weight)
+{
+    ek_real sums[EK_LANES] = {EK_R(0.0)};
+    for (size_t i = 0; i < padded; i += EK_LANES) {
+        for (size_t k = 0; k < EK_LANES; k++) {
+            sums[k] += weight[i + k];
+        }
+    }
+    return add_lanes(sums);
+}
+
+EK_WIDE static ek_real count_wide(size_t padded, const ek_real *weight)
+{
+    return count_lanes(padded, weight);
+}
+
+ek_real ek_fit_count(const ek_real *weight, size_t padded, int wide)
+{
+    return wide ? count_wide(padded, weight) : count_lanes(padded, weight);
+}
+
+EK_LOOP ek_real sum_lanes(size_t padded, int squared, const ek_real *EK_RESTRICT weight,
+                          const ek_real *EK_RESTRICT distance)
 {
     ek_real sums[EK_LANES] = {EK_R(0.0)};
     for (size_t i = 0; i < padded; i += EK_LANES) {
@@ -24,6 +47,16 @@ ek_real ek_fit_sum(const ek_real *weight, const ek_real *distance, size_t padded
     return add_lanes(sums);
 }
 
+EK_WIDE static ek_real sum_wide(size_t padded, int squared, const ek_real *weight, const ek_real *distance)
+{
+    return sum_lanes(padded, squared, weight, distance);
+}
+
+ek_real ek_fit_sum(const ek_real *weight, const ek_real *distance, size_t padded, int squared, int wide)
+{
+    return wide ? sum_wide(padded, squared, weight, distance) : sum_lanes(padded, squared, weight, distance);
+}
+
 /* The motion with rotation theta (rad) that moves point (px, py) to (qx, qy). */
 static ek_pose motion_about(ek_real px, ek_real py, ek_real qx, ek_real qy, ek_real theta)
 {
@@ -32,15 +65,13 @@ static ek_pose motion_about(ek_real px, ek_real py, ek_real qx, ek_real qy, ek_r
     return motion;
 }
 
-/* Equations 3 and 4, corrected. Sums run in fixed lanes, so that the result does not depend on how a compiler
- * vectorises. */
-ek_pose ek_fit_points(const ek_pairs *pairs, ek_real ox, ek_real oy)
+/* Sums of equations 3 and 4. They run in fixed lanes, so that the result does not depend on how a compiler vectorises. */
+EK_LOOP void sum_points(size_t padded, ek_real ox, ek_real oy, const ek_real *EK_RESTRICT mx,
+                        const ek_real *EK_RESTRICT my, const ek_real *EK_RESTRICT tx, const ek_real *EK_RESTRICT ty,
+                        const ek_real *EK_RESTRICT weight, ek_real total[7])
 {
-    const ek_real *const EK_RESTRICT mx = pairs->x, *const EK_RESTRICT my = pairs->y;
-    const ek_real *const EK_RESTRICT tx = pairs->tx, *const EK_RESTRICT ty = pairs->ty;
-    const ek_real *const EK_RESTRICT weight = pairs->weight;
-    ek_real sums[7][EK_LANES] = {{EK_R(0.0)}}, total[7];
-    for (size_t i = 0; i < pairs->padded; i += EK_LANES) {
+    ek_real sums[7][EK_LANES] = {{EK_R(0.0)}};
+    for (size_t i = 0; i < padded; i += EK_LANES) {
         for (size_t k = 0; k < EK_LANES; k++) {
             const ek_real w = weight[i + k];
             const ek_real x = w * (mx[i + k] - ox), y = w * (my[i + k] - oy);
@@ -56,6 +87,22 @@ ek_pose ek_fit_points(const ek_pairs *pairs, ek_real ox, ek_real oy)
     }
     for (size_t j = 0; j < 7u; j++) {
         total[j] = add_lanes(sums[j]);
+    }
+}
+
+EK_WIDE static void sum_points_wide(const ek_pairs *p, ek_real ox, ek_real oy, ek_real total[7])
+{
+    sum_points(p->padded, ox, oy, p->x, p->y, p->tx, p->ty, p->weight, total);
+}
+
+/* Equations 3 and 4, corrected. */
+ek_pose ek_fit_points(const ek_pairs *pairs, ek_real ox, ek_real oy)
+{
+    ek_real total[7];
+    if (pairs->wide) {
+        sum_points_wide(pairs, ox, oy, total);
+    } else {
+        sum_points(pairs->padded, ox, oy, pairs->x, pairs->y, pairs->tx, pairs->ty, pairs->weight, total);
     }
     const ek_real count = total[0], px = total[1] / count, py = total[2] / count;
     const ek_real qx = total[3] / count, qy = total[4] / count;

@@ -3,6 +3,7 @@
 #include "ek/normals.h"
 #include "ek/table.h"
 #include "ek/tally.h"
+#include "ek/wide.h"
 
 #include <string.h>
 
@@ -59,6 +60,7 @@ ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targ
     memset(icp, 0, sizeof *icp);
     icp->capacity = capacity;
     icp->targets = targets;
+    icp->wide = ek_is_wide();
     for (size_t i = 0; i < sizeof reals / sizeof *reals; i++) {
         *reals[i] = (ek_real *)ek_arena_alloc(arena, EK_PADDED(capacity), sizeof(ek_real));
     }
@@ -80,6 +82,19 @@ ek_status ek_icp_init_lines(ek_icp *icp, ek_arena *arena)
     return EK_OK;
 }
 
+ek_status ek_icp_init_table(ek_icp *icp, ek_arena *arena)
+{
+    if (!icp || !arena) {
+        return EK_NULL_POINTER;
+    }
+    const size_t candidates = EK_BLOCK * EK_PADDED(icp->capacity);
+    icp->cx = (ek_real *)ek_arena_alloc(arena, candidates, sizeof(ek_real));
+    icp->cy = (ek_real *)ek_arena_alloc(arena, candidates, sizeof(ek_real));
+    icp->slots = (uint32_t *)ek_arena_alloc(arena, candidates, sizeof(uint32_t));
+    icp->choice = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
+    return EK_OK;
+}
+
 /* Load the source points; the padding repeats the first point and gets weight 0. */
 static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
 {
@@ -93,9 +108,13 @@ static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
         }
         icp->tx[i] = icp->ty[i] = EK_FAR;
         icp->ax[i] = icp->ay[i] = EK_R(0.0);
-        icp->others[i] = EK_R(-1.0);
+        icp->others[i] = i < count ? EK_R(-1.0) : EK_FAR; /* padding is not searched for */
         icp->weight[i] = EK_R(0.0);
         icp->nearest[i] = (uint32_t)icp->targets;
+        for (size_t k = EK_BLOCK * i; k < EK_BLOCK * (i + 1u) && icp->choice; k++) {
+            icp->cx[k] = icp->cy[k] = EK_FAR;
+            icp->slots[k] = (uint32_t)icp->targets;
+        }
         if (icp->across) {
             icp->nx[i] = icp->ny[i] = EK_R(0.0);
         }
@@ -107,11 +126,11 @@ static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
  * while distance + distance moved since the search < lower bound on all other distances at the search. Both sides are
  * squared, which saves a root. All pointers are parameters because compilers vectorise with `restrict` only on
  * parameters. */
-static void move_points(size_t padded, ek_pose pose, ek_real limit, ek_real margin, const ek_real *EK_RESTRICT px,
-                        const ek_real *EK_RESTRICT py, const ek_real *EK_RESTRICT tx, const ek_real *EK_RESTRICT ty,
-                        const ek_real *EK_RESTRICT ax, const ek_real *EK_RESTRICT ay,
-                        const ek_real *EK_RESTRICT others, ek_real *EK_RESTRICT mx, ek_real *EK_RESTRICT my,
-                        ek_real *EK_RESTRICT distance, ek_real *EK_RESTRICT slack)
+EK_LOOP void move_points(size_t padded, ek_pose pose, ek_real limit, ek_real margin, const ek_real *EK_RESTRICT px,
+                         const ek_real *EK_RESTRICT py, const ek_real *EK_RESTRICT tx, const ek_real *EK_RESTRICT ty,
+                         const ek_real *EK_RESTRICT ax, const ek_real *EK_RESTRICT ay,
+                         const ek_real *EK_RESTRICT others, ek_real *EK_RESTRICT mx, ek_real *EK_RESTRICT my,
+                         ek_real *EK_RESTRICT distance, ek_real *EK_RESTRICT slack)
 {
     const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta), x0 = pose.x, y0 = pose.y;
     for (size_t i = 0; i < padded; i++) {
@@ -126,81 +145,240 @@ static void move_points(size_t padded, ek_pose pose, ek_real limit, ek_real marg
     }
 }
 
-static void move_source(ek_icp *icp, size_t padded, ek_pose pose, ek_real limit, ek_real margin)
+EK_WIDE static void move_points_wide(const ek_icp *p, size_t padded, ek_pose pose, ek_real limit, ek_real margin)
 {
-    move_points(padded, pose, limit, margin, icp->px, icp->py, icp->tx, icp->ty, icp->ax, icp->ay, icp->others, icp->mx,
-                icp->my, icp->distance, icp->slack);
+    move_points(padded, pose, limit, margin, p->px, p->py, p->tx, p->ty, p->ax, p->ay, p->others, p->mx, p->my,
+                p->distance, p->slack);
+}
+
+static void move_source(const ek_icp *p, size_t padded, ek_pose pose, ek_real limit, ek_real margin)
+{
+    if (p->wide) {
+        move_points_wide(p, padded, pose, limit, margin);
+    } else {
+        move_points(padded, pose, limit, margin, p->px, p->py, p->tx, p->ty, p->ax, p->ay, p->others, p->mx, p->my,
+                    p->distance, p->slack);
+    }
+}
+
+/* Choose the nearest of the candidates of each point, of equals the first. */
+EK_LOOP void choose_candidates(size_t padded, const ek_real *EK_RESTRICT mx, const ek_real *EK_RESTRICT my,
+                               const ek_real *EK_RESTRICT cx, const ek_real *EK_RESTRICT cy, ek_real *EK_RESTRICT tx,
+                               ek_real *EK_RESTRICT ty, ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT choice)
+{
+    for (size_t i = 0; i < padded; i += EK_LANES) {
+        for (size_t lane = 0; lane < EK_LANES; lane++) {
+            const size_t first = EK_BLOCK * i + lane;
+            const ek_real x = mx[i + lane], y = my[i + lane];
+            ek_real u = cx[first], v = cy[first], best = (x - u) * (x - u) + (y - v) * (y - v), which = EK_R(0.0);
+            for (size_t k = 1; k < EK_BLOCK; k++) {
+                const ek_real a = cx[first + EK_LANES * k], b = cy[first + EK_LANES * k];
+                const ek_real square = (x - a) * (x - a) + (y - b) * (y - b);
+                const int closer = square < best;
+                u = closer ? a : u;
+                v = closer ? b : v;
+                which = closer ? (ek_real)k : which;
+                best = closer ? square : best;
+            }
+            tx[i + lane] = u;
+            ty[i + lane] = v;
+            squared[i + lane] = best;
+            choice[i + lane] = which;
+        }
+    }
+}
+
+EK_WIDE static void choose_candidates_wide(const ek_icp *p, size_t padded)
+{
+    choose_candidates(padded, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice);
+}
+
+static void choose_neighbours(const ek_icp *p, size_t padded)
+{
+    if (p->wide) {
+        choose_candidates_wide(p, padded);
+    } else {
+        choose_candidates(padded, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice);
+    }
+}
+
+/* List the points whose neighbour may have changed; returns their number. */
+static uint32_t list_stale(size_t padded, const ek_real *EK_RESTRICT slack, uint32_t *EK_RESTRICT stale)
+{
+    uint32_t searches = 0u;
+    for (uint32_t i = 0; i < padded; i += EK_LANES) {
+        for (uint32_t lane = 0; lane < EK_LANES; lane++) {
+            stale[searches] = i + lane;
+            searches += slack[i + lane] > EK_R(0.0) ? 0u : 1u;
+        }
+    }
+    return searches;
+}
+
+/* Search the neighbour of a point in the index. */
+static ek_neighbour search_index(const ek_icp *icp, const ek_index *target, uint32_t i, ek_real limit)
+{
+    const ek_real known = icp->distance[i] + BEYOND * target->cells.cell;
+    const ek_real radius = icp->distance[i] < limit ? known : FIRST_LOOK * target->cells.cell;
+    return ek_index_nearest(target, icp->mx[i], icp->my[i], limit, radius);
+}
+
+/* Take the target point in a slot (or `targets`: none) as the neighbour of a point. */
+static void set_neighbour(ek_icp *icp, const ek_index *target, const ek_real *normals, uint32_t i, uint32_t slot)
+{
+    const int found = slot != icp->targets;
+    icp->nearest[i] = slot;
+    if (found && target->deferred) {
+        ek_normals_ensure(target, slot);
+    }
+    if (normals) {
+        icp->nx[i] = found ? normals[2u * target->id[slot]] : EK_R(0.0);
+        icp->ny[i] = found ? normals[2u * target->id[slot] + 1u] : EK_R(0.0);
+    }
 }
 
 /* Search the neighbour of every point whose neighbour may have changed; returns the number of searches. */
-static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t count,
+static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t padded,
                                   ek_real limit)
 {
-    uint32_t searches = 0u;
-    for (uint32_t i = 0; i < count; i++) {
-        icp->stale[searches] = i;
-        searches += icp->slack[i] > EK_R(0.0) ? 0u : 1u;
-    }
-    if (target->table) {
-        ek_table_locate(target->table, target, icp->mx, icp->my, icp->stale, searches, icp->pair_source);
-    }
+    const uint32_t searches = list_stale(padded, icp->slack, icp->stale);
     for (uint32_t k = 0; k < searches; k++) {
         const uint32_t i = icp->stale[k];
-        const ek_real x = icp->mx[i], y = icp->my[i];
-        const ek_real known = icp->distance[i] + BEYOND * target->cells.cell;
-        const ek_real radius = icp->distance[i] < limit ? known : FIRST_LOOK * target->cells.cell;
-        const ek_neighbour answer = target->table ? ek_table_nearest(target->table, target, icp->pair_source[k], x, y, limit, radius)
-                                                  : ek_index_nearest(target, x, y, limit, radius);
+        const ek_neighbour answer = search_index(icp, target, i, limit);
         const int found = answer.slot != EK_NONE;
-        icp->nearest[i] = found ? answer.slot : (uint32_t)icp->targets;
         icp->tx[i] = found ? target->xy[2u * answer.slot] : EK_FAR;
         icp->ty[i] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
         icp->distance[i] = found ? answer.distance : EK_FAR;
-        if (found && target->deferred) {
-            ek_normals_ensure(target, answer.slot);
-        }
-        if (normals) {
-            icp->nx[i] = found ? normals[2u * target->id[answer.slot]] : EK_R(0.0);
-            icp->ny[i] = found ? normals[2u * target->id[answer.slot] + 1u] : EK_R(0.0);
-        }
-        icp->ax[i] = x;
-        icp->ay[i] = y;
+        set_neighbour(icp, target, normals, i, found ? answer.slot : (uint32_t)icp->targets);
+        icp->ax[i] = icp->mx[i];
+        icp->ay[i] = icp->my[i];
         icp->others[i] = answer.others;
     }
     return searches;
 }
 
-/* Find, for each target point, the closest of the source points that it is nearest to; of equals the first. The loops
- * have no branch that a processor would have to predict. */
-static void find_owners(size_t count, const uint32_t *EK_RESTRICT nearest, const ek_real *EK_RESTRICT distance,
-                        uint32_t *EK_RESTRICT owner)
+/* Load the candidates of a point: of a block of the table, or found in the index. */
+static void load_candidates(ek_icp *icp, const ek_index *target, uint32_t at, uint32_t i, ek_real limit)
 {
-    for (uint32_t i = 0; i < count; i++) {
-        owner[nearest[i]] = i; /* any of them: entries of earlier passes must not count */
+    const size_t first = EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
+    const uint32_t none = (uint32_t)icp->targets;
+    const ek_block *const block = ek_table_block(target->table, target, at, icp->mx[i], icp->my[i], limit);
+    if (block) {
+        for (size_t k = 0; k < EK_BLOCK; k++) {
+            icp->cx[first + EK_LANES * k] = block->x[k];
+            icp->cy[first + EK_LANES * k] = block->y[k];
+            icp->slots[EK_BLOCK * i + k] = block->slot[k] == EK_NONE ? none : block->slot[k];
+        }
+        icp->ax[i] = block->centre_x;
+        icp->ay[i] = block->centre_y;
+        icp->others[i] = block->others;
+        return;
     }
-    for (uint32_t i = 0; i < count; i++) {
-        const uint32_t rival = owner[nearest[i]];
-        const int closer = (distance[i] < distance[rival]) | ((distance[i] == distance[rival]) & (i < rival));
-        owner[nearest[i]] = closer ? i : rival;
+    const ek_neighbour answer = search_index(icp, target, i, limit);
+    const int found = answer.slot != EK_NONE;
+    for (size_t k = 0; k < EK_BLOCK; k++) {
+        icp->cx[first + EK_LANES * k] = found ? target->xy[2u * answer.slot] : EK_FAR;
+        icp->cy[first + EK_LANES * k] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
+        icp->slots[EK_BLOCK * i + k] = found ? answer.slot : none;
+    }
+    icp->ax[i] = icp->mx[i];
+    icp->ay[i] = icp->my[i];
+    icp->others[i] = answer.others;
+}
+
+/* Take the chosen candidate of each point as its neighbour. */
+static void take_slots(size_t padded, const uint32_t *EK_RESTRICT slots, const ek_real *EK_RESTRICT choice,
+                       uint32_t *EK_RESTRICT nearest)
+{
+    for (size_t i = 0; i < padded; i += EK_LANES) {
+        for (size_t k = i; k < i + EK_LANES; k++) {
+            nearest[k] = slots[EK_BLOCK * k + (size_t)(int32_t)choice[k]];
+        }
     }
 }
 
-/* Set weight 1 for every pair that is used; returns their number (equation 2). */
-static int32_t select_pairs(const ek_icp *icp, size_t count, ek_real limit, int one_to_one)
+/* As update_neighbours, with the table of the target. */
+static uint32_t update_candidates(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t padded,
+                                  ek_real limit)
 {
-    const ek_real *const EK_RESTRICT distance = icp->distance;
-    const uint32_t *const EK_RESTRICT nearest = icp->nearest, *const EK_RESTRICT owner = icp->owner;
-    ek_real *const EK_RESTRICT weight = icp->weight;
-    int32_t pairs = 0;
+    const uint32_t searches = list_stale(padded, icp->slack, icp->stale);
+    ek_table_locate(target->table, target, icp->mx, icp->my, icp->stale, searches, icp->pair_source);
+    for (uint32_t k = 0; k < searches; k++) {
+        load_candidates(icp, target, icp->pair_source[k], icp->stale[k], limit);
+    }
+    choose_neighbours(icp, padded);
+    take_slots(padded, icp->slots, icp->choice, icp->nearest);
+    for (uint32_t i = 0; i < padded && normals; i++) {
+        set_neighbour(icp, target, normals, i, icp->nearest[i]);
+    }
+    return searches;
+}
+
+/* Give weight 1 to the points that are nearer than `limit`, 0 to the others; distances or their squares. */
+EK_LOOP void weigh_within(size_t padded, ek_real limit, const ek_real *EK_RESTRICT distance,
+                          ek_real *EK_RESTRICT weight)
+{
+    for (size_t i = 0; i < padded; i++) {
+        weight[i] = distance[i] < limit ? EK_R(1.0) : EK_R(0.0);
+    }
+}
+
+/* Of several source points with the same target point, set the weights of all but the closest to 0, of equals of all but
+ * the first. `owner` is at first the first source point of each target point; only the later ones, which are few, are
+ * compared. No loop has a branch that a processor would have to predict. */
+static void keep_closest(size_t padded, const uint32_t *EK_RESTRICT nearest, const ek_real *EK_RESTRICT distance,
+                         uint32_t *EK_RESTRICT owner, uint32_t *EK_RESTRICT later, ek_real *EK_RESTRICT weight)
+{
+    size_t count = 0u;
+    for (size_t i = padded; i > 0u; i -= EK_LANES) {
+        for (size_t k = 1; k <= EK_LANES; k++) {
+            owner[nearest[i - k]] = (uint32_t)(i - k);
+        }
+    }
+    for (size_t i = 0; i < padded; i += EK_LANES) {
+        for (size_t k = i; k < i + EK_LANES; k++) {
+            later[count] = (uint32_t)k;
+            count += owner[nearest[k]] != (uint32_t)k;
+        }
+    }
+    for (size_t k = 0; k < count; k++) {
+        const uint32_t i = later[k], rival = owner[nearest[i]];
+        const uint32_t closer = 0u - (uint32_t)(distance[i] < distance[rival]), swap = (i ^ rival) & closer;
+        owner[nearest[i]] = rival ^ swap;
+        weight[i ^ swap] = EK_R(0.0);
+    }
+}
+
+/* Set weight 1 for every pair that is used, those nearer than `limit`, and 0 for the others; returns the number of pairs
+ * (equation 2). Distances or their squares. */
+static int32_t select_pairs(const ek_icp *icp, size_t padded, const ek_real *distance, ek_real limit, int one_to_one)
+{
+    weigh_within(padded, limit, distance, icp->weight);
     if (one_to_one) {
-        find_owners(count, icp->nearest, icp->distance, icp->owner);
+        keep_closest(padded, icp->nearest, distance, icp->owner, icp->stale, icp->weight);
     }
-    for (uint32_t i = 0; i < count; i++) {
-        const int used = (distance[i] < limit) & (!one_to_one | (owner[nearest[i]] == i));
-        weight[i] = used ? EK_R(1.0) : EK_R(0.0);
-        pairs += used;
+    return (int32_t)ek_fit_count(icp->weight, padded, icp->wide);
+}
+
+/* The smallest number (m^2) whose root is not below `limit` (m). */
+static ek_real square_of_limit(ek_real limit)
+{
+    ek_real square = limit * limit;
+    while (EK_SQRT(square) < limit) {
+        square *= EK_R(1.0) + EK_EPSILON;
     }
-    return pairs;
+    while (EK_SQRT(square * (EK_R(1.0) - EK_EPSILON / EK_R(2.0))) >= limit) {
+        square *= EK_R(1.0) - EK_EPSILON / EK_R(2.0);
+    }
+    return square;
+}
+
+/* Distances of the source points to the target points of their pairs, from the squares of choose_candidates. */
+static void measure_distances(ek_icp *icp, size_t padded)
+{
+    for (size_t i = 0; i < padded; i++) {
+        icp->distance[i] = EK_SQRT(icp->slack[i]);
+    }
 }
 
 /* Distances of the source points to the lines of their pairs. */
@@ -221,14 +399,14 @@ static ek_real compute_error(ek_icp *icp, size_t padded, int32_t pairs, const ek
         measure_across(icp, padded);
     }
     const ek_real *const distance = lines ? icp->across : icp->distance;
-    const ek_real total = ek_fit_sum(icp->weight, distance, padded, measure != EK_ERROR_MEAN) / (ek_real)pairs;
+    const ek_real total = ek_fit_sum(icp->weight, distance, padded, measure != EK_ERROR_MEAN, icp->wide) / (ek_real)pairs;
     return measure == EK_ERROR_RMSE ? EK_SQRT(total) : total;
 }
 
 /* The step of the pairs at a pose, in the target's frame. */
 static ek_pose fit_step(const ek_icp *icp, size_t padded, ek_pose pose, const ek_icp_parameters *parameters)
 {
-    const ek_pairs pairs = {padded, icp->mx, icp->my, icp->tx, icp->ty, icp->nx, icp->ny, icp->weight};
+    const ek_pairs pairs = {padded, icp->mx, icp->my, icp->tx, icp->ty, icp->nx, icp->ny, icp->weight, icp->wide};
     return parameters->metric == EK_METRIC_LINE ? ek_fit_lines(&pairs, parameters->cauchy, pose.x, pose.y)
                                                 : ek_fit_points(&pairs, pose.x, pose.y);
 }
@@ -270,7 +448,7 @@ static ek_status check(const ek_icp *icp, const ek_index *target, const ek_real 
     if (status == EK_OK && parameters->metric == EK_METRIC_LINE && (!icp->across || (!target->normals && target->count))) {
         return EK_NULL_POINTER;
     }
-    return status;
+    return status == EK_OK && target->table && !icp->choice ? EK_NULL_POINTER : status;
 }
 
 static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_pose guess,
@@ -279,6 +457,7 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
     const size_t padded = EK_PADDED(count);
     const int limited = parameters->max_correspondence > EK_R(0.0) && parameters->max_correspondence < MAX_DISTANCE;
     const ek_real limit = limited ? parameters->max_correspondence : MAX_DISTANCE;
+    const ek_real reach = square_of_limit(limit);
     const ek_real *const normals = parameters->metric == EK_METRIC_LINE ? target->normals : NULL;
     ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
     ek_pose pose = guess;
@@ -291,8 +470,13 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
     while (match.iterations < parameters->max_iterations && !match.converged) {
         EK_COUNT(EK_ITERATIONS, 1u);
         EK_COUNT(EK_POINTS, padded);
-        match.queries += update_neighbours(icp, target, normals, count, limit);
-        match.inliers = select_pairs(icp, count, limit, parameters->one_to_one);
+        if (target->table) {
+            match.queries += update_candidates(icp, target, normals, padded, limit);
+            match.inliers = select_pairs(icp, padded, icp->slack, reach, parameters->one_to_one);
+        } else {
+            match.queries += update_neighbours(icp, target, normals, padded, limit);
+            match.inliers = select_pairs(icp, padded, icp->distance, limit, parameters->one_to_one);
+        }
         if (match.inliers < parameters->min_pairs) {
             match.error = (ek_real)NAN;
             match.target_from_source = guess;
@@ -301,7 +485,12 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
         ek_icp_iteration now = {++match.iterations, match.inliers, EK_R(0.0), {EK_R(0.0), EK_R(0.0), EK_R(0.0)},
                                 pose, NULL, NULL};
         now.step = fit_step(icp, padded, pose, parameters);
-        now.error = parameters->error_before ? compute_error(icp, padded, match.inliers, parameters) : EK_R(0.0);
+        if (parameters->error_before) {
+            if (target->table) {
+                measure_distances(icp, padded);
+            }
+            now.error = compute_error(icp, padded, match.inliers, parameters);
+        }
         pose = ek_se2_compose(now.step, pose); /* equation 9: the step is in the target's frame */
         now.target_from_source = pose;
         move_source(icp, padded, pose, limit, target->cells.margin);

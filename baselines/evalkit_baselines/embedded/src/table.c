@@ -4,8 +4,7 @@
 
 #define MAX_COUNT ((size_t)1 << 26)
 #define CROWDED UINT32_MAX /* entry of a small cell with too many candidates */
-#define GATHERED 32u       /* most points around a small cell that a block is chosen from */
-#define EXTRA EK_R(1.0)    /* half diagonals gathered beyond the candidates: a farther bound saves later searches */
+#define GATHERED 64u       /* most points around a small cell that a block is chosen from */
 
 ek_status ek_table_init(ek_table *table, ek_arena *arena, ek_index *index, size_t tiles, size_t blocks)
 {
@@ -42,7 +41,7 @@ void ek_table_attach(ek_table *table, const ek_index *index)
 /* Points around the centre of a small cell. */
 typedef struct {
     ek_real x, y, half; /* of the cell: centre and half width, rounding included (m) */
-    ek_real margin;
+    ek_real margin, radius; /* gathered within `radius` */
     size_t count;
     uint32_t slot[GATHERED];
     ek_real dx[GATHERED], dy[GATHERED], squared[GATHERED]; /* from the centre */
@@ -85,53 +84,87 @@ static int is_dominated(const surroundings *near, size_t k, ek_real tolerance)
     return 0;
 }
 
-/* Distance (m) of a point to the cell. */
-static ek_real distance_to_cell(const surroundings *near, size_t k)
+/* Insert a point by its index in the cloud into a block that has `count` points. */
+static void insert(const ek_index *index, ek_block *block, size_t count, uint32_t slot)
 {
-    const ek_real dx = EK_FABS(near->dx[k]) - near->half, dy = EK_FABS(near->dy[k]) - near->half;
-    const ek_real u = dx > EK_R(0.0) ? dx : EK_R(0.0), v = dy > EK_R(0.0) ? dy : EK_R(0.0);
-    return EK_SQRT(u * u + v * v);
-}
-
-/* Insert a point by its index in the cloud; 0 if the block is full. */
-static int insert(const ek_index *index, ek_block *block, size_t count, uint32_t slot)
-{
-    if (count == EK_BLOCK) {
-        return 0;
-    }
     size_t k = count;
     for (; k > 0u && index->id[block->slot[k - 1u]] > index->id[slot]; k--) {
         block->slot[k] = block->slot[k - 1u];
     }
     block->slot[k] = slot;
+}
+
+/* Gather the points that can be nearest to a place in the cell, and if possible more than a block holds. */
+static int gather_enough(const ek_index *index, surroundings *near, ek_real distance)
+{
+    ek_real radius = distance + EK_R(4.0) * near->half + EK_R(4.0) * near->margin;
+    near->radius = radius;
+    if (!gather(index, near, radius)) {
+        return 0;
+    }
+    while (near->count <= EK_BLOCK && radius < EK_R(2.0) * index->cells.cell) {
+        radius *= EK_R(1.5);
+        if (!gather(index, near, radius)) {
+            return gather(index, near, near->radius);
+        }
+        near->radius = radius;
+    }
     return 1;
 }
 
-/* Make the block of a small cell with the candidates for searches up to `limit` (m); 0 if it cannot hold them. */
+/* Fill a block that has `count` points with the nearest to the centre of the points `spare`; returns the number of its
+ * points. A farther bound on the others saves searches. */
+static size_t fill_block(const ek_index *index, const surroundings *near, size_t *spare, size_t spares, size_t count,
+                         ek_block *block)
+{
+    block->others = near->radius;
+    while (spares > 0u) {
+        size_t least = 0u;
+        for (size_t k = 1; k < spares; k++) {
+            least = near->squared[spare[k]] < near->squared[spare[least]] ? k : least;
+        }
+        if (count == EK_BLOCK) {
+            const ek_real next = EK_SQRT(near->squared[spare[least]]);
+            block->others = next < near->radius ? next : near->radius;
+            break;
+        }
+        insert(index, block, count++, near->slot[spare[least]]);
+        spare[least] = spare[--spares];
+    }
+    return count;
+}
+
+/* Make the block of a small cell for searches up to `limit` (m); 0 if too many points are around it. */
 static int make_block(const ek_index *index, surroundings *near, ek_real limit, ek_block *block)
 {
-    const ek_real diagonal = EK_R(1.42) * near->half; /* half of it */
     const ek_neighbour nearest =
-        ek_index_nearest(index, near->x, near->y, limit + EK_R(2.0) * diagonal, index->cells.cell);
-    size_t count = 0u;
-    block->beyond = nearest.others - diagonal;
+        ek_index_nearest(index, near->x, near->y, limit + EK_R(2.0) * near->half, index->cells.cell);
+    size_t count = 0u, spare[GATHERED], spares = 0u, candidates = 0u;
+    block->centre_x = near->x;
+    block->centre_y = near->y;
+    block->others = nearest.others;
+    block->complete = 1u;
     if (nearest.slot != EK_NONE) {
-        const ek_real radius = nearest.distance + (EK_R(2.0) + EXTRA) * diagonal + EK_R(4.0) * near->margin;
-        if (!gather(index, near, radius)) {
+        if (!gather_enough(index, near, nearest.distance)) {
             return 0;
         }
-        const ek_real tolerance = EK_R(16.0) * near->margin * (radius + near->margin);
-        block->beyond = radius - diagonal;
+        int dominated[GATHERED];
+        const ek_real tolerance = EK_R(16.0) * near->margin * (near->radius + near->margin);
         for (size_t k = 0; k < near->count; k++) {
-            if (is_dominated(near, k, tolerance)) {
-                const ek_real distance = distance_to_cell(near, k);
-                block->beyond = distance < block->beyond ? distance : block->beyond;
-            } else if (!insert(index, block, count++, near->slot[k])) {
-                return 0;
+            dominated[k] = is_dominated(near, k, tolerance);
+            candidates += dominated[k] ? 0u : 1u;
+        }
+        block->complete = candidates <= EK_BLOCK;
+        for (size_t k = 0; k < near->count; k++) {
+            if (block->complete && !dominated[k]) {
+                insert(index, block, count++, near->slot[k]);
+            } else {
+                spare[spares++] = k;
             }
         }
+        count = fill_block(index, near, spare, spares, count, block);
     }
-    block->beyond -= near->margin;
+    block->others -= near->margin;
     for (size_t k = 0; k < EK_BLOCK; k++) {
         block->slot[k] = k < count ? block->slot[k] : EK_NONE;
         block->x[k] = k < count ? index->xy[2u * block->slot[k]] : EK_FAR;
@@ -175,64 +208,66 @@ static void count_search(ek_table *table, const ek_index *index, uint32_t column
     table->blocks += made ? 1u : 0u;
 }
 
-/* Column and row of the small cell that contains (x, y); 0 outside the cells of the index. */
-static inline int find_small_cell(const ek_index *index, ek_real x, ek_real y, uint32_t *column, uint32_t *row)
+/* Column and row of the small cell that contains (x, y); 0 outside the cells of the index and on their lower left. */
+static inline int find_small_cell(const ek_cell_grid *cells, ek_real x, ek_real y, uint32_t *column, uint32_t *row)
 {
-    const ek_cell_grid *const cells = &index->cells;
-    const ek_real split = (ek_real)EK_TABLE_SPLIT;
-    const ek_real u = (x - cells->left) * cells->per_cell * split, v = (y - cells->bottom) * cells->per_cell * split;
-    const int inside = (u >= EK_R(0.0)) & (v >= EK_R(0.0)) & (u < split * (ek_real)cells->columns) &
-                       (v < split * (ek_real)cells->rows);
-    *column = inside ? (uint32_t)(int32_t)u : 0u;
-    *row = inside ? (uint32_t)(int32_t)v : 0u;
+    const ek_real per_small = cells->per_cell * (ek_real)EK_TABLE_SPLIT, half = EK_R(0.5) * (ek_real)EK_TABLE_SPLIT;
+    const ek_real across = half * (ek_real)cells->columns, up = half * (ek_real)cells->rows;
+    const ek_real u = (x - cells->left) * per_small, v = (y - cells->bottom) * per_small;
+    const int inside = (EK_FABS(u - across) < across) & (EK_FABS(v - up) < up);
+    *column = (uint32_t)(int32_t)(inside ? u : EK_R(0.0));
+    *row = (uint32_t)(int32_t)(inside ? v : EK_R(0.0));
     return inside;
 }
 
-void ek_table_locate(const ek_table *table, const ek_index *index, const ek_real *x, const ek_real *y,
-                     const uint32_t *which, size_t count, uint32_t *at)
+void ek_table_locate(const ek_table *table, const ek_index *index, const ek_real *EK_RESTRICT x,
+                     const ek_real *EK_RESTRICT y, const uint32_t *EK_RESTRICT which, size_t count,
+                     uint32_t *EK_RESTRICT at)
 {
+    const ek_cell_grid cells = index->cells;
+    const uint32_t *const EK_RESTRICT tiles = table->tile, *const EK_RESTRICT entries = table->entry;
     for (size_t k = 0; k < count; k++) {
         uint32_t column, row;
-        const int inside = find_small_cell(index, x[which[k]], y[which[k]], &column, &row);
-        const uint32_t tile = table->tile[row / EK_TABLE_SPLIT * index->cells.columns + column / EK_TABLE_SPLIT];
-        at[k] = inside ? EK_TILE * tile + EK_TABLE_SPLIT * (row % EK_TABLE_SPLIT) + column % EK_TABLE_SPLIT : 0u;
-        EK_PREFETCH(table->entry + at[k]);
+        const int inside = find_small_cell(&cells, x[which[k]], y[which[k]], &column, &row);
+        const uint32_t tile = tiles[row / EK_TABLE_SPLIT * cells.columns + column / EK_TABLE_SPLIT];
+        const uint32_t entry = EK_TILE * tile + EK_TABLE_SPLIT * (row % EK_TABLE_SPLIT) + column % EK_TABLE_SPLIT;
+        at[k] = entry & (0u - (uint32_t)inside);
+        EK_PREFETCH(entries + at[k]);
     }
     for (size_t k = 0; k < count; k++) {
-        const uint32_t entry = table->entry[at[k]];
+        const uint32_t entry = entries[at[k]];
         const int made = (entry > EK_TABLE_PATIENCE) & (entry != CROWDED);
-        at[k] = made ? entry - EK_TABLE_PATIENCE : 0u;
+        at[k] = (entry - EK_TABLE_PATIENCE) & (0u - (uint32_t)made);
         EK_PREFETCH(table->block + at[k]);
         EK_PREFETCH(table->block[at[k]].slot);
     }
 }
 
-ek_neighbour ek_table_nearest(ek_table *table, const ek_index *index, uint32_t at, ek_real x, ek_real y, ek_real limit,
-                              ek_real radius)
+/* 1 if the point of a block that is nearest to (x, y) is nearer than all points outside the block. */
+static int is_proven(const ek_block *block, const ek_index *index, ek_real x, ek_real y, ek_real limit)
 {
-    if (at == 0u) {
-        uint32_t column, row;
-        if (index->count && find_small_cell(index, x, y, &column, &row)) {
-            count_search(table, index, column, row, limit);
-        }
-        return ek_index_nearest(index, x, y, limit, radius);
-    }
-    const ek_block *const block = table->block + at;
-    ek_real best = EK_FAR * EK_FAR, second = EK_FAR * EK_FAR;
-    uint32_t slot = EK_NONE;
+    const ek_real wx = x - block->centre_x, wy = y - block->centre_y;
+    ek_real best = limit * limit;
     for (size_t k = 0; k < EK_BLOCK; k++) {
         const ek_real dx = block->x[k] - x, dy = block->y[k] - y, squared = dx * dx + dy * dy;
-        const ek_real worse = squared > best ? squared : best;
-        second = worse < second ? worse : second;
-        slot = squared < best ? block->slot[k] : slot;
         best = squared < best ? squared : best;
     }
-    best = EK_SQRT(best);
-    second = EK_SQRT(second);
-    if (slot == EK_NONE && block->beyond < limit) { /* made for searches up to a smaller limit */
-        return ek_index_nearest(index, x, y, limit, radius);
+    return EK_SQRT(best) + EK_SQRT(wx * wx + wy * wy) + EK_R(2.0) * index->cells.margin < block->others;
+}
+
+const ek_block *ek_table_block(ek_table *table, const ek_index *index, uint32_t at, ek_real x, ek_real y, ek_real limit)
+{
+    const ek_block *const block = table->block + at;
+    uint32_t column, row;
+    if (at == 0u) {
+        if (index->count && find_small_cell(&index->cells, x, y, &column, &row)) {
+            count_search(table, index, column, row, limit);
+        }
+        return NULL;
     }
-    const ek_real others = best < limit ? second : best;
-    const ek_neighbour answer = {best < limit ? slot : EK_NONE, best, others < block->beyond ? others : block->beyond};
-    return answer;
+    if (block->complete && block->slot[0] != EK_NONE) {
+        return block;
+    }
+    /* without points a block was made for searches up to some limit */
+    return is_proven(block, index, x, y, limit) ? block : NULL;
 }

@@ -4,7 +4,7 @@
 #define COUNT 40u
 
 static ek_real x[COUNT], y[COUNT], tx[COUNT], ty[COUNT], nx[COUNT], ny[COUNT], weight[COUNT];
-static const ek_pairs pairs = {COUNT, x, y, tx, ty, nx, ny, weight};
+static const ek_pairs pairs = {COUNT, x, y, tx, ty, nx, ny, weight, 0};
 
 /* Points on two walls as targets, moved by the inverse of a motion as sources. */
 static void fill(ek_pose motion, int walls)

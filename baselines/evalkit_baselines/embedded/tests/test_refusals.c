@@ -413,6 +413,7 @@ static void of_capacities(void)
     CAPACITIES(ek_keyframes, keyframes_init, MILLION, BILLION);
     ek_icp made;
     CHECK(ek_icp_init_lines(NULL, &none) == EK_NULL_POINTER && ek_icp_init_lines(&made, NULL) == EK_NULL_POINTER);
+    CHECK(ek_icp_init_table(NULL, &none) == EK_NULL_POINTER && ek_icp_init_table(&made, NULL) == EK_NULL_POINTER);
     ek_voxel_map map;
     ek_lasting_map lasting;
     CHECK(ek_lasting_map_init(NULL, &none, 1u, EK_R(0.1), EK_R(1.0), 1u, 0u) == EK_NULL_POINTER);
@@ -429,6 +430,7 @@ static void of_calls(void)
     static ek_icp matcher;
     static ek_search search;
     static ek_score_grid cells;
+    static ek_table table;
     static ek_pose_graph graph;
     static ek_frontend odometry;
     ek_arena arena = memory_of(2000000u);
@@ -468,6 +470,9 @@ static void of_calls(void)
     matcher.targets = 1u; /* an index of two points */
     CHECK(ek_icp_register(&matcher, &index, xy, 2u, ORIGIN, &icp, NULL, NULL, &match) == EK_OUT_OF_RANGE);
     matcher.targets = 2u;
+    index.table = &table;
+    CHECK(ek_icp_register(&matcher, &index, xy, 2u, ORIGIN, &icp, NULL, NULL, &match) == EK_NULL_POINTER); /* memory */
+    index.table = NULL;
     icp.metric = EK_METRIC_LINE;
     CHECK(ek_icp_register(&matcher, &index, xy, 2u, ORIGIN, &icp, NULL, NULL, &match) == EK_NULL_POINTER); /* memory */
     CHECK(ek_icp_init_lines(&matcher, &arena) == EK_OK && ek_arena_check(&arena) == EK_OK);

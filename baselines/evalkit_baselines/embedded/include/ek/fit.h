@@ -15,14 +15,19 @@ typedef struct {
     const ek_real *tx, *ty; /* target points (m) */
     const ek_real *nx, *ny; /* unit normals of the lines through the target points; for ek_fit_lines only */
     const ek_real *weight;  /* 1: a pair, 0: not */
+    int wide;               /* 1: the processor has AVX2 (wide.h); the sums are the same */
 } ek_pairs;
 
+#define ek_fit_count EK_NAME(fit_count)
 #define ek_fit_sum EK_NAME(fit_sum)
 #define ek_fit_points EK_NAME(fit_points)
 #define ek_fit_lines EK_NAME(fit_lines)
 
+/* Sum of the weights: the number of pairs. */
+ek_real ek_fit_count(const ek_real *weight, size_t padded, int wide);
+
 /* Weighted sum of distances, or of their squares, in lanes like the other sums. */
-ek_real ek_fit_sum(const ek_real *weight, const ek_real *distance, size_t padded, int squared);
+ek_real ek_fit_sum(const ek_real *weight, const ek_real *distance, size_t padded, int squared, int wide);
 
 /* The motion that minimises the squared distances of the pairs; the angle cannot be a reflection. Sums are taken
  * relative to (ox, oy), which should be near the points. */

@@ -56,16 +56,20 @@ typedef void (*ek_icp_trace)(void *context, const ek_icp_iteration *iteration);
 /* Working memory of one registration. */
 typedef struct {
     size_t capacity, targets;
+    int wide;               /* 1: the processor has AVX2 (wide.h) */
     ek_real *px, *py;       /* source points */
     ek_real *mx, *my;       /* source points in the target's frame */
     ek_real *tx, *ty;       /* nearest target points; EK_FAR if there is none */
     ek_real *ax, *ay;       /* positions at the last search */
     ek_real *others;        /* lower bound on the distance to any other target point at the last search */
     ek_real *distance;      /* to the nearest target point */
-    ek_real *slack;         /* not positive: search again */
+    ek_real *slack;         /* not positive: search again; afterwards, with a table, the square of the distance */
     ek_real *weight;        /* 1: a pair, 0: not */
     ek_real *nx, *ny;       /* normals of the nearest target points; NULL without ek_icp_init_lines */
     ek_real *across;        /* distance to their lines */
+    ek_real *cx, *cy;       /* EK_BLOCK target points that can be nearest; NULL without ek_icp_init_table */
+    ek_real *choice;        /* which of them is nearest */
+    uint32_t *slots;        /* their slots in the index, or `targets` */
     uint32_t *nearest;      /* slot in the index, or `targets` */
     uint32_t *stale;        /* points to search for */
     uint32_t *owner;        /* slot (and one for none) -> the closest source point */
@@ -76,6 +80,7 @@ typedef struct {
 #define ek_icp_check EK_NAME(icp_check)
 #define ek_icp_init EK_NAME(icp_init)
 #define ek_icp_init_lines EK_NAME(icp_init_lines)
+#define ek_icp_init_table EK_NAME(icp_init_table)
 #define ek_icp_register EK_NAME(icp_register)
 
 /* Default parameters: 40 iterations, epsilon 1e-4 on the mean distance after the step, one-to-one, 0.3 m, 3 pairs. */
@@ -91,11 +96,14 @@ ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targ
 /* Initialise the memory that EK_METRIC_LINE needs in addition. */
 ek_status ek_icp_init_lines(ek_icp *icp, ek_arena *arena);
 
+/* Initialise the memory that a target with a table (table.h) needs in addition. */
+ek_status ek_icp_init_table(ek_icp *icp, ek_arena *arena);
+
 /* Compute target_from_source, starting from `guess`. source_xy holds count pairs x y (m); trace may be NULL.
  * Stateless: the same arguments give the same result. An empty index gives the guess, not converged, 0 pairs.
  * EK_NO_POINTS, EK_TOO_MANY_POINTS, EK_NOT_FINITE (points or guess), EK_OUT_OF_RANGE (parameters, a coordinate larger
  * than EK_MAX_COORDINATE, or an index larger than `targets`), EK_NULL_POINTER (also: EK_METRIC_LINE without
- * ek_icp_init_lines or without normals of the target). An error leaves *match unchanged. */
+ * ek_icp_init_lines or without normals of the target, and a target with a table without ek_icp_init_table). An error leaves *match unchanged. */
 ek_status ek_icp_register(ek_icp *icp, const ek_index *target, const ek_real *source_xy, size_t count, ek_pose guess,
                           const ek_icp_parameters *parameters, ek_icp_trace trace, void *context, ek_match *match);
 

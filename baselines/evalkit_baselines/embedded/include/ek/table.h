@@ -20,11 +20,14 @@ extern "C" {
 #define EK_TILE (EK_TABLE_SPLIT * EK_TABLE_SPLIT)
 #define EK_BLOCK 4u          /* points */
 
-/* The points that can be nearest to a place in a small cell, by ascending index in the cloud. */
+/* The points that can be nearest to a place in a small cell, and the next nearest to its centre, by ascending index in
+ * the cloud. */
 typedef struct {
-    ek_real x[EK_BLOCK], y[EK_BLOCK]; /* m; EK_FAR if the cell has fewer */
-    uint32_t slot[EK_BLOCK];
-    ek_real beyond; /* lower bound on the distance from the cell to all other points (m) */
+    ek_real x[EK_BLOCK], y[EK_BLOCK]; /* m; EK_FAR where there are fewer */
+    ek_real centre_x, centre_y;       /* of the small cell (m) */
+    ek_real others;                   /* lower bound on the distance from the centre to all other points (m) */
+    uint32_t slot[EK_BLOCK];          /* EK_NONE where there are fewer */
+    uint32_t complete;                /* 1: no other point can be nearest to a place in the cell */
 } ek_block;
 
 struct ek_table {
@@ -39,7 +42,7 @@ struct ek_table {
 #define ek_table_init EK_NAME(table_init)
 #define ek_table_attach EK_NAME(table_attach)
 #define ek_table_locate EK_NAME(table_locate)
-#define ek_table_nearest EK_NAME(table_nearest)
+#define ek_table_block EK_NAME(table_block)
 
 /* Initialise an empty table for up to `tiles` cells of an index and `blocks` small cells in an arena (or measure it:
  * arena->used is then the memory needed). The index refers to the table from now on; its next update clears it.
@@ -53,13 +56,13 @@ void ek_table_attach(ek_table *table, const ek_index *index);
 
 /* Find the blocks of the small cells that contain the points which[0..count-1] of x, y (m): at[k], 0 if there is none.
  * Reads of memory overlap here, which hides most of their latency. */
-void ek_table_locate(const ek_table *table, const ek_index *index, const ek_real *x, const ek_real *y,
-                     const uint32_t *which, size_t count, uint32_t *at);
+void ek_table_locate(const ek_table *table, const ek_index *index, const ek_real *EK_RESTRICT x,
+                     const ek_real *EK_RESTRICT y, const uint32_t *EK_RESTRICT which, size_t count,
+                     uint32_t *EK_RESTRICT at);
 
-/* Find the point nearest to (x, y) that is nearer than `limit` (m), with the slot and distance that ek_index_nearest
- * finds; `others` may be another lower bound. `at`: from ek_table_locate for (x, y). */
-ek_neighbour ek_table_nearest(ek_table *table, const ek_index *index, uint32_t at, ek_real x, ek_real y, ek_real limit,
-                              ek_real radius);
+/* The block `at` (from ek_table_locate for (x, y)) if it holds the point nearest to (x, y) or no point is nearer than
+ * `limit` (m); else NULL: search the index. Counts the searches of a small cell without a block. */
+const ek_block *ek_table_block(ek_table *table, const ek_index *index, uint32_t at, ek_real x, ek_real y, ek_real limit);
 
 #ifdef __cplusplus
 }
