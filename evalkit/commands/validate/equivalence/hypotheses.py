@@ -146,10 +146,10 @@ class ObservedStep:
                 yield "stale pairs", f"stale pairs: those {when}", old
         onto, distance = _nearest(moved, self.target)
         if self._one_to_one:
-            many = "one-to-one filter: several source points may share a target"
-            yield "outlier rule", many, self._filtered(onto, distance, keep="all")
             shortest = np.sort(np.argsort(distance, kind="stable")[: max(self.count, 0)])
-            yield "outlier rule", many, np.stack([shortest, onto[shortest]], axis=1)
+            for shared in (self._filtered(onto, distance, keep="all"), np.stack([shortest, onto[shortest]], axis=1)):
+                if len(np.unique(shared[:, 1])) < len(shared):
+                    yield "outlier rule", "one-to-one filter: several source points may share a target", shared
             for which in ("first", "last"):
                 what = f"one-to-one filter: the {which} source point of a target is kept, not the closest"
                 yield "outlier rule", what, self._filtered(onto, distance, keep=which)

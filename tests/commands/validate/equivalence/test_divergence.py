@@ -1,0 +1,143 @@
+"""The first difference of two answers, written by hand, is found at its place and named by its cause."""
+
+import math
+
+import numpy as np
+import pytest
+
+from evalkit.commands.validate.equivalence.correspondences import explain_difference
+from evalkit.commands.validate.equivalence.diagnosis import best_step, find_mistake, name_cost
+from evalkit.commands.validate.equivalence.divergence import first_divergence
+from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
+from evalkit.commands.validate.equivalence.margins import Margin
+from evalkit.commands.validate.equivalence.other_points import written_decimals
+from evalkit.core.match import Iteration, Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+
+TARGET = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [0.0, 2.0], [2.0, 2.0], [4.0, 2.0]])
+SOURCE = TARGET + np.array([[0.10, 0.03], [0.12, -0.04], [-0.02, 0.09], [0.05, 0.06], [0.11, 0.01], [0.4, -0.05]])
+QUESTION = Question(1, "s2s", Cloud(TARGET), Cloud(SOURCE), Pose())
+PAIRS = np.stack([np.arange(6), np.arange(6)], axis=1)
+RIGHT = Pose.of(best_step(SOURCE, TARGET))
+NEAR = RIGHT @ Pose(1e-6, 0.0, 0.0)  # within rounding to float32 at 4 m, beyond that to float64
+OTHER = RIGHT @ Pose(0.02, 0.013, 0.004)
+ROUNDED = Pose.of(np.round(RIGHT.row, 3))
+
+
+def match(pose=RIGHT, history=(), iterations=0, error=0.01, inliers=6, converged=True):
+    return Match(pose, converged, iterations, error, inliers, tuple(history))
+
+
+def entry(pose=RIGHT, error=0.01, inliers=6, pairs=None):
+    return Iteration(error, inliers, pose, pairs)
+
+
+def difference(a, b):
+    found = first_divergence(AnswerPair(QUESTION, a, b), Margin())
+    return found and str(found)
+
+
+WITHOUT_ITERATIONS = {
+    "fewer pairs": (match(OTHER, inliers=5), "answer: outlier rule: 6 pairs against 5; not both report their iter"),
+    "no cause": (match(OTHER), "answer: different: not both report their iterations (0.024 m and 0.004 rad)"),
+    "float32": (match(NEAR), "answer: precision: within rounding to float32 (1e-06 m and 0 rad)"),
+    "text": (match(ROUNDED), "answer: rounding: the numbers of the pose are written with 3 decimals: rounded"),
+}
+
+
+@pytest.mark.parametrize("name", WITHOUT_ITERATIONS)
+def test_an_answer_without_iterations_is_told_apart_by_its_pose_and_its_pairs(name):
+    b, said = WITHOUT_ITERATIONS[name]
+    assert difference(match(), b).startswith(f"scan 1, s2s, {said}")
+
+
+def test_too_few_pairs_and_a_forgotten_last_step_are_named():
+    found = difference(Match.not_converged(Pose()), match(OTHER))
+    assert found.startswith("scan 1, s2s, answer: different: with too few pairs A returns the guess, B another pose (")
+    found = difference(match(history=[entry(OTHER), entry()]), match(OTHER))
+    assert found == "scan 1, s2s, answer: different: the pose before the last step is returned"
+
+
+def test_stops_are_compared_where_both_count_their_iterations():
+    same = [entry(OTHER), entry()]
+    a, b = match(history=same, iterations=2), match(OTHER, same, iterations=2, converged=False)
+    said = "after 2 identical iterations A reports converged, B does not"
+    assert difference(a, b) == f"scan 1, s2s, iteration 2, iterations: stop rule: {said}"
+    assert difference(b, a).endswith("B reports converged, A does not")
+    failed = match(OTHER, iterations=1, error=math.nan, converged=False)
+    said = "scan 1, s2s, iteration 1, iterations: different: B fails after 1 iterations, A continues to 2"
+    assert difference(match(iterations=2), failed) == said
+
+
+def test_the_error_of_an_equal_answer_is_compared_where_one_counts_no_iterations():
+    a = match(history=[entry()], iterations=2)
+    assert difference(a, match()) is None
+    assert difference(a, match(error=0.02)) == "scan 1, s2s, cost: cost: 0.01 m against 0.02 m for the same answer"
+    assert difference(a, match(error=0.010001)).startswith("scan 1, s2s, cost: precision: 0.01 m against 0.010001 m")
+    assert difference(a, match(error=math.nan)) is None  # an unknown error is no difference
+
+
+def traced(pose=RIGHT, **fields):
+    one = entry(pose, **fields)
+    return match(pose, [one], iterations=1, error=one.error, inliers=one.inliers)
+
+
+IN_ITERATIONS = {
+    "another number, rounded": (traced(), traced(NEAR, inliers=5), "pairs: precision: another number of pairs, within"),
+    "another number": (traced(), traced(OTHER, inliers=5), "pairs: outlier rule: 6 pairs against 5; not both report"),
+    "text": (traced(), traced(ROUNDED), "pose: rounding: the numbers of the pose are written with 3 decimals"),
+    "no pairs": (traced(), traced(OTHER), "pose: different: different poses (0.024 m and 0.004 rad)"),
+    "as many": (traced(pairs=PAIRS), traced(OTHER), "pose: different: different steps from as many pairs; that of A"),
+    "error": (traced(), traced(error=0.02), "cost: cost: an error of 0.01 m against 0.02 m for the same pairs"),
+    "error, rounded": (traced(), traced(error=0.010001), "cost: precision: an error of 0.01 m against 0.010001 m"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", IN_ITERATIONS)
+def test_the_first_iteration_that_differs_is_named(name):
+    a, b, said = IN_ITERATIONS[name]
+    assert difference(a, b).startswith(f"scan 1, s2s, iteration 1, {said}")
+
+
+def test_dropped_pairs_are_named_from_the_reference_s_pairs_alone():
+    distance = np.linalg.norm(SOURCE - TARGET, axis=1)
+    kept = np.sort(np.argsort(distance)[:4])
+    pose = Pose.of(best_step(SOURCE[kept], TARGET[kept]))
+    found = difference(traced(pairs=PAIRS), traced(pose, inliers=4))
+    assert found.startswith(
+        "scan 1, s2s, iteration 1, pairs: outlier rule: the longest 2 of 6 pairs are dropped, beyond"
+    )
+    unexplained = first_divergence(AnswerPair(QUESTION, traced(pairs=PAIRS), traced(pose, inliers=4)), Margin(), False)
+    assert unexplained.what == "6 pairs against 4; not both report their pairs"
+
+
+def explain(b, a=PAIRS, question=QUESTION, tolerance_m=1e-6):
+    return explain_difference(question, Pose(), a, np.asarray(b, dtype=np.int64).reshape(-1, 2), tolerance_m, True)
+
+
+def test_pairs_that_cannot_be_are_named_before_all_else():
+    assert explain([[0, 6]]) == ("different", "its pairs contain indices out of range")
+    assert explain([[0, -1]]) == ("different", "its pairs contain indices out of range")
+    assert explain([[0, 0], [0, 1]]) == ("different", "a source point has several partners")
+
+
+def test_kept_pairs_that_no_filter_explains_are_counted():
+    kind, what = explain(PAIRS[[0, 2, 4]], a=PAIRS[[0, 1, 4]])  # as many, of lengths between the others
+    assert (kind, what) == ("outlier rule", "different pairs are kept, nearest neighbours agree (3 pairs against 3)")
+    kind, what = explain([], a=PAIRS)
+    assert (kind, what) == ("outlier rule", "maximum distance: longest pair 0.4031 m against 0 m (6 pairs against 0)")
+
+
+def test_numbers_written_as_text_are_known_by_their_decimals():
+    assert written_decimals(np.array([0.12, 0.0, -3.4567])) == 4
+    assert written_decimals(np.array([0.12, 0.0, math.pi])) is None
+    assert written_decimals(np.zeros(3)) is None
+    assert written_decimals(np.array([1.0, math.nan, 0.0])) is None
+
+
+def test_no_mistakes_and_no_cost_explain_nothing():
+    assert find_mistake([], RIGHT.row, OTHER.row, 4.0) is None
+    lengths = np.array([0.1, 0.3])
+    assert name_cost(0.2, lengths, lengths + 1.0) == "the mean distance before the step"
+    assert name_cost(0.23, lengths, lengths + 1.0) == ""

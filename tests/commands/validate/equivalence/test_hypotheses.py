@@ -1,0 +1,109 @@
+"""The rule whose change leads to an observed step is named: its scale, its weights, its age, its points."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit.commands.validate.equivalence.diagnosis import best_step
+from evalkit.commands.validate.equivalence.hypotheses import ObservedStep
+from evalkit.core import se2
+
+BEFORE = np.array([0.3, -0.2, 0.9])
+TARGET = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [0.0, 2.0], [2.0, 2.0], [4.0, 2.0]])
+MOVED = TARGET + np.array([[0.10, 0.03], [0.12, -0.04], [-0.02, 0.09], [0.05, 0.06], [0.11, 0.01], [0.4, -0.05]])
+SOURCE = se2.transform(se2.inverse(BEFORE), MOVED)
+PAIRS = np.stack([np.arange(6), np.arange(6)], axis=1)
+LEAST_SQUARES = best_step(MOVED, TARGET)
+
+
+def step(after, pairs=PAIRS, **fields):
+    """One step over the six pairs whose outcome is the motion ``after`` of the moved points."""
+    right = se2.compose(best_step(MOVED[pairs[:, 0]], TARGET[pairs[:, 1]]), BEFORE)
+    given = {"count": len(pairs), "first": None, "previous": None, "lever_m": 3.0, **fields}
+    return ObservedStep(TARGET, SOURCE, BEFORE, BEFORE, pairs, right, se2.compose(after, BEFORE), **given)
+
+
+def explained(observed):
+    found = observed.explain()
+    return found and (found.kind, found.what)
+
+
+def about_centroid(share, angle):
+    """The motion by an angle that moves the points' centroid by a share of its way to that of the targets."""
+    centre = MOVED.mean(axis=0)
+    goal = centre + share * (TARGET.mean(axis=0) - centre)
+    turned = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]) @ centre
+    return np.array([*(goal - turned), angle])
+
+
+def weighted(weights):
+    """The least-squares motion with weights, by the singular value decomposition of Kabsch."""
+    share = weights / weights.sum()
+    p_bar, q_bar = share @ MOVED, share @ TARGET
+    u, _, v = np.linalg.svd((share[:, None] * (MOVED - p_bar)).T @ (TARGET - q_bar))
+    rotation = v.T @ np.diag([1.0, np.linalg.det(v.T @ u.T)]) @ u.T
+    return np.array([*(q_bar - rotation @ p_bar), math.atan2(rotation[1, 0], rotation[0, 0])])
+
+
+DISTANCE = np.linalg.norm(MOVED - TARGET, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("after", "said"),
+    [
+        (about_centroid(0.5, 0.5 * LEAST_SQUARES[2]), "the step is 0.5 times the least-squares step"),
+        (about_centroid(1.7, 1.7 * LEAST_SQUARES[2]), "the step is 1.7 times the least-squares step"),
+        (about_centroid(1.0, 0.5 * LEAST_SQUARES[2]), "the step's angle is 0.5 times the least-squares angle"),
+        (weighted(1.0 / (1.0 + (DISTANCE / 0.2) ** 2)), "the step weighs near pairs more than far ones"),
+        (weighted(DISTANCE), "the step weighs far pairs more than near ones"),
+    ],
+)
+def test_a_scaled_or_weighted_step_is_named(after, said):
+    assert explained(step(after)) == ("step", said)
+
+
+def test_a_step_of_no_known_rule_is_not_named():
+    assert step(np.array([0.9, -0.7, 0.6])).explain() is None
+    moved_only = MOVED - MOVED.mean(axis=0) + TARGET.mean(axis=0)  # its centroids agree ...
+    turned = best_step(moved_only, TARGET)[2]
+    straight = se2.transform(np.array([0.0, 0.0, turned]), MOVED)  # ... and now its turns do: a gain has no meaning
+    source = se2.transform(se2.inverse(BEFORE), straight)
+    right = se2.compose(best_step(straight, TARGET), BEFORE)
+    observed = se2.compose(np.array([0.5, 0.4, 0.7]), BEFORE)
+    assert abs(best_step(straight, TARGET)[2]) < 1e-12
+    assert ObservedStep(TARGET, source, BEFORE, BEFORE, PAIRS, right, observed, 6, None, None, 3.0).explain() is None
+
+
+def test_pairs_of_an_earlier_iteration_are_named_by_their_age():
+    old = np.array([[0, 1], [1, 0], [2, 2], [3, 4], [4, 3], [5, 5]])
+    after = best_step(MOVED[old[:, 0]], TARGET[old[:, 1]])
+    assert explained(step(after, previous=old)) == ("stale pairs", "stale pairs: those of the iteration before")
+    found = explained(step(after, previous=PAIRS, first=old))
+    assert found == ("stale pairs", "stale pairs: those of the first iteration")
+
+
+def test_dropped_points_near_the_sensor_are_named_with_their_range():
+    order = np.argsort(np.linalg.norm(SOURCE, axis=1))
+    kept = np.sort(order[2:])
+    after = best_step(MOVED[kept], TARGET[kept])
+    nearest = np.linalg.norm(SOURCE[order[2]])
+    found = explained(step(after, count=4))
+    assert found == ("outlier rule", f"source points nearer to the origin than {nearest:.3g} m are dropped")
+    kept = np.sort(order[:4])
+    farthest = np.linalg.norm(SOURCE[order[3]])
+    found = explained(step(best_step(MOVED[kept], TARGET[kept]), count=4))
+    assert found == ("outlier rule", f"source points farther from the origin than {farthest:.3g} m are dropped")
+
+
+def test_fewer_pairs_than_a_step_needs_explain_nothing():
+    one = replace(step(np.array([0.2, 0.1, 0.1])), count=1)
+    assert list(one._by_range(PAIRS)) == []
+    assert [kind for kind, _, _ in one._by_length(MOVED, np.arange(6), DISTANCE)] == ["outlier rule"]  # no limit
+    single = replace(one, target=TARGET[:1], pairs=PAIRS[:1])
+    names = [what for _, what, _ in single._by_neighbours(MOVED)]
+    assert "the second nearest neighbour is taken" not in names
+    points = [what for _, what, _ in single._by_points(MOVED)]
+    assert "the first target point is not used" not in points  # it is the only one
+    assert "only every second target point is used" in points

@@ -1,0 +1,258 @@
+"""What a rule observes in a fixture written by hand: each fault is named, and what cannot be observed is not judged."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from evalkit.commands.validate.rules import (
+    dataset_rules,
+    odometry_rules,
+    range_rules,
+    registration_rules,
+    resource_rules,
+    state_rules,
+)
+from evalkit.commands.validate.rules.odometry_fixture import last_pose
+from evalkit.commands.validate.rules.resource_rules import LEAK_BYTES, Measured
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable
+from evalkit.core.errors import BadData
+from evalkit.core.ground_truth import Truth
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.trajectory import Trajectory
+
+STEADY = np.full(resource_rules.BATCHES, 5e3)
+STATE = {"rounding": 1, "open files": 3, "threads": 1}
+
+
+def measured(**changes):
+    flat = Measured(50, np.zeros(resource_rules.BATCHES + 1), STEADY, 0.0, STATE, STATE, LEAK_BYTES, 0.0)
+    return SimpleNamespace(endurance=replace(flat, **changes))
+
+
+def test_resources_that_grow_are_named_with_their_amount():
+    calls = 50 * resource_rules.BATCHES
+    growing = np.linspace(0.0, 1000.0 * calls, resource_rules.BATCHES + 1)
+    with pytest.raises(RuleBroken, match=f"{calls} calls: 1000 bytes more per call, twice"):
+        resource_rules.check_memory(measured(heap=growing))
+    with pytest.raises(RuleBroken, match=f"each instance leaves {2 * LEAK_BYTES:.0f} bytes behind"):
+        resource_rules.check_memory(measured(instances=2.0 * LEAK_BYTES))
+    rising = np.linspace(5e3, 50e3, resource_rules.BATCHES)
+    with pytest.raises(RuleBroken, match=f"5 us at first, 50 us after {calls} calls: every call costs more"):
+        resource_rules.check_slowdown(measured(shortest_ns=rising))
+    with pytest.raises(RuleBroken, match="threads: 1 before, 2 after the calls"):
+        resource_rules.check_threads(measured(after=STATE | {"threads": 2}))
+    with pytest.raises(RuleBroken, match=f"{calls} calls write 1000000 bytes to files"):
+        resource_rules.check_files(measured(filed=1e6))
+    assert (
+        resource_rules.check_memory(measured()) == f"{calls} calls and {resource_rules.INSTANCES} instances leave "
+        "nothing behind"
+    )
+
+
+def test_resources_that_are_not_known_here_are_not_judged():
+    with pytest.raises(RuleNotApplicable, match="bytes that it writes"):
+        resource_rules.check_files(measured(filed=math.nan))
+    with pytest.raises(RuleNotApplicable, match="floating-point controls"):
+        resource_rules.check_floating_point(measured(after=STATE | {"rounding": 0}))
+
+
+def test_an_exception_in_another_thread_is_raised_in_this_one():
+    with pytest.raises(ZeroDivisionError):
+        resource_rules.in_another_thread(lambda: 1 // 0)
+    assert resource_rules.in_another_thread(lambda: 7) == 7
+
+
+def elsewhere(answers, copies=0):
+    return lambda *_: {"answers": answers, "copies": copies}
+
+
+def test_answers_of_another_process_and_of_its_copies_are_compared(monkeypatch):
+    own = SimpleNamespace(elsewhere={"address": {}}, first_answers=[(0.0, 1.0, 2.0, True)])
+    monkeypatch.setattr(state_rules, "run_elsewhere", elsewhere([[0.0, 1.0, 2.0, True]]))
+    assert state_rules.check_process(own) == "1 answers in another process are the same to the bit"
+    monkeypatch.setattr(state_rules, "run_elsewhere", elsewhere([[0.0, 1.0, 2.5, True]]))
+    with pytest.raises(RuleBroken, match=r"another answer in another process: theta 2\.5, before 2\.0"):
+        state_rules.check_process(own)
+    monkeypatch.setattr(state_rules, "run_elsewhere", elsewhere([["raises ValueError"]]))
+    with pytest.raises(RuleBroken, match=r"another outcome in another process: raises ValueError, before 0\.0"):
+        state_rules.check_process(own)
+    monkeypatch.setattr(state_rules, "run_elsewhere", elsewhere([[0.0, 1.0, 2.0, True]], copies=2))
+    with pytest.raises(RuleBroken, match=f"2 of {state_rules.FORKS} copies of a process, with other numbers"):
+        state_rules.check_process(own)
+    monkeypatch.setattr(odometry_rules, "run_elsewhere", elsewhere([[0.0, 1.0, 2.0]], copies=3))
+    driven = SimpleNamespace(elsewhere={"address": {}}, first_answers=np.array([[0.0, 1.0, 2.0]]))
+    with pytest.raises(RuleBroken, match=f"3 of {state_rules.FORKS} copies of a process"):
+        odometry_rules.check_process(driven)
+    driven.first_answers = driven.first_answers + 1.0
+    with pytest.raises(RuleBroken, match="in another process scan 1 has another answer"):
+        odometry_rules.check_process(driven)
+    with pytest.raises(RuleNotApplicable, match="no address"):
+        odometry_rules.check_process(SimpleNamespace(elsewhere={}))
+
+
+def test_a_process_that_ends_early_breaks_the_rule(monkeypatch):
+    monkeypatch.setattr(state_rules.sandbox, "run", lambda *_: {state_rules.sandbox.ENDED: "killed by signal 11"})
+    with pytest.raises(RuleBroken, match="in another process with other values in fresh memory: killed by signal 11"):
+        state_rules.run_elsewhere(dict, {})
+
+
+def test_a_cloud_larger_than_the_guarded_memory_is_refused():
+    with state_rules.shared_memory() as region:
+        many = SimpleNamespace(points=np.zeros((region.PAGES * 4096, 2)))
+        with pytest.raises(ValueError, match=f"region: {many.points.nbytes} bytes do not fit into"):
+            region.cloud(many)
+
+
+class Driven:
+    """A fixture of odometry rules whose drives end as a function says."""
+
+    def __init__(self, run):
+        self.run = run
+        self.seed = 0
+
+    def _drive(self):
+        return odometry_rules.drive(3)
+
+    @property
+    def short(self):
+        return self._drive()
+
+    @property
+    def first_answers(self):
+        return np.zeros((3, 3))
+
+
+def raising(error):
+    def run(_frames):
+        raise error
+
+    return run
+
+
+def test_an_odometry_without_answers_or_that_writes_to_its_scans_is_named():
+    silent = Driven(lambda frames: np.full((len(frames), 3), math.nan))
+    with pytest.raises(RuleBroken, match="no answer to any of 8 scans"):
+        odometry_rules.check_starts(silent)
+    with pytest.raises(RuleBroken, match="no answer to any of the last 7 scans"):
+        odometry_rules.check_first_beam(silent)
+    with pytest.raises(RuleBroken, match=r"it writes to a scan \(assignment destination is read-only\): use a copy"):
+        odometry_rules.check_read_only(Driven(raising(ValueError("assignment destination is read-only"))))
+    with pytest.raises(ValueError, match="another"):
+        odometry_rules.check_read_only(Driven(raising(ValueError("another"))))
+
+    def change(frames):
+        for frame in frames:
+            frame.scan.ranges.flags.writeable = True
+            frame.scan.ranges[0] = 1.0
+
+    with pytest.raises(RuleBroken, match="a scan changed in the call"):
+        odometry_rules.check_read_only(Driven(change))
+
+
+def test_answers_that_depend_on_the_time_of_the_first_stamp_are_named():
+    def late(frames):
+        return np.full((len(frames), 3), 1e-3 * (1 + (frames[0].scan.stamp_ns > 2**31)))
+
+    with pytest.raises(RuleBroken, match=r"from 1700000000123456789 ns on, answers differ by up to 0\.002"):
+        odometry_rules.check_stamps(Driven(late))
+    with pytest.raises(RuleBroken, match="with stamps from 1700000000123456789 ns on: raises BadData"):
+        odometry_rules.check_stamps(Driven(raising(BadData("a scan", "", "is too late", "ask earlier"))))
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (Pose(), "returns a Pose, expected an evalkit.Match"),
+        (Match(Pose(), 1, 1, 0.0, 3), "converged is 1, expected True or False"),
+        (Match(Pose(), True, -1, 0.0, 3), "iterations -1, inliers 3, error 0.0: expected none below 0"),
+    ],
+)
+def test_an_answer_with_values_of_another_type_or_range_is_named(answer, said):
+    with pytest.raises(RuleBroken, match=said):
+        range_rules.validate_match(answer)
+
+
+def registering(answer):
+    """A fixture of a registration with one answer, to which the pair it is asked is given."""
+    return SimpleNamespace(
+        register=lambda pair: answer(pair.target, pair.source, pair.guess).target_from_source,
+        shared=SimpleNamespace(register=answer), note_progress=lambda: None,
+    )  # fmt: skip
+
+
+def match(pose, inliers=20):
+    return Match(pose, True, 3, 0.01, inliers)
+
+
+def test_a_guess_that_is_made_worse_and_a_distant_answer_beside_a_wall_are_named():
+    worse = registering(lambda _target, _source, guess: match(guess @ Pose(0.5, 0.0, 0.0)))
+    with pytest.raises(RuleBroken, match=r"cm at 4 m, .* cm remained"):
+        registration_rules.check_moves(worse)
+    far = registering(lambda _target, _source, guess: match(guess @ Pose(2.0, 0.0, 0.0)))
+    with pytest.raises(RuleBroken, match="beside a single wall the answer is far off"):
+        registration_rules.check_wall(far)
+
+    def refuse(*_):
+        raise ValueError("a wall alone")
+
+    assert registration_rules.check_wall(registering(refuse)) == "raises ValueError: a wall alone"
+
+    def wrong_type(*_):
+        return None
+
+    with pytest.raises(RuleBroken, match="returns a NoneType"):
+        registration_rules.check_wall(registering(wrong_type))
+    with pytest.raises(RuleBroken, match="writes to the points of a cloud"):
+        registration_rules.check_read_only(registering(raising_any(ValueError("array is not writeable"))))
+    with pytest.raises(ValueError, match="a wall alone"):
+        registration_rules.check_read_only(registering(refuse))
+
+
+def raising_any(error):
+    def answer(*_):
+        raise error
+
+    return answer
+
+
+def test_another_answer_to_the_same_points_in_another_order_is_named():
+    counts = iter((100, 97))
+    other = registering(lambda *_: match(Pose(), next(counts)))
+    pair = registration_rules.clear_pair()
+    with pytest.raises(RuleBroken, match=r"in another order: .* by 97 pairs instead of .* by 100"):
+        range_rules._require_same(other, pair, pair, "points in another order")
+
+
+def dataset(frames=None, truth=None, count=3):
+    frames = odometry_rules.drive(3).frames if frames is None else frames
+    return SimpleNamespace(frames=frames, sequence=SimpleNamespace(truth=lambda: truth), count=count)
+
+
+def test_a_data_set_with_other_types_than_it_declares_is_named():
+    with pytest.raises(RuleBroken, match="there is no frame"):
+        dataset_rules.check_opens(dataset(()))
+    with pytest.raises(RuleBroken, match=r"frames\(\) yields a dict"):
+        dataset_rules.check_opens(dataset(({},)))
+    scans = [SimpleNamespace(scan=SimpleNamespace(stamp_ns=stamp)) for stamp in (1, 2.5)]
+    with pytest.raises(RuleBroken, match=r"a stamp is 2\.5, expected whole nanoseconds"):
+        dataset_rules.check_stamps(dataset(scans))
+    with pytest.raises(RuleBroken, match=r"truth\(\) returns a NoneType"):
+        dataset_rules.check_truth(dataset())
+    with pytest.raises(RuleBroken, match=r"truth\(\)\.how is empty"):
+        dataset_rules.check_truth(dataset(truth=Truth("")))
+    assert dataset_rules.check_truth(dataset(truth=Truth("a tape"))) == "no trajectory; a tape"
+    late = Trajectory(np.array([10**12, 2 * 10**12]), np.zeros((2, 3)))
+    with pytest.raises(RuleBroken, match="the true trajectory covers 0 % of the frames"):
+        dataset_rules.check_truth(dataset(truth=Truth("a tape", late)))
+    reject = type("Rejects", (), {"sequence": property(raising_any(TypeError("laps")))})()
+    with pytest.raises(RuleBroken, match=r"make\(\) rejects its declared parameters: laps"):
+        dataset_rules.check_parameters(reject)
+
+
+def test_a_drive_without_a_last_answer_has_no_last_pose():
+    with pytest.raises(RuleBroken, match="it has no answer to the last scan"):
+        last_pose(np.array([[0.0, 0.0, 0.0], [math.nan] * 3]))

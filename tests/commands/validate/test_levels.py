@@ -1,0 +1,291 @@
+"""Checks of an acceptance report from results written by hand: answers, known motions, times, paths and maps."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit.commands.validate import charts, level_answers, level_costs, level_runs
+from evalkit.commands.validate.acceptance import AcceptanceLevel, Check
+from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin, format_margin
+from evalkit.commands.validate.known_motion import judge_gap, known_motion_checks, peer_check
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import RunStatus
+from evalkit.execution.sandbox import ENDED
+
+TERMS = ComparisonTerms("mine", "paper", "exact", 0.5)
+SINGLE = replace(TERMS, margin="float32")
+KILLED = {ENDED: "killed by signal 11"}
+
+
+def said(checks):
+    return [(one.outcome, one.observed) for one in checks]
+
+
+def shifted(record, metres, first=0):
+    """The run with its path moved along x from one scan on."""
+    steps = record.result.steps.copy()
+    steps["x"][first:] += metres
+    return replace(record, result=replace(record.result, steps=steps))
+
+
+@pytest.fixture
+def reference(record):
+    return record("paper", "room", {"map_f1": 0.8})
+
+
+def trajectories(mine, reference, margin=(1e-4, 0.0), terms=TERMS, perturbed=None, **others):
+    runs = {"room, seed 0": {"mine": mine, "paper": reference, **others}}
+    margins = {"room, seed 0": margin} if margin else {}
+    return level_runs.trajectories_level(runs, margins, perturbed or {}, terms).checks
+
+
+def test_a_path_beyond_the_margin_is_found_at_its_first_scan(reference):
+    same = trajectories(reference, reference)
+    assert {one.outcome for one in same} == {"passed"}
+    assert same[0].observed == "1 of 1 runs complete, 60 scans answered"
+    assert same[2].detail == "the errors are equal to the bit"
+    away_m = shifted(shifted(replace(reference, truth=Truth("none")), 0.5, 30), 0.25, 59)
+    left = trajectories(away_m, reference)[1]  # 60 scans of 0.1 mm: 6 mm allowed
+    away = "beyond the margin from scan 31 (3.0 s) on; largest distance 0.75 m, at 5.9 s; at the end 0.75 m"
+    assert (left.outcome, left.observed, left.margin.partition(":")[0]) == ("failed", away, "0.006 m")
+    single = trajectories(away_m, reference, terms=SINGLE)[1]
+    assert (single.outcome, single.observed) == ("informative", away.partition("; ")[2])
+    assert len(trajectories(away_m, reference, margin=None)) == len(same) - 1
+
+
+def test_a_path_in_single_precision_is_as_close_as_one_more_perturbed_copy_may_be(reference):
+    """Of copies 1 mm and 2 mm off: exp(ln sqrt(2) mm + t ln 2 sqrt(3/2)) with t = tan(0.45 pi) is 0.3007 m."""
+    reference = replace(reference, truth=Truth("none"))
+    poses = np.stack([reference.result.steps[name] for name in ("x", "y", "theta")], axis=1)
+    paths = [poses + np.array([off, 0.0, 0.0]) for off in (1e-3, 2e-3)] + [np.full_like(poses, math.nan)]
+    perturbed = {"room, seed 0": {"stamps_ns": reference.result.steps["stamp_ns"], "paths": np.array(paths)}}
+    for off, outcome in ((0.29, "passed"), (0.31, "failed")):
+        found = trajectories(shifted(reference, off), reference, None, SINGLE, perturbed)[1]
+        assert (found.outcome, found.observed) == (outcome, f"{off:g} m apart (RMS over the run)")
+        assert found.margin.startswith("0.3 m: ")
+        assert "over 2 copies of the sequence with ranges perturbed by rounding: 0.001, 0.002 m" in found.detail
+    ended = trajectories(reference, reference, None, SINGLE, {"room, seed 0": KILLED})[1]
+    assert (ended.outcome, ended.observed) == ("failed", "mine (or paper) did not finish: killed by signal 11")
+
+
+def test_a_run_that_broke_and_a_truth_that_is_missing_are_said(record, reference):
+    broken = record("paper", "room", {}, status=RunStatus.CRASHED, reason="signal 11", answered=2)
+    found = trajectories(broken, reference)
+    assert said(found) == [("failed", "crashed: signal 11")]
+    assert found[0].detail == "2 of 60 scans answered"
+    unknown = replace(reference, truth=Truth("none"))
+    found = trajectories(unknown, unknown, None, replace(TERMS, peers=("ndt",)), ndt=unknown)
+    assert said(found)[1:] == [("not applicable", "no true path to compare with")] * 2
+
+
+def test_a_peer_is_larger_smaller_or_has_no_run(record, reference):
+    terms = replace(TERMS, peers=("ndt",))
+    worse = record("paper", "room", {}, error_m=2.0)
+    observed = trajectories(reference, reference, None, terms, ndt=worse)[-1].observed
+    assert ": smaller; difference" in observed
+    assert ": larger; difference" in trajectories(worse, reference, None, terms, ndt=reference)[-1].observed
+    missing = record("ndt", "room", {}, status=RunStatus.NOT_INSTALLED, reason="needs a compiler", answered=0)
+    found = trajectories(reference, reference, None, terms, ndt=missing)[-1]
+    assert (found.outcome, found.observed) == ("not applicable", "ndt has no run: needs a compiler")
+
+
+def test_paths_without_a_common_scan_have_no_distance(record, reference):
+    steps = reference.result.steps.copy()
+    steps["stamp_ns"] += 1
+    later = replace(reference, result=replace(reference.result, steps=steps))
+    assert [len(one) for one in level_runs.path_distances(reference, later)] == [0, 0]
+
+
+def maps(runs, margin=None, mappers=("log-odds", "log-odds"), mapped=None):
+    margins = dict.fromkeys(runs, margin) if margin else {}
+    return level_runs.maps_level(runs, margins, mapped or {}, mappers, TERMS).checks
+
+
+def scored(record, seed, f1):
+    return record("paper", "room", {"map_f1": f1}, seed=seed)
+
+
+def test_maps_are_compared_by_their_cells_and_their_walls(record, reference):
+    cells, walls = maps({"room, seed 0": {"mine": reference, "paper": reference}}, (1e-3, 0.0))
+    assert cells.outcome == "passed"
+    assert cells.observed.startswith("0 of ")
+    assert cells.observed.endswith(" cells are a wall in one map only; 0 have different values")
+    assert said([walls]) == [
+        ("informative", "F1 at 10 cm 0.800, paper 0.800; one run shows no variation: give more --seeds")
+    ]
+    unknown = maps({"room, seed 0": {"mine": reference, "paper": reference}})[0]
+    assert unknown.outcome == "informative"  # without a margin of the path no cell can be judged
+    no_grid = replace(reference, scores=replace(reference.scores, grid=None))
+    assert maps({"room, seed 0": {"mine": no_grid, "paper": reference}}) == ()
+
+
+@pytest.mark.parametrize(
+    ("own", "outcome", "hint"),
+    [
+        ((0.80, 0.90), "passed", "no loss was observed"),
+        ((0.90, 0.91), "passed", "no loss was observed"),  # better on both, by amounts too different for an interval
+        ((0.20, 0.30), "failed", "its loss is shown to exceed the margin"),
+        ((0.79, 0.85), "not shown", None),
+    ],
+)
+def test_a_loss_of_walls_is_judged_against_the_reference_s_own_variation(record, own, outcome, hint):
+    runs = {
+        f"room, seed {seed}": {"mine": scored(record, seed, f1), "paper": scored(record, seed, known)}
+        for seed, (f1, known) in enumerate(zip(own, (0.8, 0.9), strict=True))
+    }
+    found = maps(runs)[-1]
+    assert found.outcome == outcome
+    assert hint in (None, found.detail)
+    assert found.margin == "0.035: 0.5 of the standard deviation of paper over 2 seeds"
+    assert len(maps({place: {**both, "mine": scored(record, 0, None)} for place, both in runs.items()})) == 2
+
+
+def test_a_back_end_without_a_mapper_and_a_mapper_that_ends_are_said():
+    found = maps({}, mappers=("", "log-odds"), mapped={"room": KILLED})
+    assert said(found) == [
+        ("failed", " (or log-odds) did not finish: killed by signal 11"),
+        ("not applicable", "the back end brings no mapper; name one with --mapper"),
+    ]
+
+
+def test_figures_are_drawn_of_what_is_there(record, reference):
+    both = {"mine": reference, "paper": reference}
+    level = AcceptanceLevel(3, "", "", (), {"records": {"room, seed 0": both, "room, seed 1": both}})
+    titles = [one.title for one in charts.figures(level, "mine", "paper", "exact")]
+    assert titles == ["room, seed 0: paths", "room: distance between both paths"]
+    missing = record("paper", "room", {}, status=RunStatus.CRASHED, reason="signal 11", answered=0, truth=False)
+    alone = AcceptanceLevel(3, "", "", (), {"records": {"room": {"mine": missing}}})
+    assert charts.figures(alone, "mine", "paper", "exact") == []
+    for runs, count in ((both, 3), ({"mine": reference, "paper": missing}, 0), ({"mine": reference}, 0)):
+        level = AcceptanceLevel(4, "", "", (), {"records": {"room": runs}})
+        assert len(charts.figures(level, "mine", "paper", "exact")) == count
+    none = AcceptanceLevel(1, "", "", (), {"results": {}, "peers": {}})
+    assert charts.figures(none, "mine", "paper", "exact") == []
+    peers = {"ndt": {"room": {"rows": WRONG}}, "ill": {"room": KILLED}}
+    level = AcceptanceLevel(1, "", "", (), {"results": {"room": pairs()}, "peers": peers})
+    answers, truth = charts.figures(level, "mine", "paper", "exact")
+    assert (b"to ndt" in answers.svg, b"ndt" in truth.svg, b"to ill" in answers.svg) == (True, True, False)
+    level = AcceptanceLevel(1, "", "", (), {"results": {"room": pairs(truth=np.full((4, 3), math.nan))}, "peers": {}})
+    assert len(charts.figures(level, "mine", "paper", "exact")) == 1  # no truth, no second figure
+
+
+RIGHT = np.array([[0.1, 0.0, 0.01], [0.2, 0.1, 0.02], [0.3, -0.1, 0.0], [0.1, 0.2, -0.01]])
+WRONG = RIGHT + np.array([0.1, 0.0, 0.0])
+UNANSWERED = np.full((4, 3), math.nan)
+
+
+def pairs(a=RIGHT, b=RIGHT, truth=RIGHT):
+    """Four registrations of 100 points with residuals of 2 cm: a noise level of 2 mm, and of 1 mrad at 2 m."""
+    return {"truth": truth, "a": a, "b": b, "stage": ["s2s", "s2s-disturbed"] * 2, "residual_m": np.full(4, 0.02),
+            "points": np.full(4, 100.0), "radius_m": np.full(4, 2.0), "alone": True}  # fmt: skip
+
+
+def test_an_answer_that_is_missing_fails_and_an_unknown_motion_says_nothing():
+    assert known_motion_checks({"room": pairs(truth=UNANSWERED)}, TERMS) == []
+    b = np.concatenate([RIGHT[:3], UNANSWERED[:1]])
+    found = known_motion_checks({"room": pairs(b=b)}, TERMS)
+    assert [(one.outcome, one.detail) for one in found] == [("failed", "1 pairs have no answer")] * 2
+    assert found[0].margin == "0.001 m: 0.5 of the noise level, mean residual / sqrt(points)"
+    assert found[1].margin == "0.0005 rad: 0.5 of the noise level, mean residual / sqrt(points)"
+
+
+def test_a_peer_is_compared_over_near_guesses_that_both_answered():
+    found = peer_check("ndt", {"room": pairs()}, {"room": {"rows": WRONG}}, TERMS)
+    assert found.on == "room, near guesses"
+    assert found.observed.startswith("answers lie 0.1 m apart (median; 95 % within 0.1 m), with a bias beyond")
+    assert found.detail.startswith("means over 2 pairs: x ")
+    ended = peer_check("ndt", {"room": pairs()}, {"room": KILLED}, TERMS)
+    assert said([ended]) == [("not applicable", "ndt did not finish: killed by signal 11")]
+    silent = peer_check("ndt", {"room": pairs()}, {"room": {"rows": UNANSWERED}}, TERMS)
+    assert said([silent]) == [("not applicable", "no pair was answered by both")]
+
+
+def test_a_loss_near_its_margin_asks_for_more_data():
+    assert judge_gap(0.3, 0.2, 0.4, 0.3, 50)[1].startswith("more data would show which")
+    assert judge_gap(0.0, -math.inf, math.inf, 0.3, 1)[1].startswith("more data would show which")
+
+
+def times(cpu=(2e6, 4e6), wall=None, device=None, conversion=0, period=5e6):
+    """Ten scans of each of several methods, all of one time in nanoseconds."""
+    rows = {"cpu_ns": cpu, "wall_ns": wall or cpu, "device_ns": device or [0] * len(cpu)}
+    table = {name: np.repeat(np.array(values)[:, None], 10, axis=1) for name, values in rows.items()}
+    return table | {"conversion_ns": np.full((len(cpu), 10), conversion), "period_ns": period}
+
+
+def costs(scans, registrations=("mine", "paper"), pair_times=None, records=None, compiled=()):
+    given = pair_times or {}, ["mine", "paper"], registrations, records or {}, TERMS, compiled
+    return level_costs.costs_level(scans, *given).checks
+
+
+def test_times_are_told_by_the_clock_that_measured_them(reference, tmp_path):
+    own, pace, ratio = costs({"room": times(conversion=1e6)})
+    assert own.observed.startswith(
+        "2 ms (95 % 2, at most 2) of CPU time; 2 ms (95 % 2, at most 2) by the wall clock; 50 %"
+    )
+    assert (pace.outcome, pace.margin) == ("passed", "5 ms between two scans")
+    assert ratio.observed.startswith("0.5 times as long (CPU; quartiles 0.5 to 0.5): 2 ms, paper 4 ms")
+    board, pace, ratio = costs({"room": times(cpu=(0, 4e6), wall=(9e6, 4e6), device=(7e6, 0))})
+    assert board.observed.startswith("7 ms (95 % 7, at most 7) of device time; 9 ms")
+    assert pace.outcome == "failed"
+    assert ratio.observed == "device and CPU times cannot be compared"
+    remote = costs({"room": times(cpu=(0, 4e6), wall=(3e6, 4e6))})[0]
+    assert remote.observed.startswith("3 ms (95 % 3, at most 3) of wall clock time")
+    both = costs({"room": times(device=(1e6, 0))})[0]
+    assert "; 1 ms (95 % 1, at most 1) by its own measurement, the rest is communication" in both.observed
+    ended = costs({"room": KILLED}, pair_times={"room": KILLED, "lab": times()})
+    assert ended[0].observed == "the measurement did not finish: killed by signal 11"
+    assert [(one.name, one.on) for one in ended[1:]] == [("one registration, compared with paper", "lab")]
+    (tmp_path / "mine.so").write_bytes(b"no library")
+    assert costs({}, compiled=[tmp_path / "mine.so"]) == ()
+    heavy = replace(reference, result=replace(reference.result, peak_memory_bytes=256 * 2**20))
+    none = replace(reference, result=replace(reference.result, peak_memory_bytes=0))
+    (memory,) = costs({}, records={"lab": {"mine": none}, "room": {"mine": heavy, "paper": heavy}})
+    assert memory.observed == "256 MiB with interpreter and data (paper 256 MiB)"
+
+
+def drawn(clear=None, limits=0, where=""):
+    first = clear and {"quantity": clear, "kind": "different", "what": "w", "scan": 1, "stage": "clear",
+                       "iteration": None}  # fmt: skip
+    families = {"clear": {"asked": 4, "wrong": int(bool(clear)), "what": "points", "first": first, "fields": {}},
+                "limits": {"asked": 4, "wrong": limits, "what": "a limit", "first": first, "fields": {}},
+                "sizes": {"asked": 0, "wrong": 0, "what": "", "first": None, "fields": {}}}  # fmt: skip
+    margin = {"metres": 1e-9, "radians": 1e-9}
+    return {"seed 1": {"exact": {"families": families, "where": where, "margin": margin, "questions": 8, "fields": {}}}}
+
+
+UNNAMED = Check("equal to paper", "room", "failed", "equal", "7 pairs against 6; not both report their pairs")
+
+
+@pytest.mark.parametrize(
+    ("questions", "cause"),
+    [
+        (drawn(where="only where x is above 3"), "answers differ only where x is above 3"),
+        (drawn("pairs"), "the neighbours differ: even well separated points do not all get a partner"),
+        (drawn("pose"), "the step differs: with well separated points the pairs are the same, and the answers are not"),
+        (drawn(limits=1), "the outlier rule differs: well separated points give equal answers, pairs near the limits "
+                          "do not"),
+        (drawn(), "the neighbours differ: well separated points give equal answers, crowded ones do not"),
+    ],
+)  # fmt: skip
+def test_a_difference_without_a_name_gets_it_from_the_drawn_questions(questions, cause):
+    named, other = level_answers._name_by_questions([UNNAMED, replace(UNNAMED, observed="units")], questions, TERMS)
+    assert named.observed == f"{UNNAMED.observed}; {cause}"
+    assert other.observed == "units"
+    assert level_answers._name_by_questions([UNNAMED], {"seed 1": KILLED}, TERMS) == [UNNAMED]
+
+
+def test_drawn_questions_are_checked_by_family():
+    (ended,) = level_answers._drawn_checks("seed 1", KILLED, TERMS)
+    assert ended.observed == "mine (or paper) did not finish: killed by signal 11"
+    wrong, equal = level_answers._drawn_checks("seed 1", drawn("pose")["seed 1"], TERMS)
+    assert (wrong.outcome, wrong.observed) == ("failed", "1 of 4 questions differ; first points: pose: different: w")
+    assert (equal.outcome, equal.observed) == ("passed", "4 questions, all answers are equal")
+
+
+def test_without_results_no_margin_is_chosen():
+    assert choose_margin({"room": KILLED}, ["exact", "float32"]) == "exact"
+    assert format_margin({"room": KILLED}, "exact") == "within no margin: no question was answered"
+    rounded = {"room": {"exact": {"first": {"kind": "rounding"}, "equivalent": False, "level": "answers"}}}
+    assert choose_margin(rounded, ["exact", "float32"]) == "exact"
