@@ -11,6 +11,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Relations
 from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
+from evalkit.core.pose_graph import PoseGraph
 from evalkit.core.run_result import STEP, Cause, RunResult, Score
 from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.core.trajectory import Trajectory
@@ -250,3 +251,26 @@ def test_the_estimate_of_a_run_is_the_trajectory_of_its_answers():
 def test_a_score_without_a_value_has_a_reason():
     assert Score(None, 0, "no truth").value is None
     assert Score(0.0).support == 0
+
+
+def pose_graph(**changes):
+    fields = {"poses": np.zeros((2, 3)), "first": [0], "second": [1], "first_from_second": [[1.0, 0.0, 0.0]],
+              "information": [np.diag([4.0, 4.0, 9.0])]}  # fmt: skip
+    return PoseGraph(**{**fields, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"poses": [[0.0, 0.0, 0.0], [math.inf, 0.0, 0.0]]}, "poses: not finite"),
+        ({"information": [np.full((3, 3), math.nan)]}, "information: not finite"),
+        ({"second": [2]}, "second: expected rows of 2 poses, got 2 to 2"),
+        ({"first": [-1]}, "first: expected rows of 2 poses, got -1 to -1"),
+        ({"first": [1]}, "second: edge 0 connects pose 1 with itself"),
+        ({"information": [[[1.0, 2.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]]}, "information: not symmetric"),
+    ],
+)
+def test_a_pose_graph_is_checked_at_construction(changes, message):
+    assert pose_graph().chi_squares().tolist() == [4.0]  # 1 m short, weighed by 4 per square metre
+    with pytest.raises(ValueError, match=message):
+        pose_graph(**changes)

@@ -1,6 +1,8 @@
 """Results out of bags: trajectories of topics and of transforms, maps; evo reads the same poses from the same files."""
 
 import math
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from evalkit.external.maps import load_map
 from evalkit.plugins import registry
 from evalkit.plugins.known_map import load_known_map
 from evalkit.plugins.result_files import parse_address, read_trajectory
+from evalkit_datasets import bag_results
 from evalkit_datasets.bag_results import read_grid
 from evalkit_datasets.truth_files import TruthPaths, load_truth
 
@@ -233,3 +236,36 @@ def test_a_file_with_a_question_mark_in_its_name_is_a_file(tmp_path):
     file.write_text("0 0 0 0 0 0 0 1\n")
     assert parse_address(str(file)).query == {}
     assert len(read_trajectory(str(file)).trajectory) == 1
+
+
+def map_message(cells, columns, rows, size):
+    origin = SimpleNamespace(position=SimpleNamespace(x=0.0, y=0.0, z=0.0),
+                             orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0))  # fmt: skip
+    info = SimpleNamespace(height=rows, width=columns, resolution=size, origin=origin)
+    return SimpleNamespace(info=info, data=cells)
+
+
+@pytest.mark.parametrize("size", [0.0, -0.05, float("nan"), float("inf")])
+def test_the_cells_of_a_map_have_a_size(size):
+    with pytest.raises(BadData, match=r"resolution .*expected metres per cell, more than 0"):
+        bag_results._parse_grid(Path("x.bag"), "/map", map_message([0, 100], 2, 1, size))
+
+
+def test_frames_are_two_and_move_together(tmp_path):
+    path = Bag(tmp_path, "ros1").poses("/slam", "PoseStamped").write()
+    for words in ("map", "map,", "a,b,c"):
+        with pytest.raises(BadData, match="expected two frames, such as tf=map,base_link"):
+            bag_results._read_chain(path, None, words)
+    edges = [(("map", "odom"), True), (("odom", "base"), True)]
+    early, late, none = bag_results._Samples(), bag_results._Samples(), bag_results._Samples()
+    for samples, stamp in ((early, 1), (late, 10**10)):
+        position, rotation = SimpleNamespace(x=0.0, y=0.0, z=0.0), SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+        assert samples.append(stamp, position, rotation)
+    for second, static, message in (
+        (late, set(), "the transforms of the chain have no time in common"),
+        (none, set(), "no moving transform between these frames"),
+        (late, {edge for edge, _ in edges}, "no moving transform between these frames"),
+    ):
+        samples = {edges[0][0]: early, edges[1][0]: second}
+        with pytest.raises(BadData, match=message):
+            bag_results._compose_chain(path, "map,base", edges, samples, static, 0)

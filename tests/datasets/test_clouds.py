@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from evalkit.cli import app
 from evalkit.core.errors import BadData
+from evalkit_datasets import cloud_files
 from evalkit_datasets.cloud_files import read_cloud_file, stamps_of, unpack_lzf
 from evalkit_datasets.clouds import Clouds
 from evalkit_datasets.inspection.inspector import inspect_recording
@@ -128,3 +129,38 @@ def test_the_reader_may_be_named_and_an_unknown_one_is_refused(folder):
     assert "reader named 'rosbagg' (did you mean 'rosbag'?)" in str(
         run(app, ["compare", str(folder), "--reader", "rosbagg"]).exception
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.ply", b"ply\nformat ascii 1.0\nelement face 1\nproperty float x\nend_header\n1\n", "first element is not"),
+        (
+            "a.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n1 1\n",
+            "a list in",
+        ),
+        ("a.pcd", pcd(POINTS, "binary").replace(b"TYPE U F F F", b"TYPE U I F F"), "x, y, z are no floats"),
+    ],
+)
+def test_a_cloud_whose_points_are_no_numbers_is_refused(tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(BadData, match=message):
+        read_cloud_file(tmp_path / name)
+
+
+def test_a_cloud_without_points_is_empty_and_a_huge_file_is_not_read(tmp_path, monkeypatch):
+    (tmp_path / "a.pcd").write_bytes(pcd(POINTS[:0], "binary"))
+    assert read_cloud_file(tmp_path / "a.pcd").shape == (0, 3)
+    monkeypatch.setattr(cloud_files, "MAX_FILE_BYTES", 2**20)
+    (tmp_path / "b.pcd").write_bytes(bytes(2**20 + 1))
+    with pytest.raises(BadData, match="more than 1 MiB for one cloud"):
+        read_cloud_file(tmp_path / "b.pcd")
+
+
+def test_a_folder_without_clouds_or_with_too_few_of_them_is_refused(tmp_path):
+    with pytest.raises(BadData, match=r"no file \.pcd or \.ply in it"):
+        Clouds(path=str(tmp_path))
+    (tmp_path / "1.pcd").write_bytes(pcd(POINTS, "binary"))
+    with pytest.raises(BadData, match="start 5 lies beyond its 1 clouds"):
+        Clouds(path=str(tmp_path), start=5)

@@ -12,6 +12,7 @@ import pytest
 from evalkit.core.errors import BadData, DataMissing
 from evalkit_datasets import catalog
 from evalkit_datasets import fetch as fetching
+from evalkit_datasets.building import builders
 from evalkit_datasets.catalog import CatalogFile
 from evalkit_datasets.fetch import fetch, why_offline
 
@@ -195,3 +196,42 @@ def test_a_server_that_does_not_answer_is_not_waited_for(register_file, monkeypa
     assert why_offline("http://127.0.0.1/") == "offline (EVALKIT_OFFLINE is set)"
     with pytest.raises(DataMissing, match="not on this machine, and EVALKIT_OFFLINE is set; unset"):
         fetch("a.log")
+
+
+@pytest.mark.parametrize(
+    ("blocks", "changes", "message"),
+    [
+        ([CONTENT], {}, ""),
+        ([CONTENT[:-1], b"x"], {}, r"a\.log: the file built from b\.log differs from the catalogued one \("),
+        (
+            [CONTENT, b"x"],
+            {},
+            f"built from b.log differs from the catalogued one .more than {len(CONTENT)} bytes",
+        ),
+    ],
+)
+def test_a_built_file_is_the_catalogued_one_or_none(register_file, monkeypatch, blocks, changes, message):
+    target = register_file("", build="made", sources=("b.log",), **changes)
+    source = target.with_name("b.log")
+    monkeypatch.setattr(builders, "iter_built", lambda build, sources: iter(blocks if sources == [source] else ()))
+    own = fetching.fetch
+    monkeypatch.setattr(fetching, "fetch", lambda name, progress: source)
+    if message:
+        with pytest.raises(BadData, match=message):
+            own("a.log")
+        assert not list(target.parent.iterdir())
+    else:
+        assert own("a.log").read_bytes() == CONTENT
+
+
+def test_an_error_in_a_source_is_told_as_it_is(register_file, monkeypatch):
+    def damaged(_build, _sources):
+        raise BadData("b.log", "line 3", "not a number", "fetch it again")
+        yield b""
+
+    register_file("", build="made", sources=("b.log",))
+    own = fetching.fetch
+    monkeypatch.setattr(builders, "iter_built", damaged)
+    monkeypatch.setattr(fetching, "fetch", lambda name, progress: name)
+    with pytest.raises(BadData, match=r"b\.log.*line 3.*not a number"):
+        own("a.log")

@@ -10,6 +10,7 @@ import tracemalloc
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,15 +22,16 @@ from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.errors import BadData
 from evalkit.plugins import registry
 from evalkit_datasets.example_bag import write_example
-from evalkit_datasets.inspection import odometry_stats
+from evalkit_datasets.inspection import findings, odometry_stats
 from evalkit_datasets.inspection.command import inspect
+from evalkit_datasets.inspection.frame_tree import FrameTree, LidarMounting
 from evalkit_datasets.inspection.inspector import inspect_recording
-from evalkit_datasets.inspection.odometry_stats import compare_turns, measure_odometry
+from evalkit_datasets.inspection.odometry_stats import TwistComparison, compare_turns, measure_odometry
 from evalkit_datasets.inspection.page import build_document
 from evalkit_datasets.inspection.range_stats import find_no_return_codes, measure_ranges
 from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, ScanSample
 from evalkit_datasets.inspection.suggested_config import best_lidar, suggest_config
-from evalkit_datasets.inspection.timing import measure_clock_offset, measure_timing
+from evalkit_datasets.inspection.timing import ClockOffset, measure_clock_offset, measure_timing
 
 DATA = Path(os.environ.get("EVALKIT_DATA") or "absent")
 S = 10**9
@@ -528,3 +530,34 @@ def test_corrected_logs_are_recognised_by_their_markers(name, code):
     assert found.lidars[0].returns.codes[0].high_m == code
     for trap in ("6 significant digits", "m apart (median)", "stamps decrease"):
         assert trap in run_inspection(found)
+
+
+def told(found):
+    return [(one.level, one.what) for one in found]
+
+
+def test_clocks_that_drift_and_speeds_that_disagree_are_said():
+    drifting = ClockOffset(0.0, 0.0, 0.0, 0.0, 0.0, 800.0)
+    assert told(findings._check_clock(drifting, "/scan", False)) == [
+        ("warning", "its clock drifts from the recorder's by 800 ppm")
+    ]
+    wheels = SimpleNamespace(twist=TwistComparison(False, 2.0, float("nan")))
+    assert told(findings._check_twist(wheels, "/odom")) == [
+        ("warning", "its poses have 2.00 times the speed of its messages")
+    ]
+    assert list(findings._check_twist(SimpleNamespace(twist=TwistComparison(False, 1.0, 1.2)), "/odom")) == []
+
+
+def test_frames_with_several_parents_and_lidars_that_are_not_level_are_said():
+    mountings = (
+        LidarMounting("base", "a", problem="it is tilted by 12 deg"), LidarMounting("base", "b", mirrored=True),
+        LidarMounting("base", "c", theta_deg=90.0), LidarMounting("base", "d"),
+    )  # fmt: skip
+    tree = FrameTree(("base", "a"), contested={"a": ("base", "odom")}, mountings=mountings)
+    streams = SimpleNamespace(kind="ROS 2 bag", lasers=(), tree=SimpleNamespace(moving=[]))
+    assert told(findings._check_frames(tree, streams)) == [
+        ("warning", "frame 'a' has several parents: base, odom"),
+        ("warning", "it is tilted by 12 deg"),
+        ("note", "mounted upside down; the reader mirrors its angles"),
+        ("note", "rotated by 90 deg on 'base'"),
+    ]

@@ -88,3 +88,18 @@ def test_the_heading_is_applied_where_nothing_states_it(tmp_path):
     (warning,) = _choose_mounting(found, lidar, Pose(0.0, 0.0, math.pi / 2.0))
     assert warning.value is None
     assert "lidar heading 90 deg, as recorded, but the scans show -30 deg" in warning.reason
+
+
+def test_scans_that_do_not_tell_have_no_translation():
+    room = ranges_in_room(3.0, 2.0, 0.0)
+    assert estimate_translation(room, room[:-1], ANGLES) is None
+    assert estimate_translation(room[:5], room[:5], ANGLES[:5]) is None
+    assert estimate_translation(np.full_like(room, np.nan), room, ANGLES) is None
+
+
+def test_a_lidar_that_turns_on_the_robot_has_no_mounting_angle():
+    wheels, laser = drive(0.0)
+    rng, rows = np.random.default_rng(3), list(laser.ranges)
+    turned = [np.roll(row, at) for row, at in zip(rows, rng.integers(0, 720, len(rows)), strict=True)]
+    assert estimate_mounting_angle(wheels, laser) is not None
+    assert estimate_mounting_angle(wheels, replace(laser, scans=ScanSample(turned))) is None

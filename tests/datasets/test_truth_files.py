@@ -52,6 +52,8 @@ def test_places_are_times_observed_points_and_walls(tmp_path):
         ("[[span]]\nfrom = 1\nto = 2\nmetres = nan\n", "span 1, metres: 'NaN' is not a number"),
         ("[[span]]\nfrom = { at = 1, point = [1e400, 0] }\nto = 2\nmetres = 2\n", "'1E+400' is not a number"),
         ("[[span]]\nfrom = 1\nto = 2\nmetres = 2\nfeet = 6\n", "span 1: unknown key 'feet'"),
+        ("span = [1]\n", "span 1: 1 is not a table"),
+        ("[[span]]\nfrom = { point = [0, 0] }\nto = 2\nmetres = 2\n", "span 1, from: neither 'at' nor 'wall'"),
         ("[[tape]]\n", "expected tables [[span]] and nothing else"),
         ("[[span]\n", "not valid TOML"),
     ],

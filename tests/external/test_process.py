@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from evalkit.config.experiment import experiment_from_tables
-from evalkit.core.errors import BadParameter, UnknownName
+from evalkit.core.errors import BackendFailed, BadParameter, UnknownName
 from evalkit.core.ground_truth import Truth
+from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Frame, Scan
@@ -349,3 +350,60 @@ def test_a_program_that_never_stops_to_report_loop_closures_fails(program, run_b
     endless = SLAM.replace('[q["from"] : q["from"] + q["count"]])', "[:30])")
     outcome, _ = run_backend(slam_program(program, endless))
     assert "the answer has 'loop_closures': 120, expected at most 100 in all" in reason(outcome)
+
+
+class Answers:
+    """A program that has one answer to every question."""
+
+    def __init__(self, **answer):
+        self.answer = answer
+
+    def ask(self, _question):
+        return self.answer
+
+    def malformed(self, key, found, expected):
+        return BackendFailed("a program", f"'{key}': {found}, expected {expected}", "mend it")
+
+
+def session(program):
+    made = object.__new__(process.ProgramSession)
+    made.program = program
+    return made
+
+
+CLOSURE = {"stamp_ns": 5, "other_stamp_ns": 3, "pose": [1.0, 2.0, 0.1], "accepted": True, "reason": "near"}
+
+
+def test_loop_closures_of_a_program_are_read_as_they_are():
+    found = session(Answers(loop_closures=[CLOSURE])).ask_closures(0)
+    assert found == [LoopClosure(5, 3, Pose(1.0, 2.0, 0.1), True, "near")]
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        ({"loop_closures": "none"}, "expected a list"),
+        ({"loop_closures": [3]}, "3, expected objects with stamp_ns"),
+        ({"loop_closures": [CLOSURE | {"stamp_ns": 2**63}]}, "expected objects with stamp_ns"),
+        ({"loop_closures": [CLOSURE | {"other_stamp_ns": 0.5}]}, "expected objects with stamp_ns"),
+        ({"loop_closures": [CLOSURE | {"accepted": 1}]}, "expected objects with stamp_ns"),
+        ({"loop_closures": [CLOSURE] * 100_000}, "100000 entries, expected at most"),
+    ],
+)
+def test_loop_closures_that_cannot_be_are_refused(answer, said):
+    with pytest.raises(BackendFailed, match=said):
+        session(Answers(**answer)).ask_closures(0)
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        (3, "'trace': 3, expected a list of objects"),
+        ({"pairs": [1]}, "expected indices of source and target in turns"),
+        ({"pairs": [1, -1]}, "expected indices of source and target in turns"),
+        ({"pairs": [1, 2.5]}, "expected indices of source and target in turns"),
+    ],
+)
+def test_a_trace_that_cannot_be_is_refused(entry, said):
+    with pytest.raises(BackendFailed, match=said):
+        session(Answers())._iteration(entry)

@@ -84,3 +84,8 @@ def test_a_matrix_in_toro_order_under_the_name_of_g2o_is_found_where_it_is_not_p
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(DataMissing, match="planar pose graph"):
         read_g2o(tmp_path / "absent.g2o")
+
+
+def test_information_beyond_all_sensors_is_refused(read):
+    with pytest.raises(BadData, match=r"information above 1e\+"):
+        read("EDGE_SE2 0 1 1 0 0 1e300 0 0 1 0 1")

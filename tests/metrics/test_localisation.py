@@ -7,7 +7,7 @@ import pytest
 
 from evalkit.core import se2
 from evalkit.core.run_result import Score
-from evalkit.metrics.localisation import OPEN_M, _score_predicted, _score_ratio, measure_fit
+from evalkit.metrics.localisation import OPEN_M, _score_predicted, _score_ratio, _score_within, measure_fit
 from evalkit.metrics.neighbourhoods import build_kd_tree
 
 CELL_M = 0.05
@@ -54,3 +54,10 @@ def test_the_predicted_error_of_a_run_is_the_median_of_the_scans_that_have_one()
     assert _score_predicted(rows) == Score(0.2, 3)
     ratio = _score_ratio(rows)
     assert (ratio.value, ratio.support) == (pytest.approx(9.0 / np.sqrt((0.01 + 0.04) / 2)), 2)
+
+
+def test_without_a_predicted_or_a_true_error_there_is_no_ratio():
+    unknown = np.full((3, 3), np.nan)
+    assert (_score_ratio(unknown).value, _score_within(unknown).value) == (None, None)
+    fit = np.array([[0.1, 0.1, 1.0], [0.1, 0.5, 1.0], [0.1, np.nan, 1.0]])
+    assert _score_within(fit) == Score(50.0, 2)  # 0.5 m is more than twice the predicted 0.1 m

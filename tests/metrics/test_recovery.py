@@ -90,3 +90,14 @@ def test_without_a_true_trajectory_relations_across_the_loss_tell_that_it_was_fo
     again = shifted(195, 320)
     again[400:, 1] += 3.0
     assert judge_by_relations(again, [*across[0], 38], [*across[1], 42]) == LOST
+
+
+def test_a_truth_at_other_times_says_nothing_about_the_loss():
+    steps = np.zeros(len(STAMPS), dtype=STEP)
+    steps["stamp_ns"] = STAMPS + 10**12
+    run = RunResult(steps, len(steps))
+    known = Trajectory(STAMPS, TRUE)
+    matched = match_trajectories(run.estimate, known)
+    assert add_recovery(Evidence(run, Truth("exact", known), matched), LOST) == LOST
+    later = Relations(STAMPS[:1], STAMPS[-1:], np.zeros((1, 3)))
+    assert add_recovery(Evidence(run, Truth("measured", relations=later), matched), LOST) == LOST

@@ -103,3 +103,8 @@ def test_a_measured_distance_needs_a_length_and_a_precision() -> None:
         Span("sure", at(0), at(1), 1.0, 0.0)
     with pytest.raises(ValueError, match="not finite"):
         SpanEnd(float("nan"))
+
+
+def test_a_distance_whose_ends_coincide_in_the_estimate_is_0_m_long() -> None:
+    found = scores(run_of([0.0, 0.0, 0.0]), [Span("still", at(0), at(2), 3.0)])
+    assert found["span_rmse_m"].value == pytest.approx(3.0)

@@ -109,3 +109,10 @@ def _autoregressive(count: int, coefficient: float, rng: np.random.Generator) ->
 
 def _bounds(interval: Interval) -> tuple[float, float]:
     return interval.low, interval.high
+
+
+def test_blocks_of_nothing_are_refused():
+    with pytest.raises(ValueError, match="scans: expected at least one, got 0"):
+        block_length(0)
+    with pytest.raises(ValueError, match="block: expected 1 to 3 values, got 4"):
+        bootstrap_interval([1.0, 2.0, 3.0], np.mean, np.random.default_rng(0), 4)

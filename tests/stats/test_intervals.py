@@ -55,3 +55,9 @@ def test_an_interval_excludes_values_outside_its_bounds():
 
 def _bounds(interval: Interval) -> tuple[float, float]:
     return interval.low, interval.high
+
+
+@pytest.mark.parametrize("confidence", [0.0, 1.0, float("nan")])
+def test_a_confidence_lies_between_0_and_1(confidence):
+    with pytest.raises(ValueError, match="confidence: expected a number between 0 and 1"):
+        Interval(1.0, 0.0, 2.0, 5, confidence)

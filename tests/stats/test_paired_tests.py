@@ -61,3 +61,9 @@ def test_the_smallest_detectable_difference_of_three_has_the_power_of_the_noncen
     shift = smallest_detectable_difference([0.0, 1.0, 2.0]) / error
     limit = stats.t.ppf(0.975, 2)
     assert stats.nct.sf(limit, 2, shift) + stats.nct.cdf(-limit, 2, shift) == pytest.approx(0.8, abs=1e-3)
+
+
+def test_an_effect_size_needs_both_series():
+    assert vargha_delaney_a12([1.0, 3.0], [2.0]) == 0.5
+    with pytest.raises(ValueError, match="both series need a value"):
+        vargha_delaney_a12([1.0], [])

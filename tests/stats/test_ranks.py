@@ -51,3 +51,8 @@ def test_the_correlation_equals_scipys_including_ties() -> None:
     assert spearman_correlation(a.astype(float), b) == pytest.approx(expected)
     assert np.isnan(spearman_correlation(np.ones(5), np.arange(5.0)))
     assert spearman_correlation(np.array([[1.0, 2.0], [2.0, 1.0]]), np.array([3.0, 9.0])) == pytest.approx([1.0, -1.0])
+
+
+def test_quantiles_need_a_trial():
+    with pytest.raises(ValueError, match="success_quantiles: there is no trial"):
+        success_quantiles([], (0.5,))

@@ -6,11 +6,13 @@ import time
 from dataclasses import replace
 
 import pytest
+import typer
 from rich.console import Console
 from rich.table import Table
 
 from evalkit.config.experiment import Method, SequenceSpec, experiment_from_tables
-from evalkit.core.run_result import NO_STEPS, Cause, RunResult
+from evalkit.core.run_result import BROKEN, NO_STEPS, Cause, RunResult, RunStatus
+from evalkit.terminal import options
 from evalkit.terminal.progress import TaskLines, TimeLeft, format_unavailable, print_table, show_runs, show_tasks
 
 
@@ -127,3 +129,15 @@ def test_a_table_on_a_terminal_cuts_no_word():
     assert "…" not in text
     assert "embedded-map-line" in text
     assert max(map(len, text.splitlines())) <= 80
+
+
+def test_options_of_execution_that_contradict_are_refused():
+    given = {"jobs": 1, "resume": False, "collect": False}
+    with pytest.raises(typer.BadParameter, match="--rerun: found 'lost', expected one of: complete, failed"):
+        options.RunOptions.of(rerun=["lost"], **given)
+    with pytest.raises(typer.BadParameter, match="--engine: found 'ray', expected one of: local, dask"):
+        options.RunOptions.of(rerun=[], engine="ray", **given)
+    with pytest.raises(typer.BadParameter, match="--scheduler: needs --engine dask"):
+        options.RunOptions.of(rerun=[], scheduler="tcp://a:1", **given)
+    found = options.RunOptions.of(rerun=["failed", "skipped"], **given)
+    assert (found.resume, found.rerun) == (True, BROKEN | {RunStatus.SKIPPED})

@@ -157,3 +157,15 @@ def test_an_unknown_policy_and_a_negative_cost_are_rejected():
         compute_schedule(arrivals(3), steady(1), "queue-of-two")
     with pytest.raises(ValueError, match="negative at scan 0"):
         compute_schedule(arrivals(3), steady(-1))
+
+
+@pytest.mark.parametrize("fields", [([5], [1], [1.0]), ([5, 0], [1], [1.0])])
+def test_costs_of_scans_are_two_or_more_and_positive(fields):
+    with pytest.raises(ValueError, match="scans_ns: expected two or more positive costs"):
+        CostProfile(*map(np.array, fields))
+
+
+@pytest.mark.parametrize(("gaps", "growth"), [([1, 2], [1.0]), ([2, 3], [1.0, 1.1]), ([1, 1], [1.0, 1.1])])
+def test_the_growth_of_a_cost_belongs_to_rising_gaps_from_1(gaps, growth):
+    with pytest.raises(ValueError, match="gaps: expected 1 and increasing whole numbers"):
+        CostProfile(np.array([5, 6]), np.array(gaps), np.array(growth))

@@ -155,6 +155,14 @@ def design(**entries):
             "'x': no factor with numbers named 'stages'; known: cell, epsilon",
         ),
         (lambda c: c["sequence"].update(laps=1e-9), "parameter 'laps'"),
+        (design(**{"with": ["method.local_map"]}), "'with': found .*, expected a table of settings"),
+        (design(**{"with": {"robot.wheel_m": 0.1}}), "no setting named 'robot.wheel_m'"),
+        (lambda c: c["response"][0].update(scale="cubic"), "response 1: 'scale': found 'cubic', expected linear or"),
+        (lambda c: c.update(envelope=[{"design": "all", "x": "cell", "y": "cell"}]), "'y': .* another factor than 'x'"),
+        (factor(levels=[[1], [2]]), "'levels': found \\[1\\], expected numbers, texts, true or false"),
+        (lambda c: c["factor"][3].update(name=""), "'name': found '', expected a text"),
+        (lambda c: c["factor"][3].update(levels={"a": {"method.x": []}, "b": {}}), "expected values for .method.NAME"),
+        (lambda c: c["factor"][3].update(scale="log"), "'scale': log is for numbers; remove the key"),
     ],
 )
 def test_errors_of_a_study_file_name_table_and_key(change, message):

@@ -92,3 +92,13 @@ def test_space_filling_points_lie_in_every_quarter_of_every_factor(kind):
 def test_too_few_points_for_the_model_are_rejected():
     with pytest.raises(ValueError, match="points: 3 are too few for a model of 4 columns"):
         make_optimal(Model((DesignAxis("a", 2), DesignAxis("b", 2))), 3, np.random.default_rng(0))
+
+
+def test_a_design_that_cannot_be_is_refused():
+    with pytest.raises(ValueError, match="a: a factor needs at least two levels, got 1"):
+        DesignAxis("a", 1)
+    with pytest.raises(ValueError, match="a: expected 3 scores, got 2"):
+        DesignAxis("a", 3, (0.0, 1.0))
+    for factors, resolution in ((0, 3), (3, 2), (3, 6)):
+        with pytest.raises(ValueError, match=f"resolution 3, 4 or 5, got {factors}, {resolution}"):
+            make_fractional(factors, resolution)
