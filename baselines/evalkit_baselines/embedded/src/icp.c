@@ -161,10 +161,12 @@ static void move_source(const ek_icp *p, size_t padded, ek_pose pose, ek_real li
     }
 }
 
-/* Choose the nearest of the candidates of each point, of equals the first. */
-EK_LOOP void choose_candidates(size_t padded, const ek_real *EK_RESTRICT mx, const ek_real *EK_RESTRICT my,
+/* Choose the nearest of the candidates of each point, of equals the first, and give it weight 1 if the square of its
+ * distance is below `reach` (m^2), else 0. */
+EK_LOOP void choose_candidates(size_t padded, ek_real reach, const ek_real *EK_RESTRICT mx, const ek_real *EK_RESTRICT my,
                                const ek_real *EK_RESTRICT cx, const ek_real *EK_RESTRICT cy, ek_real *EK_RESTRICT tx,
-                               ek_real *EK_RESTRICT ty, ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT choice)
+                               ek_real *EK_RESTRICT ty, ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT choice,
+                               ek_real *EK_RESTRICT weight)
 {
     for (size_t i = 0; i < padded; i += EK_LANES) {
         for (size_t lane = 0; lane < EK_LANES; lane++) {
@@ -184,21 +186,22 @@ EK_LOOP void choose_candidates(size_t padded, const ek_real *EK_RESTRICT mx, con
             ty[i + lane] = v;
             squared[i + lane] = best;
             choice[i + lane] = which;
+            weight[i + lane] = best < reach ? EK_R(1.0) : EK_R(0.0);
         }
     }
 }
 
-EK_WIDE static void choose_candidates_wide(const ek_icp *p, size_t padded)
+EK_WIDE static void choose_candidates_wide(const ek_icp *p, size_t padded, ek_real reach)
 {
-    choose_candidates(padded, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice);
+    choose_candidates(padded, reach, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
 }
 
-static void choose_neighbours(const ek_icp *p, size_t padded)
+static void choose_neighbours(const ek_icp *p, size_t padded, ek_real reach)
 {
     if (p->wide) {
-        choose_candidates_wide(p, padded);
+        choose_candidates_wide(p, padded, reach);
     } else {
-        choose_candidates(padded, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice);
+        choose_candidates(padded, reach, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
     }
 }
 
@@ -257,33 +260,57 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_
     return searches;
 }
 
-/* Load the candidates of a point: of a block of the table, or found in the index. */
-static void load_candidates(ek_icp *icp, const ek_index *target, uint32_t at, uint32_t i, ek_real limit)
+/* Take the points of a block of the table as the candidates of a point. */
+static inline void load_block(ek_icp *icp, const ek_block *block, uint32_t i)
 {
-    const size_t first = EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
-    const uint32_t none = (uint32_t)icp->targets;
-    const ek_block *const block = ek_table_block(target->table, target, at, icp->mx[i], icp->my[i], limit);
-    if (block) {
-        for (size_t k = 0; k < EK_BLOCK; k++) {
-            icp->cx[first + EK_LANES * k] = block->x[k];
-            icp->cy[first + EK_LANES * k] = block->y[k];
-            icp->slots[EK_BLOCK * i + k] = block->slot[k] == EK_NONE ? none : block->slot[k];
-        }
-        icp->ax[i] = block->centre_x;
-        icp->ay[i] = block->centre_y;
-        icp->others[i] = block->others;
-        return;
+    ek_real *const EK_RESTRICT x = icp->cx + EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
+    ek_real *const EK_RESTRICT y = icp->cy + EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
+    for (size_t k = 0; k < EK_BLOCK; k++) {
+        x[EK_LANES * k] = block->x[k];
+        y[EK_LANES * k] = block->y[k];
     }
+    memcpy(icp->slots + EK_BLOCK * i, block->slot, sizeof block->slot);
+    icp->ax[i] = block->centre_x;
+    icp->ay[i] = block->centre_y;
+    icp->others[i] = block->others;
+}
+
+/* Take the neighbour that the index finds as the only candidate of a point. */
+static void load_neighbour(ek_icp *icp, const ek_index *target, uint32_t i, ek_real limit)
+{
     const ek_neighbour answer = search_index(icp, target, i, limit);
     const int found = answer.slot != EK_NONE;
+    ek_block only;
     for (size_t k = 0; k < EK_BLOCK; k++) {
-        icp->cx[first + EK_LANES * k] = found ? target->xy[2u * answer.slot] : EK_FAR;
-        icp->cy[first + EK_LANES * k] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
-        icp->slots[EK_BLOCK * i + k] = found ? answer.slot : none;
+        only.x[k] = found ? target->xy[2u * answer.slot] : EK_FAR;
+        only.y[k] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
+        only.slot[k] = found ? answer.slot : (uint32_t)icp->targets;
     }
-    icp->ax[i] = icp->mx[i];
-    icp->ay[i] = icp->my[i];
-    icp->others[i] = answer.others;
+    only.centre_x = icp->mx[i];
+    only.centre_y = icp->my[i];
+    only.others = answer.others;
+    load_block(icp, &only, i);
+}
+
+/* Load the candidates of the points whose neighbour may have changed; returns the number of searches. */
+static uint32_t load_candidates(ek_icp *icp, const ek_index *target, size_t padded, ek_real limit)
+{
+    ek_table *const table = target->table;
+    const uint32_t searches = list_stale(padded, icp->slack, icp->stale);
+    ek_table_locate(table, target, icp->mx, icp->my, icp->stale, searches, icp->pair_source);
+    for (uint32_t k = 0; k < searches; k++) {
+        const uint32_t i = icp->stale[k], at = icp->pair_source[k];
+        const ek_block *block = table->block + at;
+        if (!block->complete) {
+            block = ek_table_block(table, target, at, icp->mx[i], icp->my[i], limit);
+        }
+        if (block) {
+            load_block(icp, block, i);
+        } else {
+            load_neighbour(icp, target, i, limit);
+        }
+    }
+    return searches;
 }
 
 /* Take the chosen candidate of each point as its neighbour. */
@@ -299,14 +326,10 @@ static void take_slots(size_t padded, const uint32_t *EK_RESTRICT slots, const e
 
 /* As update_neighbours, with the table of the target. */
 static uint32_t update_candidates(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t padded,
-                                  ek_real limit)
+                                  ek_real limit, ek_real reach)
 {
-    const uint32_t searches = list_stale(padded, icp->slack, icp->stale);
-    ek_table_locate(target->table, target, icp->mx, icp->my, icp->stale, searches, icp->pair_source);
-    for (uint32_t k = 0; k < searches; k++) {
-        load_candidates(icp, target, icp->pair_source[k], icp->stale[k], limit);
-    }
-    choose_neighbours(icp, padded);
+    const uint32_t searches = load_candidates(icp, target, padded, limit);
+    choose_neighbours(icp, padded, reach);
     take_slots(padded, icp->slots, icp->choice, icp->nearest);
     for (uint32_t i = 0; i < padded && normals; i++) {
         set_neighbour(icp, target, normals, i, icp->nearest[i]);
@@ -314,8 +337,8 @@ static uint32_t update_candidates(ek_icp *icp, const ek_index *target, const ek_
     return searches;
 }
 
-/* Give weight 1 to the points that are nearer than `limit`, 0 to the others; distances or their squares. */
-EK_LOOP void weigh_within(size_t padded, ek_real limit, const ek_real *EK_RESTRICT distance,
+/* Give weight 1 to the points that are nearer than `limit` (m), 0 to the others. */
+static void weigh_within(size_t padded, ek_real limit, const ek_real *EK_RESTRICT distance,
                           ek_real *EK_RESTRICT weight)
 {
     for (size_t i = 0; i < padded; i++) {
@@ -349,11 +372,9 @@ static void keep_closest(size_t padded, const uint32_t *EK_RESTRICT nearest, con
     }
 }
 
-/* Set weight 1 for every pair that is used, those nearer than `limit`, and 0 for the others; returns the number of pairs
- * (equation 2). Distances or their squares. */
-static int32_t select_pairs(const ek_icp *icp, size_t padded, const ek_real *distance, ek_real limit, int one_to_one)
+/* Leave weight 1 to every pair that is used; returns their number (equation 2). Distances or their squares. */
+static int32_t select_pairs(const ek_icp *icp, size_t padded, const ek_real *distance, int one_to_one)
 {
-    weigh_within(padded, limit, distance, icp->weight);
     if (one_to_one) {
         keep_closest(padded, icp->nearest, distance, icp->owner, icp->stale, icp->weight);
     }
@@ -471,11 +492,12 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
         EK_COUNT(EK_ITERATIONS, 1u);
         EK_COUNT(EK_POINTS, padded);
         if (target->table) {
-            match.queries += update_candidates(icp, target, normals, padded, limit);
-            match.inliers = select_pairs(icp, padded, icp->slack, reach, parameters->one_to_one);
+            match.queries += update_candidates(icp, target, normals, padded, limit, reach);
+            match.inliers = select_pairs(icp, padded, icp->slack, parameters->one_to_one);
         } else {
             match.queries += update_neighbours(icp, target, normals, padded, limit);
-            match.inliers = select_pairs(icp, padded, icp->distance, limit, parameters->one_to_one);
+            weigh_within(padded, limit, icp->distance, icp->weight);
+            match.inliers = select_pairs(icp, padded, icp->distance, parameters->one_to_one);
         }
         if (match.inliers < parameters->min_pairs) {
             match.error = (ek_real)NAN;

@@ -35,6 +35,7 @@ void ek_table_attach(ek_table *table, const ek_index *index)
         table->tiles = table->blocks = 1u;
         memset(table->tile, 0, (size_t)index->cells.columns * index->cells.rows * sizeof(uint32_t));
         memset(table->entry, 0, EK_TILE * sizeof(uint32_t));
+        memset(table->block, 0, sizeof *table->block);
     }
 }
 
@@ -143,7 +144,7 @@ static int make_block(const ek_index *index, surroundings *near, ek_real limit, 
     block->centre_x = near->x;
     block->centre_y = near->y;
     block->others = nearest.others;
-    block->complete = 1u;
+    block->complete = 0u;
     if (nearest.slot != EK_NONE) {
         if (!gather_enough(index, near, nearest.distance)) {
             return 0;
@@ -166,7 +167,7 @@ static int make_block(const ek_index *index, surroundings *near, ek_real limit, 
     }
     block->others -= near->margin;
     for (size_t k = 0; k < EK_BLOCK; k++) {
-        block->slot[k] = k < count ? block->slot[k] : EK_NONE;
+        block->slot[k] = k < count ? block->slot[k] : 0u;
         block->x[k] = k < count ? index->xy[2u * block->slot[k]] : EK_FAR;
         block->y[k] = k < count ? index->xy[2u * block->slot[k] + 1u] : EK_FAR;
     }
@@ -265,9 +266,5 @@ const ek_block *ek_table_block(ek_table *table, const ek_index *index, uint32_t 
         }
         return NULL;
     }
-    if (block->complete && block->slot[0] != EK_NONE) {
-        return block;
-    }
-    /* without points a block was made for searches up to some limit */
-    return is_proven(block, index, x, y, limit) ? block : NULL;
+    return block->complete || is_proven(block, index, x, y, limit) ? block : NULL;
 }

@@ -27,7 +27,7 @@ static void bounds_the_others(const ek_block *block, size_t count)
     for (uint32_t slot = 0; slot < count; slot++) {
         int inside = 0;
         for (size_t k = 0; k < EK_BLOCK; k++) {
-            inside |= block->slot[k] == slot;
+            inside |= block->slot[k] == slot && block->x[k] < EK_FAR;
         }
         const ek_real dx = kept.xy[2u * slot] - block->centre_x, dy = kept.xy[2u * slot + 1u] - block->centre_y;
         CHECK(inside || block->others <= EK_SQRT(dx * dx + dy * dy) + kept.cells.margin);
@@ -88,7 +88,7 @@ static void the_table_is_used(size_t found)
     size_t partial = 0u, empty = 0u;
     for (size_t k = 1; k < table.blocks; k++) {
         partial += table.block[k].complete ? 0u : 1u;
-        empty += table.block[k].slot[0] == EK_NONE;
+        empty += table.block[k].x[0] == EK_FAR;
     }
     CHECK(partial > 0u && empty > 0u);
 }

@@ -18,7 +18,7 @@ extern "C" {
 #define EK_TABLE_PATIENCE 3u /* searches of a small cell before its block is made; a block costs as much as some */
 #define EK_TABLE_SPLIT 4u    /* small cells along the side of a cell */
 #define EK_TILE (EK_TABLE_SPLIT * EK_TABLE_SPLIT)
-#define EK_BLOCK 4u          /* points */
+#define EK_BLOCK 6u          /* points */
 
 /* The points that can be nearest to a place in a small cell, and the next nearest to its centre, by ascending index in
  * the cloud. */
@@ -26,8 +26,8 @@ typedef struct {
     ek_real x[EK_BLOCK], y[EK_BLOCK]; /* m; EK_FAR where there are fewer */
     ek_real centre_x, centre_y;       /* of the small cell (m) */
     ek_real others;                   /* lower bound on the distance from the centre to all other points (m) */
-    uint32_t slot[EK_BLOCK];          /* EK_NONE where there are fewer */
-    uint32_t complete;                /* 1: no other point can be nearest to a place in the cell */
+    uint32_t slot[EK_BLOCK];          /* 0 where there are fewer */
+    uint32_t complete;                /* 1: one of them is nearest to each place in the cell; 0: perhaps */
 } ek_block;
 
 struct ek_table {
@@ -61,7 +61,8 @@ void ek_table_locate(const ek_table *table, const ek_index *index, const ek_real
                      uint32_t *EK_RESTRICT at);
 
 /* The block `at` (from ek_table_locate for (x, y)) if it holds the point nearest to (x, y) or no point is nearer than
- * `limit` (m); else NULL: search the index. Counts the searches of a small cell without a block. */
+ * `limit` (m); else NULL: search the index. Counts the searches of a small cell without a block. If the block is complete,
+ * it is the answer, without this call. */
 const ek_block *ek_table_block(ek_table *table, const ek_index *index, uint32_t at, ek_real x, ek_real y, ek_real limit);
 
 #ifdef __cplusplus
