@@ -11,6 +11,7 @@
 #define FIRST_LOOK EK_R(0.75) /* cells: half width of the first search without a known neighbour */
 #define BEYOND EK_R(0.25)     /* cells: searched beyond the last neighbour; saves later searches */
 #define ROUNDED_DOWN (EK_R(1.0) - EK_R(8.0) * EK_EPSILON)
+#define AHEAD 12u /* searches from the prefetch of a block to its use */
 #define MAX_DISTANCE EK_R(1e12) /* m; below EK_FAR: stands for "no limit" */
 
 ek_icp_parameters ek_icp_default(void)
@@ -95,7 +96,7 @@ ek_status ek_icp_init_table(ek_icp *icp, ek_arena *arena)
     return EK_OK;
 }
 
-/* Load the source points; the padding repeats the first point and gets weight 0. */
+/* Load the source points; the padding repeats the first point, has no neighbour and is not searched for. */
 static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
 {
     const size_t padded = EK_PADDED(count);
@@ -108,16 +109,15 @@ static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
         }
         icp->tx[i] = icp->ty[i] = EK_FAR;
         icp->ax[i] = icp->ay[i] = EK_R(0.0);
-        icp->others[i] = i < count ? EK_R(-1.0) : EK_FAR; /* padding is not searched for */
-        icp->weight[i] = EK_R(0.0);
+        icp->others[i] = i < count ? EK_R(-1.0) : EK_FAR;
         icp->nearest[i] = (uint32_t)icp->targets;
-        for (size_t k = EK_BLOCK * i; k < EK_BLOCK * (i + 1u) && icp->choice; k++) {
-            icp->cx[k] = icp->cy[k] = EK_FAR;
-            icp->slots[k] = (uint32_t)icp->targets;
-        }
-        if (icp->across) {
-            icp->nx[i] = icp->ny[i] = EK_R(0.0);
-        }
+    }
+    for (size_t i = 0; i < padded && icp->across; i++) {
+        icp->nx[i] = icp->ny[i] = EK_R(0.0);
+    }
+    for (size_t k = EK_BLOCK * (padded - EK_LANES); k < EK_BLOCK * padded && icp->choice; k++) {
+        icp->cx[k] = icp->cy[k] = EK_FAR; /* of the last lanes; those of points are overwritten by the first search */
+        icp->slots[k] = (uint32_t)icp->targets;
     }
     return EK_OK;
 }
@@ -300,6 +300,10 @@ static uint32_t load_candidates(ek_icp *icp, const ek_index *target, size_t padd
     ek_table_locate(table, target, icp->mx, icp->my, icp->stale, searches, icp->pair_source);
     for (uint32_t k = 0; k < searches; k++) {
         const uint32_t i = icp->stale[k], at = icp->pair_source[k];
+        const uint32_t soon = k + AHEAD < searches ? icp->pair_source[k + AHEAD] : 0u;
+        EK_PREFETCH(table->block + soon);
+        EK_PREFETCH(table->block[soon].y);
+        EK_PREFETCH(&table->block[soon].complete);
         const ek_block *block = table->block + at;
         if (!block->complete) {
             block = ek_table_block(table, target, at, icp->mx[i], icp->my[i], limit);

@@ -239,8 +239,6 @@ void ek_table_locate(const ek_table *table, const ek_index *index, const ek_real
         const uint32_t entry = entries[at[k]];
         const int made = (entry > EK_TABLE_PATIENCE) & (entry != CROWDED);
         at[k] = (entry - EK_TABLE_PATIENCE) & (0u - (uint32_t)made);
-        EK_PREFETCH(table->block + at[k]);
-        EK_PREFETCH(table->block[at[k]].slot);
     }
 }
 
