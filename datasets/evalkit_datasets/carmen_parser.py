@@ -232,7 +232,7 @@ def _make_angles(beams: int, start: float, step: float) -> Floats:
 
 
 def _parse_floats(words: list[bytes]) -> Floats:
-    return np.array([float(word) for word in words])
+    return np.fromiter(map(float, words), np.float64, len(words))
 
 
 def _parse_row(words: list[bytes]) -> Row:
