@@ -218,7 +218,10 @@ def test_backpack_keeps_the_first_echo(limit, count, no_returns):
     assert frames[0].scan.time_increment_ns == pytest.approx(17_361, abs=1)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if not absent(name)])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.thorough] * (name == "backpack")) for name in NAMES if not absent(name)],
+)
 def test_start_every_and_limit_shorten_each_recording(name):
     sequence = sequence_of(name, start=2, every=3, limit=4)
     assert len(sequence) == len(list(sequence.frames())) == 4

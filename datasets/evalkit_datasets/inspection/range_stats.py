@@ -37,8 +37,8 @@ MIN_SPIKE = 20.0
 RARE = 0.01
 """Share of a cluster below which a value does not belong to it."""
 
-MAX_STILL_CHANGE_M = (0.02, 0.06)
-"""Limits of the median and of the 80th percentile of range changes within a second, for a robot that stands."""
+STILL_CHANGES = ((0.02, 0.5), (0.06, 0.8))
+"""Of a robot that stands: limits (m) of the change of a range within a second, and the least share of ranges within."""
 
 STEPS_M = (0.05, 0.01, 0.005, 0.001)
 
@@ -194,8 +194,8 @@ def _measure_still(laser: LaserStream) -> float:
         if successive and len(ranges[now]) == len(ranges[then]):
             both = np.isfinite(ranges[now]) & np.isfinite(ranges[then])
             if both.sum() >= 20:
-                change = np.percentile(np.abs(ranges[now][both] - ranges[then][both]), [50, 80])
-                unchanged.append(bool((change < MAX_STILL_CHANGE_M).all()))
+                change = np.abs(ranges[now][both] - ranges[then][both])
+                unchanged.append(all(np.mean(change < limit_m) >= share for limit_m, share in STILL_CHANGES))
     return float(np.mean(unchanged)) if unchanged else float("nan")
 
 
