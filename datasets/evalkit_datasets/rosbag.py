@@ -132,6 +132,7 @@ class RosBag:
             "scans without a stamp, given the time of recording": contents.unstamped,
             "damaged messages dropped": contents.damaged,
             "damaged index, records read up to the damage": contents.unindexed,
+            "chunks that cannot be unpacked, dropped with their messages": contents.lost_chunks,
         }
 
     def _find_odometry(self, contents: Contents, wanted: str, base_frame: str) -> tuple[Trajectory | None, str]:

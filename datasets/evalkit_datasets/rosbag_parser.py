@@ -48,7 +48,8 @@ COLUMNS = {"stamps_ns": "q", "durations_ns": "q", "messages": "i", "invalid": "i
 class Contents:
     """Odometry and transforms of a bag. ``odometry``: poses by (topic, parent, child).
 
-    ``unindexed``: 1 if the index of the bag is damaged, and its records were read up to the damage.
+    ``unindexed``: 1 if the index of the bag is damaged, and its records were read up to the damage. ``lost_chunks``:
+    number of chunks that could not be unpacked then.
 
     ``unstamped``: number of headers without a time. ``damaged``: number of laser messages with implausible geometry and
     of invalid transforms.
@@ -59,6 +60,7 @@ class Contents:
     unstamped: int = 0
     damaged: int = 0
     unindexed: int = 0
+    lost_chunks: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +110,8 @@ def read_bag(path: Path, topic: str, which: slice, options: SweepOptions) -> tup
     """
     with open_bag(path) as reader:
         topics = {name: (str(about.msgtype), int(about.msgcount)) for name, about in reader.topics.items()}
-        contents = Contents(unindexed=int(is_unindexed(reader)))
+        lost_chunks = count_lost_chunks(reader)
+        contents = Contents(unindexed=int(lost_chunks is not None), lost_chunks=lost_chunks or 0)
         scans = _read_scans(reader, _select_laser_topic(path, topics, topic, options), contents, options)
         for connection, message, _ in iter_messages(reader, (ODOMETRY,)):
             add_odometry(contents, connection.topic, message)
@@ -171,11 +174,11 @@ def _iter_laser_messages(reader: Any, topic: str, options: SweepOptions) -> Iter
     yield from reader.messages(connections=wanted)
 
 
-def is_unindexed(reader: Any) -> bool:
-    """Return whether a reader walks the records because the index is damaged."""
+def count_lost_chunks(reader: Any) -> int | None:
+    """Return the chunks that could not be unpacked where the index of a bag is damaged; None where it is not."""
     from evalkit_datasets import unindexed_bag  # noqa: PLC0415 - loads rosbags
 
-    return unindexed_bag.is_unindexed(reader)
+    return unindexed_bag.count_lost_chunks(reader)
 
 
 def _holds_sweeps(kind: str, options: SweepOptions) -> bool:

@@ -26,7 +26,12 @@ END_NS = 2**63 - 1
 
 
 class UnindexedBag(ros1.Reader):
-    """A ROS 1 bag read without its index. ``open`` raises ReaderError where not even the beginning can be read."""
+    """A ROS 1 bag read without its index. ``open`` raises ReaderError where not even the beginning can be read.
+
+    ``lost_chunks``: number of chunks that cannot be unpacked; their messages are left out.
+    """
+
+    lost_chunks = 0
 
     def open(self) -> None:
         """Walk the records of the file and collect connections, chunks and the places of messages."""
@@ -68,7 +73,8 @@ class UnindexedBag(ros1.Reader):
         except UnpackedTooMuch:
             raise
         except (ValueError, EOFError, RuntimeError, OSError, ros1.ReaderError):
-            return  # its scans are lost; that the bag was read without its index is counted and reported
+            self.lost_chunks += 1
+            return
         file, inner = self.bio, BytesIO(data)
         times, counts = [], Counter[int]()
         try:
@@ -96,7 +102,9 @@ class UnindexedBag(ros1.Reader):
 
 
 class UnindexedMcap(mcap.McapReader):
-    """An MCAP file read without its summary."""
+    """An MCAP file read without its summary, up to a chunk that cannot be unpacked; then ``lost_chunks`` is 1."""
+
+    lost_chunks = 0
 
     def _open(self) -> None:
         assert self.bio is not None
@@ -130,6 +138,7 @@ class UnindexedMcap(mcap.McapReader):
             if kind == MCAP_CHUNK:
                 chunk = self._read_chunk(begin, length)
                 if chunk is None:
+                    self.lost_chunks = 1
                     return begin
                 self.chunks += [chunk] if chunk.channel_count else []
             self.bio.seek(begin + 9 + length)
@@ -180,7 +189,8 @@ def open_unindexed(bag: Path, typestore: Any) -> AnyReader | None:
     return None
 
 
-def is_unindexed(reader: AnyReader) -> bool:
-    """Return whether a reader walks the records because the index is damaged."""
+def count_lost_chunks(reader: AnyReader) -> int | None:
+    """Return the chunks that a reader could not unpack while it walked the records; None for a reader with an index."""
     inner = [getattr(one, "storage", one) for one in reader.readers]
-    return any(isinstance(one, (UnindexedBag, UnindexedMcap)) for one in inner)
+    walked = [one.lost_chunks for one in inner if isinstance(one, (UnindexedBag, UnindexedMcap))]
+    return sum(walked) if walked else None

@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from test_rosbag import KINDS, T0, Bag
 
 typesys = pytest.importorskip("rosbags.typesys")
+ros1 = pytest.importorskip("rosbags.rosbag1.reader")
 PERIOD = 100_000_000
 
 
@@ -230,6 +231,28 @@ def test_a_bag_without_its_index_is_read_up_to_the_damage(tmp_path, kind, packed
         assert sequence.notes()["damaged index, records read up to the damage"] == 1
         findings = [finding.what for finding in inspect_recording(broken).findings]
         assert any("index is damaged" in what for what in findings)
+
+
+def test_a_chunk_that_cannot_be_unpacked_is_counted_and_the_scans_of_the_others_are_read(tmp_path):
+    whole = long_bag("ros1", "bz2", tmp_path)
+    expected = [frame.scan.ranges[0] for frame in RosBag(str(whole)).frames()]
+    with closing(ros1.Reader(whole)) as reader:
+        reader.open()
+        chunks = [reader.chunks[info.pos] for info in reader.chunk_infos]
+        counts = [sum(c for i, c in info.connection_counts.items() if reader.connections[i].topic == "/scan")
+                  for info in reader.chunk_infos]  # fmt: skip
+    content = bytearray(whole.read_bytes())
+    content[chunks[1].datapos : chunks[1].datapos + 4] = b"none"  # instead of the beginning of bzip2
+    at = content.index(b"index_pos=") + len("index_pos=")
+    content[at : at + 8] = bytes(8)
+    whole.write_bytes(bytes(content))
+    sequence = RosBag(str(whole))
+    before, lost = counts[:2]
+    assert lost
+    assert [frame.scan.ranges[0] for frame in sequence.frames()] == expected[:before] + expected[before + lost :]
+    assert sequence.notes()["chunks that cannot be unpacked, dropped with their messages"] == 1
+    findings = [finding.what for finding in inspect_recording(whole).findings]
+    assert any(what.endswith("; chunks that cannot be unpacked: 1") for what in findings)
 
 
 def test_a_ros_1_bag_that_was_never_indexed_is_read(tmp_path):

@@ -116,8 +116,10 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
 
 
 def _check_remarks(streams: RecordingStreams) -> Iterator[InspectionFinding]:
-    if streams.unindexed:
+    if streams.lost_chunks is not None:
         what = "its index is damaged or missing: the records were read up to the damage"
+        if streams.lost_chunks:
+            what += f"; chunks that cannot be unpacked: {streams.lost_chunks}"
         yield _warning("file", what, "record it again if the end is needed")
     if streams.damaged:
         yield _warning("file", f"{streams.damaged} damaged messages or lines, dropped")

@@ -147,7 +147,8 @@ class RecordingStreams:
 
     ``poses_from``: program that computed the poses ("gmapping" or "graph"), "" if they are not corrected ones.
     ``digits``: largest number of significant digits of a scan's stamp, 0 for binary stamps. ``remarks``: comments in
-    the file. ``unindexed``: the index of a bag is damaged, and its records were read up to the damage.
+    the file. ``lost_chunks``: None for a bag with its index; else its records were read up to the damage,
+    without this number of chunks that cannot be unpacked.
     """
 
     path: Path
@@ -161,4 +162,4 @@ class RecordingStreams:
     digits: int = 0
     damaged: int = 0
     remarks: Sequence[str] = ()
-    unindexed: bool = False
+    lost_chunks: int | None = None
