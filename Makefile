@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHON
 unexport PYTHONDONTWRITEBYTECODE  # each run starts processes; without bytecode every one compiles evalkit again
 
-.PHONY: help install report report-quick system test test-all check bench faults soak mutation core-coverage planted paper paper-quick metric-validation calibrate tune schema docs fuzz clean distclean
+.PHONY: help install report report-quick system test test-all check bench faults soak mutation coverage core-coverage planted paper paper-quick metric-validation calibrate tune schema docs fuzz clean distclean
 
 help:  ## print this list
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -56,6 +56,11 @@ soak: $(VENV)/test  ## run 2,000 short runs under random kills, full disks and d
 
 mutation: $(VENV)/test  ## change the code at random and count how often the tests notice: survivors, score
 	$(BIN)/python tests/mutation/run.py
+
+coverage: $(VENV)/test  ## count the lines and branches of the Python code that the tests reach, beside the aims
+	@.ci/system-packages open3d browser
+	$(BIN)/python -m pip install --quiet 'coverage>=7.10'
+	$(BIN)/python tests/mutation/python_coverage.py
 
 core-coverage:  ## count the lines and branches of the C core that its own tests reach (needs cmake, gcc and gcov)
 	$(PYTHON) tests/mutation/core_coverage.py
