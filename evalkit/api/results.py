@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.trajectory import Trajectory
 from evalkit.results.reader import REMEDY, load_results_json, load_run
 from evalkit.results.run_record import RunRecord
+from evalkit.results.seal import read_vouched
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -163,7 +165,7 @@ class ComparisonResults:
 
         path = self.folder / f"{name}.csv"
         try:
-            table = pd.read_csv(path, keep_default_na=False, na_values=[""])
+            table = pd.read_csv(BytesIO(read_vouched(path, self.content)), keep_default_na=False, na_values=[""])
         except (OSError, ValueError) as error:
             raise StoreError(str(path), f"cannot be read ({error})", REMEDY) from error
         table.attrs["units"] = self.units

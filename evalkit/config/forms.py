@@ -15,6 +15,9 @@ Kind = Literal["experiment", "study", "tuning"]
 Type = Literal["text", "texts", "flag", "whole", "wholes", "number", "positive", "table", "tables", "any"]
 """``wholes``: a list of whole numbers from 0. ``positive``: a number above 0. ``table``, ``tables``: [KEY], [[KEY]]."""
 
+MAX_WHOLES = 1000
+"""Numbers of one list: more seeds would take minutes to list, before the first run."""
+
 Plugins = Literal["", "backends", "datasets", "mappers"]
 
 

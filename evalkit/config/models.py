@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
-from evalkit.config.forms import FORMS, Form, Key, Kind, Type
+from evalkit.config.forms import FORMS, MAX_WHOLES, Form, Key, Kind, Type
 from evalkit.config.toml_tables import flatten
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, NotInstalled, UnknownName, brief
 from evalkit.odometry import frontend
@@ -100,7 +100,7 @@ def _make_field(name: str, key: Key, made: dict[str, type[BaseModel]]) -> tuple[
         "texts": list[Annotated[str, Field(strict=True)]],
         "flag": Annotated[bool, Field(strict=True)],
         "whole": whole,
-        "wholes": list[whole],
+        "wholes": Annotated[list[whole], Field(max_length=MAX_WHOLES)],
         "number": Annotated[float, Field(strict=True, ge=key.low)],
         "positive": Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)],
         "table": content,

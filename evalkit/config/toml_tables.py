@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from evalkit.config.forms import OPEN, Form, Key, Kind
+from evalkit.config.forms import MAX_WHOLES, OPEN, Form, Key, Kind
 from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
 
 T = TypeVar("T")
@@ -111,10 +111,12 @@ class TomlTable:
         return value
 
     def whole_numbers(self, key: str, empty: bool = False) -> tuple[int, ...]:
-        """A list of whole numbers from 0 without repetitions; ``empty``: it may have none."""
+        """A list of at most ``MAX_WHOLES`` whole numbers from 0, without repetitions; ``empty``: it may have none."""
         values = self._find(key)
         if not isinstance(values, list) or not (values or empty) or not all(type(v) is int and v >= 0 for v in values):
             raise self.bad_value(key, "a list of whole numbers from 0")
+        if len(values) > MAX_WHOLES:
+            raise self.error(f"'{key}': found {len(values)} numbers, expected at most {MAX_WHOLES}")
         return tuple(dict.fromkeys(values))
 
     def choice(self, key: str, kind: str, known: Mapping[str, T], where: str = "") -> T:

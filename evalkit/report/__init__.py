@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from evalkit.io.output_files import write_texts
 from evalkit.report.analysis.comparison import Comparison, MethodCard, SequenceCard, Setting
 from evalkit.report.assembly import build_comparison
+from evalkit.results.results_schema import load_schema
 from evalkit.results.seal import seal
 
 if TYPE_CHECKING:
@@ -34,6 +35,6 @@ def write_analysis(analysis: Analysis, folder: Path) -> Path:
     files = tables.format_tables(analysis)
     vouched = {name: text.encode() for name, text in files.items()}
     files["results.json"] = seal(results_json.build_results(analysis), vouched, allow_nan=False) + "\n"
-    files["results.schema.json"] = results_json.load_schema()
+    files["results.schema.json"] = load_schema()
     write_texts(folder, {**files, "index.html": render_report(analysis)})
     return folder / "index.html"

@@ -1,6 +1,6 @@
 """The analysis for programs: results.json, schema version 4.
 
-results.schema.json beside this module fixes the layout; every report contains a copy. Within a version, keys are only
+evalkit/results/results.schema.json fixes the layout; every report contains a copy. Within a version, keys are only
 added. Numbers are in the unit that ``metrics`` names, times in ISO 8601. A score whose ``value`` is null has a
 ``reason``.
 """
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import asdict
-from importlib.resources import files
 from typing import Any
 
 from evalkit.metrics.table import Metric
@@ -47,11 +46,6 @@ def build_results(analysis: Analysis) -> dict[str, Any]:
         "intervals": [entry for sequence in analysis.sequences for entry in _intervals(sequence)],
         "differences": [entry for sequence in analysis.sequences for entry in _differences(sequence)],
     }
-
-
-def load_schema() -> str:
-    """Return the JSON Schema (draft 2020-12) of results.json."""
-    return files("evalkit.report").joinpath("results.schema.json").read_text(encoding="utf-8")
 
 
 def _answer(answer: Answer) -> dict[str, Any]:

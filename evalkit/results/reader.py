@@ -22,6 +22,7 @@ from evalkit.core.run_result import DISTURBED, RunConditions, RunResult
 from evalkit.core.se2 import Floats
 from evalkit.io import untrusted_io
 from evalkit.plugins.parameters import EXCERPT, NUISANCE
+from evalkit.results.results_schema import check_schema
 from evalkit.results.run_record import RunRecord
 from evalkit.results.seal import check_seal, read_sealed, read_vouched
 from evalkit.results.store import ERRORS, RESULT, SCORES, STEPS, Store, whole_records
@@ -95,6 +96,7 @@ def load_results_json(folder: Path) -> dict[str, Any]:
     try:
         check_seal(content)
         json.dumps(content, ensure_ascii=False, allow_nan=False).encode()  # raises for NaN and half a character
+        check_schema(content)
     except ValueError as error:
         raise StoreError(str(path), str(error), "write the report again") from error
     _check_keys(path, content)

@@ -1,6 +1,7 @@
 """The Python API gives the numbers of the report, and says what it needs."""
 
 import json
+import shutil
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -100,6 +101,17 @@ def test_unknown_names_and_folders_are_named(results, tmp_path):
         results.map("core", "hall")
     with pytest.raises(StoreError, match="no such file"):
         evalkit.load(tmp_path)
+
+
+def test_a_table_that_is_not_the_report_s_is_refused(results, tmp_path):
+    folder = shutil.copytree(results.folder, tmp_path / "copy")
+    copied = evalkit.load(folder)
+    for table in ("summary", "runs"):
+        path = folder / f"{table}.csv"
+        path.write_text(path.read_text(encoding="utf-8").replace("core", "mine"), encoding="utf-8")
+    for read in (copied.summary, copied.scores):
+        with pytest.raises(StoreError, match="its content does not agree with its checksum"):
+            read()
 
 
 def test_a_pair_of_clouds_is_registered_from_the_guess():

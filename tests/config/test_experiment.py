@@ -78,6 +78,8 @@ def log(tmp_path):
         (WHEELS + ROOM + "seed = 3\n", ["sequence 1 (room): found 'seed'; write seeds = [0, 1, ...]"]),
         (WHEELS + ROOM + "seeds = 3\n", ["sequence 1 (room): 'seeds': found 3, expected a list of whole numbers"]),
         (WHEELS + ROOM + "seeds = [0, true]\n", ["sequence 1 (room): 'seeds': found [0, True]"]),
+        (WHEELS + ROOM + f"seeds = {list(range(1001))}\n",
+         ["sequence 1 (room): 'seeds': found 1001 numbers, expected at most 1000"]),
         (WHEELS + ROOM + "seeds = []\n", ["sequence 1 (room): 'seeds': found []"]),
         (WHEELS + "[[sequence]]\nuse = 'carmen'\npath = 'a.log'\nseeds = [1]\n",
          ["sequence 1 (carmen): 'seeds': carmen is a recording and has none; remove the key"]),

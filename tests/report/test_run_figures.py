@@ -1,6 +1,11 @@
 """Figures: small, with clipped parts stated, and absent where there is nothing to draw."""
 
+import re
+import warnings
+from dataclasses import replace
+
 from evalkit.report.html.palette import assign_strokes
+from evalkit.report.html.run_charts import path_chart
 from evalkit.report.html.run_figures import draw_errors, draw_residuals, draw_runtimes, draw_trajectories
 
 
@@ -32,3 +37,19 @@ def test_runs_without_answers_have_no_figure(record):
 
 def test_wheel_odometry_has_no_residuals(record):
     assert draw_residuals([record("wheel", "room", {})], assign_strokes(["wheel"])) is None
+
+
+def test_a_path_that_runs_away_leaves_the_frame_and_overflows_nothing(record):
+    lost = record("lost", "room", {})
+    for column, far in (("x", 1e307), ("y", -1e307)):
+        steps = lost.result.steps.copy()
+        steps[column][30:] = far
+        lost = replace(lost, result=replace(lost.result, steps=steps))
+    pair = [record("near", "room", {}), lost]
+    strokes = assign_strokes(["near", "lost"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert draw_trajectories(pair, strokes).remark == "lost leaves the frame."
+        drawn = str(path_chart(pair, strokes, "near"))
+    assert "Lost leaves the frame." in drawn
+    assert not {"inf", "nan"} & set(re.findall(r"[a-z]+", drawn.partition("<svg")[2]))

@@ -9,8 +9,8 @@ import json
 from evalkit.commands.export.latex import Files
 from evalkit.commands.export.results import ExportSelection
 from evalkit.core.errors import StoreError
-from evalkit.report.results_json import load_schema
 from evalkit.results.reader import REMEDY, load_table
+from evalkit.results.results_schema import load_schema
 
 TABLES = ("runs.csv", "scores.csv", "summary.csv")
 

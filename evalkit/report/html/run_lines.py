@@ -17,11 +17,16 @@ STRETCHES = 150  # of a noisy line: more cannot be distinguished
 PLAN_RATIO = 1.5  # width to height of the view from above
 
 
+MAX_DRAWN_M = 1e9
+"""Positions beyond are drawn there: outside every frame, and far from overflow."""
+
+
 def world_path(record: RunRecord) -> Floats:
-    """Return the estimated positions (N, 2) in the frame of the ground truth (m); finite ones only."""
+    """Return the estimated positions (N, 2) in the frame of the ground truth (m), within ``MAX_DRAWN_M``."""
     steps = record.result.steps
     poses = np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1).astype(np.float64)
     poses = poses[np.isfinite(poses).all(axis=1)]
+    poses[:, :2] = poses[:, :2].clip(-MAX_DRAWN_M, MAX_DRAWN_M)
     return se2.compose(record.scores.world_from_start.row, poses)[:, :2]
 
 
