@@ -1,5 +1,6 @@
 """Random damage of a stored run is noticed: what is read is what was written, or nothing."""
 
+import io
 import json
 import random
 
@@ -12,7 +13,7 @@ from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunConditions, RunResult, Score, Scores
 from evalkit.core.trajectory import Trajectory
-from evalkit.results.final_files import CLOSURES, FINAL
+from evalkit.results.final_files import CLOSURES, FINAL, format_final, parse_final
 from evalkit.results.seal import check_seal, seal
 from evalkit.results.store import ERRORS, GRID, RESULT, SCORES, STEPS, Store
 
@@ -104,3 +105,18 @@ def test_a_seal_is_of_the_values_and_not_of_their_order_or_spaces():
     for changed in ({**again, "b": [1.5, None, 2.0]}, {**again, "more": 1}, {**again, "files": {}}, {"a": 1}):
         with pytest.raises(ValueError, match="damaged: its values do not agree with its checksum"):
             check_seal(changed)
+
+
+def test_corrected_poses_of_another_type_are_damaged():
+    stamps = np.arange(2, dtype=np.int64)
+    closure = LoopClosure(1, 0, Pose(1.0, 0.0, 0.0), True, "near")
+    sound = format_final(Trajectory(stamps, np.zeros((2, 3))), (closure,))
+    assert parse_final(sound, stamps)[1] == (closure,)
+    body = io.BytesIO()
+    np.save(body, np.zeros((2, 3), dtype=np.float32))
+    with pytest.raises(ValueError, match="is damaged: an array of float32, expected float64"):
+        parse_final({**sound, FINAL: body.getvalue()}, stamps)
+    for key, value in (("stamp_ns", 1.5), ("accepted", 1)):
+        entry = {**json.loads(sound[CLOSURES])[0], key: value}
+        with pytest.raises(ValueError, match="is damaged: expected whole stamps, and true or false"):
+            parse_final({**sound, CLOSURES: json.dumps([entry]).encode()}, stamps)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import typer
+from typer.testing import CliRunner
 
+from evalkit.commands.calibration import command, coverage
 from evalkit.commands.calibration.command import measure, measure_sequence
 from evalkit.commands.calibration.seed_runs import DRIFTS, read_runs, run_seed
 from evalkit.config.experiment import experiment_from_tables
@@ -77,3 +81,42 @@ def test_relations_have_intervals_and_no_verdict_and_few_values_are_named(tmp_pa
     few = measure_sequence(0, sequence, [*_results("ab", "ate_rmse_m", 19), *[{}] * 6], ["a", "b"], 50)
     assert few.coverage == ()
     assert few.skipped[0] == "carmen: ate_rmse_m: 19 runs have a value, 20 are needed"
+
+
+def test_the_command_writes_what_it_measured_and_fails_beyond_a_limit(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "own.toml"
+    log = tmp_path / "a.log"
+    log.write_text("FLASER\n")
+    file.write_text(
+        "[[method]]\nuse = 'wheel-odometry'\nlabel = 'a'\n[[method]]\nuse = 'paper'\nlabel = 'b'\n"
+        f"[[sequence]]\nuse = 'carmen'\npath = '{log}'\nnuisance = 24\n"
+    )
+    results = [{**one, "b|failed": "b: no odometry"} if at == 3 else one
+               for at, one in enumerate(_results("ab", "ate_rmse_m", 25))]  # fmt: skip
+    monkeypatch.setattr(command, "_run_all", lambda *_: {"carmen": results})
+    app = typer.Typer()
+    app.command()(command.calibrate)
+    words = [str(file), "--subsets", "50", "--out", str(tmp_path / "out")]
+    found = CliRunner().invoke(app, words)
+    content = json.loads((tmp_path / "out" / "calibration.json").read_text(encoding="utf-8"))
+    assert content["skipped"] == ["carmen: b failed in 1 of 25 runs (b: no odometry)"]
+    assert (content["recordings"], len(content["coverage"]), content["verdicts"]) == (["carmen"], 5, [])
+    assert sorted(one.name for one in (tmp_path / "out").iterdir()) == [
+        "calibration.json", "calibration.md", "index.html"
+    ]  # fmt: skip
+    assert found.exit_code == int(bool(content["failures"]))
+    assert "evalkit: skipped: carmen: b failed in 1 of 25 runs" in found.output
+    monkeypatch.setattr(coverage, "find_failures", lambda *_: ["an interval holds in 50 %"])
+    found = CliRunner().invoke(app, [*words, "--json"])
+    assert found.exit_code == 1
+    assert "evalkit: outside the limits: an interval holds in 50 %" in found.output
+
+
+def test_a_world_is_calibrated_with_as_many_seeds_as_asked_for(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(command, "_run_all", lambda _e, sequences, seeds, *_: asked.append(seeds) or {
+        one.label: _results("ab", "ate_rmse_m", seeds) for one in sequences
+    })  # fmt: skip
+    with pytest.raises(BadExperiment, match=r"no runs to resample: .*wheels failed|no runs to resample"):
+        measure(_experiment(use="room", laps=0.1), 21, 50, tmp_path, 1)
+    assert asked == [21]

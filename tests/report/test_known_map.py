@@ -1,0 +1,51 @@
+"""The table of runs that tracked the robot in a known map: start, track, errors; absent without such a map."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit.core.map_start import MapStart
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import LostTrack
+from evalkit.report.analysis.analysis import analyse
+from evalkit.report.html.known_map import build_known_map
+from evalkit.report.html.palette import assign_strokes
+from evalkit.report.html.report_tables import DASH
+
+
+def found(records, build):
+    analysis = analyse(build(records))
+    (sequence,) = analysis.sequences
+    return build_known_map(analysis, sequence, 1, assign_strokes(["paper", "wheel"]), "room")
+
+
+def in_map(record, start, lost=None, fit=None):
+    scores = replace(record.scores, lost=lost, fit=np.zeros((0, 3)) if fit is None else fit)
+    return replace(record, result=replace(record.result, start=start), scores=scores)
+
+
+def test_each_method_has_its_start_and_its_track(record, build):
+    pair = [record(name, "room", {"ate_rmse_m": value}) for name, value in (("paper", 0.1), ("wheel", 0.4))]
+    assert found(pair, build) == []
+    searched = MapStart(Pose(), 8, 0.7, True, 0.91)
+    fit = np.column_stack([np.full(20, 0.02), np.full(20, 0.04), np.ones(20)])
+    both = [
+        in_map(pair[0], searched, fit=fit),
+        in_map(pair[1], MapStart(Pose(), 1, 0.0, False, 1.0), LostTrack(3.0, "a jump of 2 m")),
+    ]
+    heading, _, table, figures = found(both, build)
+    assert heading.text == "In the known map"
+    rows = [[getattr(cell, "text", cell) for cell in row[1:3]] for row in table.rows]
+    assert (rows[0], rows[1][0]) == (["0.7 s", "held"], DASH)
+    (first, second) = table.rows
+    assert (first[1].tip, second[2].tone, second[2].tip) == ("scan 8, score 0.91", "bad", "a jump of 2 m")
+    (figure,) = figures.figures
+    assert figure.svg.startswith(b"<?xml") or b"<svg" in figure.svg
+    assert len(found(both[1:], build)) == 3  # nothing is predicted: no figure
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_runs_without_a_known_map_have_no_table(record, build, count):
+    records = [record("paper", "room", {"ate_rmse_m": 0.1}, seed=seed) for seed in range(count + 1)]
+    assert found(records, build) == []
