@@ -56,7 +56,7 @@ def _check(value: Any, schema: Mapping[str, Any], place: str) -> None:
 
 def _check_object(value: Mapping[str, Any], schema: Mapping[str, Any], place: str) -> None:
     if missing := [key for key in schema.get("required", ()) if key not in value]:
-        raise ValueError(f"{place or 'the whole'}: no key '{missing[0]}'")
+        raise ValueError(f"{place}: no key '{missing[0]}'" if place else f"no key '{missing[0]}'")
     known, others = schema.get("properties", {}), schema.get("additionalProperties", True)
     for key, item in value.items():
         own = known.get(key, others)

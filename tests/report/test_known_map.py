@@ -37,7 +37,7 @@ def test_each_method_has_its_start_and_its_track(record, build):
     heading, _, table, figures = found(both, build)
     assert heading.text == "In the known map"
     rows = [[getattr(cell, "text", cell) for cell in row[1:3]] for row in table.rows]
-    assert (rows[0], rows[1][0]) == (["0.7 s", "held"], DASH)
+    assert (rows[0], rows[1][0]) == (["0.7 s", "held"], DASH.text)
     (first, second) = table.rows
     assert (first[1].tip, second[2].tone, second[2].tip) == ("scan 8, score 0.91", "bad", "a jump of 2 m")
     (figure,) = figures.figures

@@ -38,7 +38,7 @@ def change(content, place, *value):
 @pytest.mark.parametrize(
     ("place", "value", "said"),
     [
-        (("title",), (), "the whole: no key 'title'"),
+        (("title",), (), "json: no key 'title'"),
         (("runs",), (7,), "runs: found 7, expected array"),
         (("runs", 1), (None,), r"runs\[1\]"),
         (("runs", 0, "scores"), (2**63,), r"runs\[0\].scores: found 9223372036854775808, expected object"),

@@ -223,7 +223,7 @@ def test_unreadable_folders_are_rejected_with_the_reason(folder, tmp_path):
     with pytest.raises(StoreError, match="damaged: its values do not agree with its checksum; write the report again"):
         load_stored_results(path.parent)
     path.write_text(seal({"schema": {"name": "evalkit-results", "version": 4}}, {}), encoding="utf-8")
-    with pytest.raises(StoreError, match="is not complete"):
+    with pytest.raises(StoreError, match=r"results\.json: no key 'title'; write the report again"):
         load_stored_results(path.parent)
 
 

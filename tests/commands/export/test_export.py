@@ -563,8 +563,8 @@ def test_an_export_removes_nothing_that_it_did_not_write(finished_folder, tmp_pa
 @pytest.mark.parametrize(
     ("name", "value", "problem"),
     [
-        ("verdicts", None, "is not complete"),
-        ("verdicts", [{"sequence": "lab", "sentences": 3}], "is not complete"),
+        ("verdicts", None, "verdicts: found None, expected array"),
+        ("verdicts", [{"sequence": "lab", "sentences": 3}], r"verdicts\[0\]: no key 'outcome'"),
         ("methods", {"wheel": math.nan}, "not JSON compliant"),
         ("title", "\ud800", "surrogates not allowed"),
     ],
@@ -583,5 +583,5 @@ def test_results_of_a_stranger_with_a_part_of_another_type_are_one_line(finished
 def test_results_with_missing_keys_or_wrong_types_are_one_line(finished_folder, content):
     schema = json.loads((finished_folder / "results.json").read_text(encoding="utf-8"))["schema"]
     (finished_folder / "results.json").write_text(seal({"schema": schema, **content}, {}), encoding="utf-8")
-    with pytest.raises(StoreError, match=r"results\.json: is not complete \(.+; write the report again"):
+    with pytest.raises(StoreError, match=r"results\.json: no key 'title'; write the report again"):
         load_selection(finished_folder)
