@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ def check_seal(content: dict[str, Any]) -> None:
         raise ValueError("damaged: its values do not agree with its checksum")
 
 
-def read_vouched(path: Path, content: dict[str, Any]) -> bytes:
+def read_vouched(path: Path, content: Mapping[str, Any]) -> bytes:
     """The bytes of a file that a sealed object vouches for; raises ValueError if they are others."""
     raw = untrusted_io.read_bytes(path)
     if content[FILES].get(path.name) != hashlib.sha256(raw).hexdigest():
