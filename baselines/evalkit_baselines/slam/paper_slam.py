@@ -36,7 +36,7 @@ from evalkit_baselines.slam.observability import ObservableIcp
 from evalkit_baselines.slam.odometry_gate import OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import smooth_ranges
-from evalkit_baselines.slam.second_try import SecondTry
+from evalkit_baselines.slam.second_try import FINE_ITERATIONS, TRIED_ITERATIONS, CoarseToFine, SecondTry
 
 DCS_PHI = 10.0
 _STORED_VOXEL_M = 0.03
@@ -65,6 +65,8 @@ class SlamSettings(LoopSettings):
 
 PARAMETERS = declared_parameters(SlamSettings)
 
+_NARROW = {"max_correspondence_m": 0.3}
+
 
 @dataclass
 class _Recorded:
@@ -86,9 +88,12 @@ class PaperSlam:
             keyframe_distance_m=settings.keyframe_distance_m,
             keyframe_angle_deg=settings.keyframe_angle_deg,
         )
-        wide = _make_icp(settings.matcher)
-        narrow = _make_icp(settings.matcher, max_correspondence_m=0.3)
-        self._tries = SecondTry(wide, narrow)
+        wide, narrow = _make_icp(settings.matcher), _make_icp(settings.matcher, **_NARROW)
+        self._tries = SecondTry(
+            CoarseToFine(wide, _make_icp(settings.matcher, max_iterations=FINE_ITERATIONS)),
+            CoarseToFine(narrow, _make_icp(settings.matcher, **_NARROW, max_iterations=FINE_ITERATIONS)),
+            _make_icp(settings.matcher, **_NARROW, max_iterations=TRIED_ITERATIONS),
+        )
         self._gate = OdometryGate(ObservableIcp(self._tries))
         self._front = FrontEnd(self._gate, self._gate, front_end, self._map)
         self._finder = LoopFinder(settings, wide, narrow)
@@ -118,7 +123,7 @@ class PaperSlam:
         self._gate.is_measured = self._settings.odometry_gate and frame.odom_from_base is not None
         frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
-        self._tries.usual_m = self._doubt.usual_m
+        self._tries.begin_scan(self._doubt.usual_m)
         estimate = self._front.update(frame)
         match = estimate.stages.get("s2m")
         if match is not None and match.accepted:

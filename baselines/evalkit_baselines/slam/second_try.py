@@ -7,7 +7,7 @@ and the clocks of lidar and wheels do not agree, which is farther than ICP finds
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,6 +28,12 @@ MIN_SHARE = 0.8
 NEAR_M = 0.15
 """Of several answers, the one with most points within this distance of the target is taken."""
 
+COARSE_POINTS, FINE_ITERATIONS = 200, 5
+"""A scan of twice as many points or more is matched first with every n-th of them, then with all, in few iterations."""
+
+TRIED_POINTS, TRIED_ITERATIONS = 100, 20
+"""The same for the further tries, which are short: the best of them is matched to the end."""
+
 TURNS_RAD = tuple(math.radians(turn) for turn in (0.0, -12.0, 12.0, -24.0, 24.0))
 """Headings of the further tries, from the guess."""
 
@@ -35,27 +41,65 @@ MAX_M, MAX_RAD = 0.5, math.radians(36.0)
 """A further try that ends farther than one of these from the guess does not count: it has left its place."""
 
 
+@dataclass(frozen=True)
+class CoarseToFine:
+    """A Registration: ``coarse`` with a part of a large scan, then ``fine`` with all its points."""
+
+    coarse: Registration
+    fine: Registration
+
+    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
+        """Return the motion ``target_from_source``."""
+        part = take_part(source, COARSE_POINTS)
+        match = self.coarse.register(target, part, guess)
+        return match if part is source else self.fine.register(target, source, match.target_from_source)
+
+
 @dataclass
 class SecondTry:
-    """A Registration: ``wide``, and where that fits poorly the best of it and ``narrow`` from several headings.
+    """A Registration: ``wide``, and where that fits poorly the better of it and ``narrow``.
 
-    ``usual_m``: usual error of matches, set before each scan; 0: unknown.
+    ``narrow`` starts from the best of several headings by ``brief``, with a part of a large scan. Only the first poor
+    answer of a scan is tried again, whichever stage it is of: ``begin_scan``.
     """
 
     wide: Registration
     narrow: Registration
-    usual_m: float = 0.0
+    brief: Registration
+    _usual_m: float = field(default=0.0, init=False)
+    _tried: bool = field(default=False, init=False)
+
+    def begin_scan(self, usual_m: float) -> None:
+        """Begin a scan; ``usual_m``: usual error of matches, 0: unknown."""
+        self._usual_m, self._tried = usual_m, False
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
         first = self.wide.register(target, source, guess)
-        poor_m = min(POOR_M, UNUSUAL * self.usual_m) if self.usual_m > 0.0 else POOR_M
-        if not first.error > poor_m and first.inliers >= MIN_SHARE * len(source):
+        poor_m = min(POOR_M, UNUSUAL * self._usual_m) if self._usual_m > 0.0 else POOR_M
+        if self._tried or (not first.error > poor_m and first.inliers >= MIN_SHARE * len(source)):
             return first
-        starts = [guess @ Pose(0.0, 0.0, turn) for turn in TURNS_RAD]
-        tries = [self.narrow.register(target, source, start) for start in starts]
-        near = [first, *(match for match in tries if _is_close(guess, match.target_from_source))]
-        return max(near, key=lambda match: _share_near(target, source, match.target_from_source))
+        self._tried = True
+        second = self.narrow.register(target, source, self._best_start(target, take_part(source, TRIED_POINTS), guess))
+        if not _is_close(guess, second.target_from_source):
+            return first
+        near = [_share_near(target, source, match.target_from_source) for match in (first, second)]
+        return second if near[1] > near[0] else first
+
+    def _best_start(self, target: Cloud, part: Cloud, guess: Pose) -> Pose:
+        best, most = guess, 0.0
+        for turn in TURNS_RAD:
+            answer = self.brief.register(target, part, guess @ Pose(0.0, 0.0, turn)).target_from_source
+            near = _share_near(target, part, answer)
+            if near > most and _is_close(guess, answer):
+                best, most = answer, near
+        return best
+
+
+def take_part(cloud: Cloud, enough: int) -> Cloud:
+    """Return every n-th point, so that ``enough`` are left, and less than twice as many; all of a small cloud."""
+    every = len(cloud) // enough
+    return Cloud(cloud.points[::every], cloud.frame) if every > 1 else cloud
 
 
 def _is_close(guess: Pose, answer: Pose) -> bool:

@@ -8,7 +8,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
 from evalkit_baselines import paper
-from evalkit_baselines.slam.second_try import SecondTry
+from evalkit_baselines.slam.second_try import CoarseToFine, SecondTry, take_part
 
 CORNER = Cloud(np.concatenate([np.column_stack([np.linspace(0, 4, 80), np.zeros(80)]),
                                np.column_stack([np.zeros(80), np.linspace(0, 4, 80)])]))  # fmt: skip
@@ -22,15 +22,17 @@ class Answer:
     error: float
     inliers: int = 160
     calls: list[Pose] = field(default_factory=list)
+    points: list[int] = field(default_factory=list)
 
     def register(self, target, source, guess):
         self.calls.append(guess)
+        self.points.append(len(source))
         return Match(self.pose, True, 3, self.error, self.inliers)
 
 
 def test_a_good_answer_is_not_doubted():
     narrow = Answer(Pose(), 0.01)
-    answer = SecondTry(Answer(Pose(0.5, 0.0, 0.0), 0.1), narrow).register(CORNER, CORNER, Pose())
+    answer = SecondTry(Answer(Pose(0.5, 0.0, 0.0), 0.1), narrow, narrow).register(CORNER, CORNER, Pose())
     assert answer.target_from_source == Pose(0.5, 0.0, 0.0)
     assert not narrow.calls
 
@@ -38,7 +40,7 @@ def test_a_good_answer_is_not_doubted():
 def test_an_answer_with_pairs_for_less_than_four_fifths_of_the_points_is_doubted():
     for inliers, doubted in ((128, False), (127, True)):
         narrow = Answer(Pose(), 0.01)
-        SecondTry(Answer(Pose(), 0.01, inliers), narrow).register(CORNER, CORNER, Pose())
+        SecondTry(Answer(Pose(), 0.01, inliers), narrow, narrow).register(CORNER, CORNER, Pose())
         assert bool(narrow.calls) is doubted
 
 
@@ -46,25 +48,58 @@ def test_an_answer_with_pairs_for_less_than_four_fifths_of_the_points_is_doubted
 def test_an_answer_with_more_than_four_times_the_usual_error_is_doubted(usual_m, limit_m):
     for error, doubted in ((limit_m, False), (1.01 * limit_m, True)):
         narrow = Answer(Pose(), 0.01)
-        SecondTry(Answer(Pose(), error), narrow, usual_m).register(CORNER, CORNER, Pose())
+        tries = SecondTry(Answer(Pose(), error), narrow, narrow)
+        tries.begin_scan(usual_m)
+        tries.register(CORNER, CORNER, Pose())
         assert bool(narrow.calls) is doubted
 
 
 def test_a_further_try_that_ends_far_from_the_guess_does_not_count():
     first = Pose(0.3, 0.3, 0.2)
     for guess, taken in ((Pose(0.4, 0.0, 0.6), Pose()), (Pose(0.6, 0.0, 0.0), first), (Pose(0.0, 0.0, 0.64), first)):
-        answer = SecondTry(Answer(first, 0.2), Answer(Pose(), 0.01)).register(CORNER, CORNER, guess)
+        narrow = Answer(Pose(), 0.01)
+        answer = SecondTry(Answer(first, 0.2), narrow, narrow).register(CORNER, CORNER, guess)
         assert answer.target_from_source == taken
 
 
 def test_of_two_poor_answers_the_one_with_more_points_on_the_target_is_taken():
     guess, right, wrong = Pose(0.1, 0.0, 0.0), Pose(), Pose(0.6, 0.4, 0.2)
     for wide, near in ((wrong, right), (right, wrong)):
-        narrow = Answer(near, 0.3)
-        answer = SecondTry(Answer(wide, 0.2), narrow).register(CORNER, CORNER, guess)
+        narrow, brief = Answer(near, 0.3), Answer(near, 0.3)
+        answer = SecondTry(Answer(wide, 0.2), narrow, brief).register(CORNER, CORNER, guess)
         assert answer.target_from_source == right
-        assert narrow.calls[0] == guess
-        assert {(call.x, call.y) for call in narrow.calls} == {(0.1, 0.0)}
+        assert brief.calls[0] == guess
+        assert {(call.x, call.y) for call in brief.calls} == {(0.1, 0.0)}
+        assert narrow.calls == [near if near == right else guess]  # the wrong one is too far from the guess
+
+
+def test_only_the_first_poor_answer_of_a_scan_is_tried_again():
+    narrow, brief = Answer(Pose(), 0.01), Answer(Pose(), 0.01)
+    tries = SecondTry(Answer(Pose(), 0.2), narrow, brief)
+    for _ in range(2):
+        tries.begin_scan(0.0)
+        for _ in range(2):
+            tries.register(CORNER, CORNER, Pose())
+    assert (len(brief.calls), len(narrow.calls)) == (2 * 5, 2)
+
+
+@pytest.mark.parametrize(
+    ("points", "enough", "left"), [(3, 100, 3), (199, 100, 199), (200, 100, 100), (1000, 300, 334)]
+)
+def test_a_part_of_a_cloud_has_enough_points_and_less_than_twice_as_many(points, enough, left):
+    cloud = Cloud(np.arange(2.0 * points).reshape(points, 2))
+    part = take_part(cloud, enough)
+    assert len(part) == left
+    assert np.array_equal(part.points, cloud.points[:: round(points / left)])
+
+
+def test_a_large_scan_is_matched_with_a_part_and_then_with_all_points():
+    coarse, fine = Answer(Pose(0.1, 0.2, 0.3), 0.2), Answer(Pose(), 0.01)
+    large = Cloud(np.zeros((1000, 2)))
+    assert CoarseToFine(coarse, fine).register(CORNER, large, Pose()).error == 0.01
+    assert (coarse.points, fine.points, fine.calls) == ([200], [1000], [Pose(0.1, 0.2, 0.3)])
+    assert CoarseToFine(coarse, fine).register(CORNER, CORNER, Pose()).error == 0.2
+    assert (coarse.points, fine.points) == ([200, 160], [1000])
 
 
 @pytest.mark.parametrize("turn_deg", [-22.0, 22.0])
@@ -77,7 +112,7 @@ def test_a_heading_far_off_is_found_back(turn_deg):
     true = Pose(0.2, 0.1, 0.3)
     target, source = Cloud(corridor), Cloud(true.inverse().transform(corridor))
     wide, narrow = icp(**settings), icp(**{**settings, "max_correspondence_m": 0.3})
-    match = SecondTry(wide, narrow).register(target, source, true @ Pose(0.1, 0.05, np.radians(turn_deg)))
+    match = SecondTry(wide, narrow, narrow).register(target, source, true @ Pose(0.1, 0.05, np.radians(turn_deg)))
     gap = match.target_from_source.inverse() @ true
     assert max(np.hypot(gap.x, gap.y), abs(gap.theta)) < 0.001
 

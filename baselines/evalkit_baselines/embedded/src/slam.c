@@ -170,6 +170,7 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
         return EK_OK;
     }
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, last_from_base);
+    slam->tried = 0;
     const ek_openness open =
         ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
     ek_status status = run_stage(slam, &slam->last, &open, &last_from_base, &estimate->scan_to_scan,

@@ -10,6 +10,10 @@
 #define UNUSUAL EK_R(4.0)    /* and one of more than so many times the usual one */
 #define MIN_SHARE EK_R(0.8)  /* a smaller share of points in pairs is doubted too */
 #define NEAR EK_R(0.15)      /* m: of several answers, the one with most points within it is taken */
+#define COARSE_POINTS 200u   /* a scan of twice as many points or more is matched first with every n-th of them, */
+#define FINE_ITERATIONS 5    /* then with all */
+#define TRIED_POINTS 100u    /* the same for the further tries, which are short: the best of them is matched to the end */
+#define TRIED_ITERATIONS 20
 #define FARTHEST EK_R(0.5)   /* m, and 36 deg: a further try that ends farther from the guess does not count */
 #define FARTHEST_THETA (EK_R(36.0) * EK_PI / EK_R(180.0))
 
@@ -79,13 +83,13 @@ void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *o
     wheels->keyframe = wheels->now;
 }
 
-/* Number of points of the scan within NEAR of a target. */
-static size_t count_near(const ek_slam *slam, const ek_index *target, ek_pose pose)
+/* Number of points within NEAR of a target. */
+static size_t count_near(const ek_index *target, const ek_real *xy, size_t count, ek_pose pose)
 {
     const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta);
     size_t near = 0u;
-    for (size_t k = 0; k < slam->scan.count; k++) {
-        const ek_real x = slam->scan.hits[2u * k], y = slam->scan.hits[2u * k + 1u];
+    for (size_t k = 0; k < count; k++) {
+        const ek_real x = xy[2u * k], y = xy[2u * k + 1u];
         near += ek_index_nearest(target, c * x - s * y + pose.x, s * x + c * y + pose.y, NEAR, NEAR).slot != EK_NONE;
     }
     return near;
@@ -98,28 +102,77 @@ static int is_close(ek_pose guess, ek_pose answer)
     return gap.x * gap.x + gap.y * gap.y <= FARTHEST * FARTHEST && EK_FABS(gap.theta) <= FARTHEST_THETA;
 }
 
-ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match)
+/* Copy every n-th point of the scan to `moved`, so that `enough` are left, and less than twice as many; their number. */
+static size_t take_part(ek_slam *slam, size_t enough)
 {
-    ek_icp_parameters narrow = slam->parameters.matcher;
-    const ek_status status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, guess, &narrow, NULL, NULL,
-                                       match);
-    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
-    const ek_real unusual = UNUSUAL * slam->usual_error, poor = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
-    if (status != EK_OK || (paired && !(match->error > poor))) {
-        return status;
+    const size_t every = slam->scan.count / enough > 1u ? slam->scan.count / enough : 1u;
+    size_t count = 0u;
+    for (size_t k = 0; k < slam->scan.count; k += every, count++) {
+        slam->moved[2u * count] = slam->scan.hits[2u * k];
+        slam->moved[2u * count + 1u] = slam->scan.hits[2u * k + 1u];
     }
-    narrow.max_correspondence = slam->parameters.fine_correspondence;
-    size_t most = count_near(slam, target, match->target_from_source);
+    return count;
+}
+
+static void limit_iterations(ek_icp_parameters *parameters, int32_t most)
+{
+    parameters->max_iterations = parameters->max_iterations < most ? parameters->max_iterations : most;
+}
+
+/* Match a part of a large scan, then all of it. */
+static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_pose guess,
+                                      const ek_icp_parameters *parameters, ek_match *match)
+{
+    const size_t count = take_part(slam, COARSE_POINTS);
+    ek_status status = ek_icp_register(&slam->icp, target, slam->moved, count, guess, parameters, NULL, NULL, match);
+    if (status == EK_OK && count < slam->scan.count) {
+        ek_icp_parameters fine = *parameters;
+        limit_iterations(&fine, FINE_ITERATIONS);
+        status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, match->target_from_source, &fine,
+                                 NULL, NULL, match);
+    }
+    return status;
+}
+
+/* The pose, of short matches of a part of the scan from several headings, with most of its points on the target. */
+static ek_pose try_headings(ek_slam *slam, const ek_index *target, ek_pose guess, ek_icp_parameters parameters)
+{
+    const size_t count = take_part(slam, TRIED_POINTS);
+    size_t most = 0u;
+    ek_pose best = guess;
+    limit_iterations(&parameters, TRIED_ITERATIONS);
     for (size_t k = 0; k < sizeof TURNS / sizeof TURNS[0]; k++) {
         const ek_pose turn = {EK_R(0.0), EK_R(0.0), TURNS[k] * EK_PI / EK_R(180.0)};
-        ek_match other;
-        ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, ek_se2_compose(guess, turn), &narrow, NULL,
-                        NULL, &other); /* of the same points at the same place as before: no error */
-        const size_t near = count_near(slam, target, other.target_from_source);
-        if (near > most && is_close(guess, other.target_from_source)) {
-            *match = other;
+        ek_match match;
+        ek_icp_register(&slam->icp, target, slam->moved, count, ek_se2_compose(guess, turn), &parameters, NULL, NULL,
+                        &match); /* of the same points at the same place as before: no error */
+        const size_t near = count_near(target, slam->moved, count, match.target_from_source);
+        if (near > most && is_close(guess, match.target_from_source)) {
+            best = match.target_from_source;
             most = near;
         }
+    }
+    return best;
+}
+
+ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match)
+{
+    const ek_real *const hits = slam->scan.hits;
+    const size_t count = slam->scan.count;
+    ek_icp_parameters narrow = slam->parameters.matcher;
+    const ek_status status = match_coarse_to_fine(slam, target, guess, &narrow, match);
+    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)count;
+    const ek_real unusual = UNUSUAL * slam->usual_error, poor = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
+    if (status != EK_OK || slam->tried || (paired && !(match->error > poor))) {
+        return status;
+    }
+    slam->tried = 1;
+    narrow.max_correspondence = slam->parameters.fine_correspondence;
+    ek_match other;
+    match_coarse_to_fine(slam, target, try_headings(slam, target, guess, narrow), &narrow, &other);
+    if (is_close(guess, other.target_from_source) && count_near(target, hits, count, other.target_from_source) >
+                                                         count_near(target, hits, count, match->target_from_source)) {
+        *match = other;
     }
     return EK_OK;
 }

@@ -32,8 +32,8 @@ ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *
 /* Compare the motion between the last two keyframes as matched with that of the wheels. */
 void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *open, int known);
 
-/* Match the projected scan with a target; where the answer fits poorly, try again with near pairs from five
- * headings, and take the best one. */
+/* Match the projected scan with a target, a large one first with a part of its points. The first answer of a scan that
+ * fits poorly (`tried` says that there was one) is tried again with near pairs from five headings. */
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match);
 
 /* 0 where a match of a scan contradicts the odometry that its guess comes from (odometry_gate.py). */

@@ -694,27 +694,31 @@ static void the_scale_of_the_wheels_is_learned(void)
     free(arena.memory);
 }
 
-/* A guess turned by 24 degrees, beyond the reach of the nearest points: a further try from that heading finds the pose. */
+/* A guess turned by 24 degrees, from which the first match has few pairs: a further try from another heading finds the
+ * pose, but only for the first poor match of a scan. */
 static void a_turned_guess_is_found_by_a_further_try(void)
 {
     ek_slam_parameters p = parameters_of(0);
     ek_arena arena = start(&p);
     uint64_t seed = 7u;
+    ek_match match;
     for (size_t k = 0; k < 20u; k++) {
         step_without_odometry(k, k, &seed);
     }
+    slam.parameters.matcher.max_correspondence = EK_R(0.01); /* of the first match only */
     const ek_pose truth = slam.motion.start_from_base;
-    static const double turns_deg[] = {0.0, 24.0, -24.0};
-    for (size_t k = 0; k < 3u; k++) {
-        ek_match match;
+    static const double turns_deg[] = {24.0, -24.0};
+    for (size_t k = 0; k < 2u; k++) {
         const ek_pose guess = ek_se2_compose(truth, pose_of(0.05, 0.0, turns_deg[k] * (double)EK_PI / 180.0));
-        CHECK(ek_slam_match(&slam, &slam.map_index, guess, &match) == EK_OK);
+        slam.tried = 0;
+        CHECK(ek_slam_match(&slam, &slam.map_index, guess, &match) == EK_OK && slam.tried);
         const ek_pose found = ek_se2_between(truth, match.target_from_source);
         CHECK_NEAR(found.x, 0.0, 0.03);
         CHECK_NEAR(found.y, 0.0, 0.03);
         CHECK_NEAR(found.theta, 0.0, 0.02);
+        CHECK(ek_slam_match(&slam, &slam.map_index, guess, &match) == EK_OK);
+        CHECK(EK_FABS(ek_se2_between(truth, match.target_from_source).theta) > EK_R(0.1));
     }
-    ek_match match;
     CHECK(ek_slam_match(&slam, &slam.map_index, pose_of(2e6, 0.0, 0.0), &match) == EK_OUT_OF_RANGE);
     free(arena.memory);
 }

@@ -95,7 +95,7 @@ typedef struct {
     ek_real *moved, *sums, *stored;
     uint32_t *counts;
     ek_real centre_x, centre_y; /* of the part of the map around the robot */
-    int32_t map_changed, has_keyframe, gated;
+    int32_t map_changed, has_keyframe, gated, tried;
     ek_pose odom_from_front; /* of the front end's last keyframe */
     ek_keyframes keyframes;
     ek_pose *odom_from_keyframe;
