@@ -162,34 +162,33 @@ static void solve(ek_real matrix[3][3], const ek_real right[3], ek_real solution
     }
 }
 
-/* Mean of the source points, relative to (ox, oy). */
-static void find_centre(const ek_pairs *pairs, ek_real ox, ek_real oy, ek_real centre[2])
+/* Weights, and coordinates of the source points relative to (ox, oy), summed. */
+EK_LOOP void sum_sources(size_t padded, ek_real ox, ek_real oy, const ek_real *EK_RESTRICT mx,
+                         const ek_real *EK_RESTRICT my, const ek_real *EK_RESTRICT weight, ek_real total[3])
 {
     ek_real sums[3][EK_LANES] = {{EK_R(0.0)}};
-    for (size_t i = 0; i < pairs->padded; i += EK_LANES) {
+    for (size_t i = 0; i < padded; i += EK_LANES) {
         for (size_t k = 0; k < EK_LANES; k++) {
-            const ek_real w = pairs->weight[i + k];
+            const ek_real w = weight[i + k];
             sums[0][k] += w;
-            sums[1][k] += w * (pairs->x[i + k] - ox);
-            sums[2][k] += w * (pairs->y[i + k] - oy);
+            sums[1][k] += w * (mx[i + k] - ox);
+            sums[2][k] += w * (my[i + k] - oy);
         }
     }
-    const ek_real count = add_lanes(sums[0]);
-    centre[0] = add_lanes(sums[1]) / count;
-    centre[1] = add_lanes(sums[2]) / count;
+    for (size_t j = 0; j < 3u; j++) {
+        total[j] = add_lanes(sums[j]);
+    }
 }
 
-ek_pose ek_fit_lines(const ek_pairs *pairs, ek_real cauchy, ek_real ox, ek_real oy)
+/* Sums of the normal equations about (cx, cy): the upper triangle of the matrix, then the right side. `sharp` (1/m): of
+ * the Cauchy weight. */
+EK_LOOP void sum_lines(size_t padded, ek_real cx, ek_real cy, ek_real sharp, const ek_real *EK_RESTRICT mx,
+                       const ek_real *EK_RESTRICT my, const ek_real *EK_RESTRICT tx, const ek_real *EK_RESTRICT ty,
+                       const ek_real *EK_RESTRICT nx, const ek_real *EK_RESTRICT ny,
+                       const ek_real *EK_RESTRICT weight, ek_real total[9])
 {
-    const ek_real *const EK_RESTRICT mx = pairs->x, *const EK_RESTRICT my = pairs->y;
-    const ek_real *const EK_RESTRICT tx = pairs->tx, *const EK_RESTRICT ty = pairs->ty;
-    const ek_real *const EK_RESTRICT nx = pairs->nx, *const EK_RESTRICT ny = pairs->ny;
-    const ek_real *const EK_RESTRICT weight = pairs->weight;
-    const ek_real sharp = cauchy > EK_R(0.0) ? EK_R(1.0) / cauchy : EK_R(0.0);
-    ek_real sums[9][EK_LANES] = {{EK_R(0.0)}}, total[9], centre[2], move[3];
-    find_centre(pairs, ox, oy, centre);
-    const ek_real cx = centre[0] + ox, cy = centre[1] + oy;
-    for (size_t i = 0; i < pairs->padded; i += EK_LANES) {
+    ek_real sums[9][EK_LANES] = {{EK_R(0.0)}};
+    for (size_t i = 0; i < padded; i += EK_LANES) {
         for (size_t k = 0; k < EK_LANES; k++) {
             const ek_real u = nx[i + k], v = ny[i + k];
             const ek_real distance = (tx[i + k] - mx[i + k]) * u + (ty[i + k] - my[i + k]) * v;
@@ -208,6 +207,34 @@ ek_pose ek_fit_lines(const ek_pairs *pairs, ek_real cauchy, ek_real ox, ek_real 
     }
     for (size_t j = 0; j < 9u; j++) {
         total[j] = add_lanes(sums[j]);
+    }
+}
+
+EK_WIDE static void sum_sources_wide(const ek_pairs *p, ek_real ox, ek_real oy, ek_real total[3])
+{
+    sum_sources(p->padded, ox, oy, p->x, p->y, p->weight, total);
+}
+
+EK_WIDE static void sum_lines_wide(const ek_pairs *p, ek_real cx, ek_real cy, ek_real sharp, ek_real total[9])
+{
+    sum_lines(p->padded, cx, cy, sharp, p->x, p->y, p->tx, p->ty, p->nx, p->ny, p->weight, total);
+}
+
+ek_pose ek_fit_lines(const ek_pairs *pairs, ek_real cauchy, ek_real ox, ek_real oy)
+{
+    const ek_pairs *const p = pairs;
+    const ek_real sharp = cauchy > EK_R(0.0) ? EK_R(1.0) / cauchy : EK_R(0.0);
+    ek_real sources[3], total[9], move[3];
+    if (p->wide) {
+        sum_sources_wide(p, ox, oy, sources);
+    } else {
+        sum_sources(p->padded, ox, oy, p->x, p->y, p->weight, sources);
+    }
+    const ek_real cx = sources[1] / sources[0] + ox, cy = sources[2] / sources[0] + oy;
+    if (p->wide) {
+        sum_lines_wide(p, cx, cy, sharp, total);
+    } else {
+        sum_lines(p->padded, cx, cy, sharp, p->x, p->y, p->tx, p->ty, p->nx, p->ny, p->weight, total);
     }
     ek_real matrix[3][3] = {{total[0], total[1], total[3]}, {total[1], total[2], total[4]},
                             {total[3], total[4], total[5]}};

@@ -117,7 +117,7 @@ static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
     }
     for (size_t k = EK_BLOCK * (padded - EK_LANES); k < EK_BLOCK * padded && icp->choice; k++) {
         icp->cx[k] = icp->cy[k] = EK_FAR; /* of the last lanes; those of points are overwritten by the first search */
-        icp->slots[k] = (uint32_t)icp->targets;
+        icp->slots[k] = 0u;
     }
     return EK_OK;
 }
@@ -226,20 +226,6 @@ static ek_neighbour search_index(const ek_icp *icp, const ek_index *target, uint
     return ek_index_nearest(target, icp->mx[i], icp->my[i], limit, radius);
 }
 
-/* Take the target point in a slot (or `targets`: none) as the neighbour of a point. */
-static void set_neighbour(ek_icp *icp, const ek_index *target, const ek_real *normals, uint32_t i, uint32_t slot)
-{
-    const int found = slot != icp->targets;
-    icp->nearest[i] = slot;
-    if (found && target->deferred) {
-        ek_normals_ensure(target, slot);
-    }
-    if (normals) {
-        icp->nx[i] = found ? normals[2u * target->id[slot]] : EK_R(0.0);
-        icp->ny[i] = found ? normals[2u * target->id[slot] + 1u] : EK_R(0.0);
-    }
-}
-
 /* Search the neighbour of every point whose neighbour may have changed; returns the number of searches. */
 static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t padded,
                                   ek_real limit)
@@ -252,7 +238,14 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_
         icp->tx[i] = found ? target->xy[2u * answer.slot] : EK_FAR;
         icp->ty[i] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
         icp->distance[i] = found ? answer.distance : EK_FAR;
-        set_neighbour(icp, target, normals, i, found ? answer.slot : (uint32_t)icp->targets);
+        icp->nearest[i] = found ? answer.slot : (uint32_t)icp->targets;
+        if (found && target->deferred) {
+            ek_normals_ensure(target, answer.slot);
+        }
+        if (normals) {
+            icp->nx[i] = found ? normals[2u * target->id[answer.slot]] : EK_R(0.0);
+            icp->ny[i] = found ? normals[2u * target->id[answer.slot] + 1u] : EK_R(0.0);
+        }
         icp->ax[i] = icp->mx[i];
         icp->ay[i] = icp->my[i];
         icp->others[i] = answer.others;
@@ -284,7 +277,7 @@ static void load_neighbour(ek_icp *icp, const ek_index *target, uint32_t i, ek_r
     for (size_t k = 0; k < EK_BLOCK; k++) {
         only.x[k] = found ? target->xy[2u * answer.slot] : EK_FAR;
         only.y[k] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
-        only.slot[k] = found ? answer.slot : (uint32_t)icp->targets;
+        only.slot[k] = found ? answer.slot : 0u;
     }
     only.centre_x = icp->mx[i];
     only.centre_y = icp->my[i];
@@ -328,6 +321,17 @@ static void take_slots(size_t padded, const uint32_t *EK_RESTRICT slots, const e
     }
 }
 
+/* Take the normals of the neighbours. */
+static void take_normals(size_t padded, const uint32_t *EK_RESTRICT nearest, const uint32_t *EK_RESTRICT id,
+                         const ek_real *EK_RESTRICT normals, ek_real *EK_RESTRICT nx, ek_real *EK_RESTRICT ny)
+{
+    for (size_t i = 0; i < padded; i++) {
+        const size_t point = id[nearest[i]];
+        nx[i] = normals[2u * point];
+        ny[i] = normals[2u * point + 1u];
+    }
+}
+
 /* As update_neighbours, with the table of the target. */
 static uint32_t update_candidates(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t padded,
                                   ek_real limit, ek_real reach)
@@ -335,8 +339,11 @@ static uint32_t update_candidates(ek_icp *icp, const ek_index *target, const ek_
     const uint32_t searches = load_candidates(icp, target, padded, limit);
     choose_neighbours(icp, padded, reach);
     take_slots(padded, icp->slots, icp->choice, icp->nearest);
-    for (uint32_t i = 0; i < padded && normals; i++) {
-        set_neighbour(icp, target, normals, i, icp->nearest[i]);
+    for (size_t i = 0; i < padded && normals && target->deferred; i++) {
+        ek_normals_ensure(target, icp->nearest[i]);
+    }
+    if (normals) {
+        take_normals(padded, icp->nearest, target->id, normals, icp->nx, icp->ny);
     }
     return searches;
 }
@@ -483,7 +490,7 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
     const int limited = parameters->max_correspondence > EK_R(0.0) && parameters->max_correspondence < MAX_DISTANCE;
     const ek_real limit = limited ? parameters->max_correspondence : MAX_DISTANCE;
     const ek_real reach = square_of_limit(limit);
-    const ek_real *const normals = parameters->metric == EK_METRIC_LINE ? target->normals : NULL;
+    const ek_real *const normals = parameters->metric == EK_METRIC_LINE && target->count ? target->normals : NULL;
     ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
     ek_pose pose = guess;
     ek_real previous = (ek_real)INFINITY;

@@ -69,7 +69,7 @@ typedef struct {
     ek_real *across;        /* distance to their lines */
     ek_real *cx, *cy;       /* EK_BLOCK target points that can be nearest; NULL without ek_icp_init_table */
     ek_real *choice;        /* which of them is nearest */
-    uint32_t *slots;        /* their slots in the index, or `targets` */
+    uint32_t *slots;        /* their slots in the index; 0 and EK_FAR away: none */
     uint32_t *nearest;      /* slot in the index, or `targets` */
     uint32_t *stale;        /* points to search for */
     uint32_t *owner;        /* slot (and one for none) -> the closest source point */
