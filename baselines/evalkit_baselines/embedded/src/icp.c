@@ -12,6 +12,7 @@
 #define BEYOND EK_R(0.25)     /* cells: searched beyond the last neighbour; saves later searches */
 #define ROUNDED_DOWN (EK_R(1.0) - EK_R(8.0) * EK_EPSILON)
 #define AHEAD 12u /* searches from the prefetch of a block to its use */
+#define MIN_LIMIT EK_R(1e-12) /* m; the square of a smaller limit may be rounded to 0: no table is used */
 #define MAX_DISTANCE EK_R(1e12) /* m; below EK_FAR: stands for "no limit" */
 
 ek_icp_parameters ek_icp_default(void)
@@ -395,12 +396,10 @@ static int32_t select_pairs(const ek_icp *icp, size_t padded, const ek_real *dis
 /* The smallest number (m^2) whose root is not below `limit` (m). */
 static ek_real square_of_limit(ek_real limit)
 {
-    ek_real square = limit * limit;
-    while (EK_SQRT(square) < limit) {
-        square *= EK_R(1.0) + EK_EPSILON;
-    }
-    while (EK_SQRT(square * (EK_R(1.0) - EK_EPSILON / EK_R(2.0))) >= limit) {
-        square *= EK_R(1.0) - EK_EPSILON / EK_R(2.0);
+    const ek_real less = EK_R(1.0) - EK_EPSILON / EK_R(2.0);
+    ek_real square = limit * limit; /* the root of a rounded square is the number itself */
+    while (EK_SQRT(square * less) >= limit) {
+        square *= less;
     }
     return square;
 }
@@ -489,20 +488,21 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
     const size_t padded = EK_PADDED(count);
     const int limited = parameters->max_correspondence > EK_R(0.0) && parameters->max_correspondence < MAX_DISTANCE;
     const ek_real limit = limited ? parameters->max_correspondence : MAX_DISTANCE;
-    const ek_real reach = square_of_limit(limit);
+    ek_table *const table = limit >= MIN_LIMIT ? target->table : NULL;
+    const ek_real reach = table ? square_of_limit(limit) : EK_R(0.0);
     const ek_real *const normals = parameters->metric == EK_METRIC_LINE && target->count ? target->normals : NULL;
     ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
     ek_pose pose = guess;
     ek_real previous = (ek_real)INFINITY;
-    if (target->table) {
-        ek_table_attach(target->table, target);
+    if (table) {
+        ek_table_attach(table, target);
     }
     move_source(icp, padded, pose, limit, target->cells.margin);
     EK_COUNT(EK_POINTS, padded);
     while (match.iterations < parameters->max_iterations && !match.converged) {
         EK_COUNT(EK_ITERATIONS, 1u);
         EK_COUNT(EK_POINTS, padded);
-        if (target->table) {
+        if (table) {
             match.queries += update_candidates(icp, target, normals, padded, limit, reach);
             match.inliers = select_pairs(icp, padded, icp->slack, parameters->one_to_one);
         } else {
@@ -519,7 +519,7 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
                                 pose, NULL, NULL};
         now.step = fit_step(icp, padded, pose, parameters);
         if (parameters->error_before) {
-            if (target->table) {
+            if (table) {
                 measure_distances(icp, padded);
             }
             now.error = compute_error(icp, padded, match.inliers, parameters);

@@ -18,6 +18,10 @@ static void fill(uint64_t *seed)
         cloud[2u * k + 1u] = k % 2u ? uniform(seed, -0.05, 0.05) : uniform(seed, 0.0, 5.0);
     }
     memcpy(cloud + 200, cloud + 100, 40u * sizeof(ek_real));
+    for (size_t k = 150; k < 250u; k++) { /* more in one place than a block is chosen from */
+        cloud[2u * k] = EK_R(3.0);
+        cloud[2u * k + 1u] = EK_R(2.0);
+    }
     cloud[20] = EK_R(-40.0);
 }
 
@@ -111,18 +115,37 @@ static void a_registration_is_the_same_to_the_bit(uint64_t *seed)
     plain.normals = normals;
     for (int turn = 0; turn < 12; turn++) {
         const ek_pose guess = {uniform(seed, -0.1, 0.1), uniform(seed, -0.1, 0.1), uniform(seed, -0.03, 0.03)};
-        ek_match with, without;
+        ek_match with, without, plainly;
         parameters.one_to_one = turn % 2;
         parameters.error_before = turn % 3 == 0;
         parameters.metric = turn % 4 < 2 ? EK_METRIC_POINT : EK_METRIC_LINE;
         icp.wide = ek_is_wide();
         CHECK(ek_icp_register(&icp, &kept, source, PLACES, guess, &parameters, NULL, NULL, &with) == EK_OK);
         icp.wide = 0; /* loops without AVX2 */
+        CHECK(ek_icp_register(&icp, &kept, source, PLACES, guess, &parameters, NULL, NULL, &plainly) == EK_OK);
+        CHECK(memcmp(&plainly.target_from_source, &with.target_from_source, sizeof(ek_pose)) == 0);
+        CHECK(plainly.error == with.error);
         CHECK(ek_icp_register(&icp, &plain, source, PLACES, guess, &parameters, NULL, NULL, &without) == EK_OK);
         CHECK(memcmp(&with.target_from_source, &without.target_from_source, sizeof(ek_pose)) == 0);
         CHECK(with.error == without.error && with.inliers == without.inliers && with.inliers > 100);
         CHECK(with.iterations == without.iterations && with.converged == without.converged);
     }
+    free(arena.memory);
+}
+
+/* A limit whose square is rounded to 0: points that coincide are pairs, with a table, too. */
+static void a_tiny_limit_keeps_coincident_points(void)
+{
+    static ek_icp icp;
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    ek_icp_parameters parameters = ek_icp_default();
+    ek_match match;
+    ek_arena arena = memory_of(200000u);
+    CHECK(ek_icp_init(&icp, &arena, 10u, POINTS) == EK_OK && ek_icp_init_table(&icp, &arena) == EK_OK);
+    CHECK(ek_arena_check(&arena) == EK_OK && ek_index_build(&kept, cloud, POINTS) == EK_OK);
+    parameters.max_correspondence = EK_R(1e-35);
+    CHECK(ek_icp_register(&icp, &kept, cloud, 10u, identity, &parameters, NULL, NULL, &match) == EK_OK);
+    CHECK(match.inliers == 10 && match.error == EK_R(0.0));
     free(arena.memory);
 }
 
@@ -159,6 +182,7 @@ int main(void)
         (void)finds_what_the_index_finds(2u, 1.0, &seed);
         (void)finds_what_the_index_finds(1u, 1e9, &seed);
         a_registration_is_the_same_to_the_bit(&seed);
+        a_tiny_limit_keeps_coincident_points();
         free(arena.memory);
     }
     bad_input_is_named();
