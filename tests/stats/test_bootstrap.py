@@ -111,6 +111,11 @@ def _bounds(interval: Interval) -> tuple[float, float]:
     return interval.low, interval.high
 
 
+def test_a_block_of_all_values_begins_at_the_first():
+    draws = draw_block_rows(4, 4, np.random.default_rng(0), 3)
+    assert draws.tolist() == [[0, 1, 2, 3]] * 3
+
+
 def test_blocks_of_nothing_are_refused():
     with pytest.raises(ValueError, match="scans: expected at least one, got 0"):
         block_length(0)

@@ -53,6 +53,10 @@ def test_the_correlation_equals_scipys_including_ties() -> None:
     assert spearman_correlation(np.array([[1.0, 2.0], [2.0, 1.0]]), np.array([3.0, 9.0])) == pytest.approx([1.0, -1.0])
 
 
+def test_the_least_share_of_all_trials_is_the_best_one():
+    assert success_quantiles([3.0, 1.0, 2.0], (0.0, 1.0 / 3.0, 1.0)) == (1.0, 1.0, 3.0)
+
+
 def test_quantiles_need_a_trial():
     with pytest.raises(ValueError, match="success_quantiles: there is no trial"):
         success_quantiles([], (0.5,))

@@ -125,3 +125,14 @@ def test_perturbed_runs_that_hardly_change_get_no_verdict_from_their_signs_in_mo
     assert shown == 2
     assert shown / 2**runs <= 0.05
     assert found.runs_needed() >= 6
+
+
+def test_few_and_perturbed_pairs_are_compared_with_more_confidence():
+    assert [paired_confidence(runs, False) for runs in (5, 6)] == [0.99, 0.97]
+    assert paired_confidence(6, True) == 0.99
+
+
+def test_a_difference_without_any_spread_needs_no_further_run_and_none_no_number():
+    constant = paired_runs([1.0, 0.0, 3.0], [0.0, -1.0, 2.0])
+    assert constant.runs_needed() == 3
+    assert paired_runs([1.0, 0.0, 3.0], [1.0, 0.0, 3.0]).runs_needed() is None
