@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +15,8 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.trajectory import Trajectory
+from evalkit.io.output_files import write_bytes
+from evalkit.io.untrusted_io import read_bytes
 from evalkit.results.reader import REMEDY, load_results_json, load_run
 from evalkit.results.run_record import RunRecord
 from evalkit.results.seal import read_vouched
@@ -135,14 +136,19 @@ class ComparisonResults:
             raise AssertionError("\n  ".join([f"expected {expected}, found", *beyond, f"report: {self.to_html()}"]))
 
     def to_html(self, path: str | Path | None = None) -> Path:
-        """Return the report's page, a single offline file; with a path, a copy there."""
+        """Return the report's page, a single offline file; with a path, a copy there.
+
+        A page that is a symbolic link is not copied: a received folder could lead to any file.
+        """
         page = self.folder / PAGE
         if path is None:
             return page
         try:
-            return Path(shutil.copyfile(page, path))
-        except OSError as error:
-            raise StoreError(str(page), f"cannot be copied to {path} ({error.strerror})", REMEDY) from error
+            content = read_bytes(page)
+        except (OSError, ValueError) as error:
+            raise StoreError(str(page), f"cannot be copied ({error})", REMEDY) from error
+        write_bytes(Path(path), content)
+        return Path(path)
 
     def _repr_html_(self) -> str:
         """Return title, page and the table of the deciding metrics, for a notebook."""

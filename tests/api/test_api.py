@@ -82,6 +82,21 @@ def test_a_notebook_shows_escaped_text_and_the_page_can_be_copied(results, tmp_p
     assert evalkit.load(results.folder).content == results.content
 
 
+def test_a_page_that_is_a_link_is_not_copied_and_a_link_at_the_copy_is_replaced(results, tmp_path):
+    folder = shutil.copytree(results.folder, tmp_path / "received")
+    secret = tmp_path / "secret"
+    secret.write_text("mine", encoding="utf-8")
+    (tmp_path / "page.html").symlink_to(secret)
+    received = evalkit.load(folder)
+    received.to_html(tmp_path / "page.html")
+    assert (secret.read_text(encoding="utf-8"), (tmp_path / "page.html").is_symlink()) == ("mine", False)
+    (folder / "index.html").unlink()
+    (folder / "index.html").symlink_to(secret)
+    with pytest.raises(StoreError, match=r"index\.html: cannot be copied"):
+        received.to_html(tmp_path / "other.html")
+    assert not (tmp_path / "other.html").exists()
+
+
 def test_a_limit_is_required_of_every_run(results):
     values = [run["scores"]["ate_rmse_m"]["value"] for run in results.content["runs"] if run["method"] == "core"]
     results.require("ate_rmse_m", "core", below=1.01 * max(values))
