@@ -133,19 +133,26 @@ static void a_registration_is_the_same_to_the_bit(uint64_t *seed)
     free(arena.memory);
 }
 
-/* A limit whose square is rounded to 0: points that coincide are pairs, with a table, too. */
-static void a_tiny_limit_keeps_coincident_points(void)
+/* A pair is nearer than the limit, to the last bit: with a table squares are compared. Below the square root of the
+ * smallest number, too, where a square is rounded to 0. */
+static void the_limit_is_exact(uint64_t *seed)
 {
     static ek_icp icp;
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    const ek_real target[] = {EK_R(0.0), EK_R(0.0), EK_R(100.0), EK_R(100.0)};
     ek_icp_parameters parameters = ek_icp_default();
     ek_match match;
     ek_arena arena = memory_of(200000u);
     CHECK(ek_icp_init(&icp, &arena, 10u, POINTS) == EK_OK && ek_icp_init_table(&icp, &arena) == EK_OK);
-    CHECK(ek_arena_check(&arena) == EK_OK && ek_index_build(&kept, cloud, POINTS) == EK_OK);
-    parameters.max_correspondence = EK_R(1e-35);
-    CHECK(ek_icp_register(&icp, &kept, cloud, 10u, identity, &parameters, NULL, NULL, &match) == EK_OK);
-    CHECK(match.inliers == 10 && match.error == EK_R(0.0));
+    CHECK(ek_arena_check(&arena) == EK_OK && ek_index_build(&kept, target, 2u) == EK_OK);
+    parameters.one_to_one = 0;
+    for (int k = 0; k < 200; k++) {
+        const ek_real limit = k ? uniform(seed, 0.1, 1.0) : EK_R(1e-35), below = limit * (EK_R(1.0) - EK_EPSILON);
+        const ek_real source[] = {limit, EK_R(0.0), below, EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+        parameters.max_correspondence = limit;
+        CHECK(ek_icp_register(&icp, &kept, source, 3u, identity, &parameters, NULL, NULL, &match) == EK_OK);
+        CHECK(match.inliers == (k || sizeof(ek_real) == 8u ? 2 : 3)); /* squares of 1e-35 are 0 in single precision */
+    }
     free(arena.memory);
 }
 
@@ -182,7 +189,7 @@ int main(void)
         (void)finds_what_the_index_finds(2u, 1.0, &seed);
         (void)finds_what_the_index_finds(1u, 1e9, &seed);
         a_registration_is_the_same_to_the_bit(&seed);
-        a_tiny_limit_keeps_coincident_points();
+        the_limit_is_exact(&seed);
         free(arena.memory);
     }
     bad_input_is_named();
