@@ -219,7 +219,7 @@ def _load_unreported(folder: Path) -> StoredResults:
             scores = read_sealed(own / SCORES)["scores"] if (own / SCORES).exists() else {}
             provenance, parameters = result["provenance"], dict(result["dataset_parameters"])
             when, processor = str(provenance.get("executed_at", "")), str(provenance.get("processor", processor))
-            name = (result["method"], result["sequence"], parameters.pop("seed", None))
+            name = _parse_name(result["method"], result["sequence"], parameters.pop("seed", None))
             errors = _load_errors(own)
             conditions = _parse_conditions(result.get("conditions"))
             run = StoredRun(
@@ -230,6 +230,15 @@ def _load_unreported(folder: Path) -> StoredResults:
         if name not in runs or runs[name][0] <= when:
             runs[name] = when, run
     return StoredResults(str(folder), {name: run for name, (_, run) in runs.items()}, processor, unfinished)
+
+
+def _parse_name(method: object, sequence: object, seed: object) -> RunName:
+    """Return the name of a run; raises TypeError for values that are none."""
+    if not isinstance(method, str) or not isinstance(sequence, str) or not (seed is None or type(seed) is int):
+        raise TypeError(
+            f"method {brief(method)}, sequence {brief(sequence)}, seed {brief(seed)}: not the name of a run"
+        )
+    return method, sequence, seed
 
 
 def _score_values(scores: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:

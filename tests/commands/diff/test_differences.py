@@ -246,6 +246,10 @@ def test_a_folder_of_runs_without_a_report_is_read(tmp_path, record):
     run = found.runs[("a", "room", 3)]
     assert (run.status, run.parameters, run.scores, found.unfinished) == ("complete", {"laps": 1.0}, {ATE: 0.02}, 1)
     assert len(run.errors_m) == len(run.stamps_ns) == 60
+    for change in ({"method": [[]]}, {"sequence": 7}, {"dataset_parameters": {"seed": {}}}):
+        (own / "result.json").write_text(seal(result | change, files), encoding="utf-8")
+        with pytest.raises(StoreError, match=r"is not complete .*: not the name of a run"):
+            load_stored_results(tmp_path)
 
 
 def test_a_results_folder_is_not_compared_with_a_benchmark(folder, tmp_path):
