@@ -31,7 +31,7 @@ EK_WIDE static ek_real count_wide(size_t padded, const ek_real *weight)
 
 ek_real ek_fit_count(const ek_real *weight, size_t padded, int wide)
 {
-    return wide ? count_wide(padded, weight) : count_lanes(padded, weight);
+    return EK_IF_WIDE(wide) ? count_wide(padded, weight) : count_lanes(padded, weight);
 }
 
 EK_LOOP ek_real sum_lanes(size_t padded, int squared, const ek_real *EK_RESTRICT weight,
@@ -54,7 +54,7 @@ EK_WIDE static ek_real sum_wide(size_t padded, int squared, const ek_real *weigh
 
 ek_real ek_fit_sum(const ek_real *weight, const ek_real *distance, size_t padded, int squared, int wide)
 {
-    return wide ? sum_wide(padded, squared, weight, distance) : sum_lanes(padded, squared, weight, distance);
+    return EK_IF_WIDE(wide) ? sum_wide(padded, squared, weight, distance) : sum_lanes(padded, squared, weight, distance);
 }
 
 /* The motion with rotation theta (rad) that moves point (px, py) to (qx, qy). */
@@ -99,7 +99,7 @@ EK_WIDE static void sum_points_wide(const ek_pairs *p, ek_real ox, ek_real oy, e
 ek_pose ek_fit_points(const ek_pairs *pairs, ek_real ox, ek_real oy)
 {
     ek_real total[7];
-    if (pairs->wide) {
+    if (EK_IF_WIDE(pairs->wide)) {
         sum_points_wide(pairs, ox, oy, total);
     } else {
         sum_points(pairs->padded, ox, oy, pairs->x, pairs->y, pairs->tx, pairs->ty, pairs->weight, total);
@@ -225,13 +225,13 @@ ek_pose ek_fit_lines(const ek_pairs *pairs, ek_real cauchy, ek_real ox, ek_real 
     const ek_pairs *const p = pairs;
     const ek_real sharp = cauchy > EK_R(0.0) ? EK_R(1.0) / cauchy : EK_R(0.0);
     ek_real sources[3], total[9], move[3];
-    if (p->wide) {
+    if (EK_IF_WIDE(p->wide)) {
         sum_sources_wide(p, ox, oy, sources);
     } else {
         sum_sources(p->padded, ox, oy, p->x, p->y, p->weight, sources);
     }
     const ek_real cx = sources[1] / sources[0] + ox, cy = sources[2] / sources[0] + oy;
-    if (p->wide) {
+    if (EK_IF_WIDE(p->wide)) {
         sum_lines_wide(p, cx, cy, sharp, total);
     } else {
         sum_lines(p->padded, cx, cy, sharp, p->x, p->y, p->tx, p->ty, p->nx, p->ny, p->weight, total);

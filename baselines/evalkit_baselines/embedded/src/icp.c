@@ -154,7 +154,7 @@ EK_WIDE static void move_points_wide(const ek_icp *p, size_t padded, ek_pose pos
 
 static void move_source(const ek_icp *p, size_t padded, ek_pose pose, ek_real limit, ek_real margin)
 {
-    if (p->wide) {
+    if (EK_IF_WIDE(p->wide)) {
         move_points_wide(p, padded, pose, limit, margin);
     } else {
         move_points(padded, pose, limit, margin, p->px, p->py, p->tx, p->ty, p->ax, p->ay, p->others, p->mx, p->my,
@@ -199,7 +199,7 @@ EK_WIDE static void choose_candidates_wide(const ek_icp *p, size_t padded, ek_re
 
 static void choose_neighbours(const ek_icp *p, size_t padded, ek_real reach)
 {
-    if (p->wide) {
+    if (EK_IF_WIDE(p->wide)) {
         choose_candidates_wide(p, padded, reach);
     } else {
         choose_candidates(padded, reach, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);

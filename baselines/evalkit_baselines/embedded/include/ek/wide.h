@@ -1,7 +1,8 @@
 /* wide.h - loops over lanes, compiled twice: for every processor, and for those with AVX2.
  *
  * Both give the same bits: the sums of a loop run in EK_LANES lanes (real.h), no operation is reordered, and AVX2 has no
- * fused multiply-add. A loop is an EK_LOOP function; EK_WIDE marks the copy that calls it where ek_is_wide() is 1.
+ * fused multiply-add. A loop is an EK_LOOP function; EK_WIDE marks the copy that is called where EK_IF_WIDE(ek_is_wide())
+ * is 1.
  */
 #ifndef EK_WIDE_H
 #define EK_WIDE_H
@@ -9,10 +10,12 @@
 #if defined(__GNUC__) && defined(__x86_64__)
 #define EK_LOOP static inline __attribute__((always_inline))
 #define EK_WIDE __attribute__((target("avx2")))
+#define EK_IF_WIDE(wide) (wide)
 #define ek_is_wide() (__builtin_cpu_supports("avx2") ? 1 : 0)
 #else
 #define EK_LOOP static inline
 #define EK_WIDE
+#define EK_IF_WIDE(wide) (0 && (wide)) /* no second copy on a board */
 #define ek_is_wide() 0
 #endif
 
