@@ -72,3 +72,16 @@ def test_commands_draw_without_a_screen_whatever_matplotlib_is_told(monkeypatch)
     monkeypatch.setenv("MPLBACKEND", "nonsense")
     run(lambda: None)
     assert os.environ["MPLBACKEND"] == "agg"
+
+
+@pytest.mark.parametrize(("given", "threads"), [(None, "1"), ("4", "4")])
+def test_the_linear_algebra_of_a_command_has_one_thread_unless_the_user_sets_another_number(
+    monkeypatch, given, threads
+):
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "")  # so that the value before is restored
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    if given:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", given)
+    run(lambda: None)
+    assert os.environ["OPENBLAS_NUM_THREADS"] == threads
