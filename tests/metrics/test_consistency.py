@@ -183,3 +183,13 @@ def test_the_least_number_of_common_places_is_enough(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(consistency, "split_distances", lambda *_: np.full(count, 0.2))
     found = scores(grid(band(1)), grid(band(1)), grid(band(1)))["split_distance_m"]
     assert (found.value, found.support) == (None if lacking else pytest.approx(0.2), count)
+
+
+def test_the_entropy_of_certain_cells_is_zero() -> None:
+    certain = np.array([[1000.0, -1000.0]], np.float32)
+    found = consistency.map_entropy(OccupancyGrid(certain, np.ones((1, 2), np.bool_), 0.05, 0.0, 0.0))
+    assert found == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_a_hit_the_thickness_has_no_sample() -> None:
+    assert scores(grid(band(1)))["wall_thickness_m"] == Score(None, 0, consistency.NO_HIT)

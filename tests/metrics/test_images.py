@@ -85,3 +85,13 @@ def test_only_the_overlap_of_both_maps_is_compared() -> None:
     assert (round(value, 9), cells) == (1.0, 38 * 40)
     value, cells = images.mean_similarity(grid(world[:, 2:42]), grid(world[:, :40]))  # the same map at another origin
     assert (round(value, 9), cells) == (1.0, 38 * 40)
+
+
+def test_a_cell_that_a_finer_map_has_not_observed_is_undecided() -> None:
+    """Two by two cells of 5 cm, of which the finer map has observed three, with two of their four parts each."""
+    observed = np.array([[1, 0, 1, 0], [0, 1, 0, 1], [1, 1, 0, 0], [0, 0, 0, 0]], dtype=np.bool_)
+    fine = grid(np.where(observed, 0.9, 0.2), 0.025, observed=observed)
+    coarse, found, _, seen = images.resample_to_common_cells(grid(np.full((2, 2), 0.7)), fine)
+    np.testing.assert_allclose(coarse, 0.7, atol=1e-6)
+    np.testing.assert_allclose(found, [[0.9, 0.9], [0.9, 0.5]], atol=1e-6)
+    assert seen.tolist() == [[True, True], [True, False]]

@@ -61,3 +61,14 @@ def test_without_a_predicted_or_a_true_error_there_is_no_ratio():
     assert (_score_ratio(unknown).value, _score_within(unknown).value) == (None, None)
     fit = np.array([[0.1, 0.1, 1.0], [0.1, 0.5, 1.0], [0.1, np.nan, 1.0]])
     assert _score_within(fit) == Score(50.0, 2)  # 0.5 m is more than twice the predicted 0.1 m
+
+
+def test_the_uncertainty_grows_with_the_scatter_of_the_points_to_both_sides_of_the_walls():
+    """At r = 5 cm cells: with d = 5 cm of scatter, of weight 0.8, the root of (d2 + r2/12) / (0.8 r2/12) = 16.25."""
+    middles = ROOM[(np.abs(ROOM[:, 0]) < 2.5) | (np.abs(ROOM[:, 1]) < 1.5)]
+    inward = np.where(np.abs(middles[:, :1]) > 2.99, [[1.0, 0.0]], [[0.0, 1.0]]) * -np.sign(middles)
+    sides = np.where(np.arange(len(middles)) % 2, 0.05, -0.05)[:, None]
+    exact, scattered = (
+        measure_fit(points, build_kd_tree(ROOM), CELL_M)[0] for points in (middles, middles + sides * inward)
+    )
+    assert scattered / exact == pytest.approx(math.sqrt(16.25), rel=0.05)

@@ -25,3 +25,4 @@ def test_the_errors_of_segments_are_spread_over_the_time_of_their_starts(origin_
     count = sum(int((25.0 - length) / drift.START_EVERY_M + 1e-9) + 1 for length in longest)
     assert len(found.values) == count
     assert found.period_s == pytest.approx((25.0 - min(longest)) / count)
+    assert (np.diff(found.keys) > 0).all()  # in the order of time, of the same start the shorter segment first

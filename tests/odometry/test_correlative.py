@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.pose import Pose
-from evalkit.odometry.correlative import ScoreGrid, Window, branch_and_bound
+from evalkit.odometry.correlative import PEAK_M, ScoreGrid, Window, branch_and_bound, windows_around
 
 WALLS = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 2.0], [4.0, 2.0], [4.0, 4.5], [0.0, 4.5]])
 
@@ -163,3 +163,22 @@ def test_a_map_that_would_need_too_much_memory_is_refused_with_a_reason():
         ScoreGrid.from_points(np.empty((0, 2)), 0.05, 0.1, 3)
     with pytest.raises(ValueError, match="not negative"):
         Window(Pose(), -1.0, 0.0, 0.1)
+
+
+def test_the_score_interpolates_towards_the_right_neighbour_on_every_side():
+    grid = ScoreGrid.from_points(np.array([[0.05, 0.05]]), cell_m=0.1, sigma_m=0.1, depth=1)
+    aside = np.array([[0.03, 0.02], [0.12, 0.07], [0.02, 0.13], [0.08, 0.16]])
+    expected = grid.score(0.05 + aside)
+    assert (expected > 0.1).all()
+    for signs in ([-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]):
+        assert grid.score(0.05 + aside * signs) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("best", [Pose(0.3, -0.2, 0.0), Pose(1.9, 0.9, 0.0), Pose(-2.4, 0.0, 0.0)])
+def test_the_windows_around_a_motion_cover_the_others_once(best):
+    window = Window(Pose(0.5, -0.5, 0.25), 3.0, 2.0, 0.2)
+    parts = windows_around(window, best)
+    assert {(part.centre.theta, part.theta_rad) for part in parts} == {(0.25, 0.2)}
+    for x, y in np.random.default_rng(0).uniform([-2.5, -2.5], [3.5, 1.5], (500, 2)):
+        covering = sum(abs(x - part.centre.x) < part.x_m and abs(y - part.centre.y) < part.y_m for part in parts)
+        assert covering == (abs(x - best.x) > PEAK_M or abs(y - best.y) > PEAK_M)

@@ -18,7 +18,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.io.map_server import read_rotated_map, write_map
 from evalkit.odometry import map_localisation
 from evalkit.odometry.frontend import complete_parameters
-from evalkit.odometry.known_map import Place
+from evalkit.odometry.known_map import Place, WallsAround
 from evalkit.odometry.map_localisation import MapTracker, PlaceSearch, find_start, localise
 from evalkit.odometry.run_odometry import estimate_poses
 from evalkit.plugins import registry
@@ -230,3 +230,11 @@ def test_a_start_survives_json_and_refuses_what_is_no_start():
     for wrong in ({"scans": 0}, {"after_s": -1.0}, {"score": 1.5}, {"scans": 1.5}, {"searched": 1}):
         with pytest.raises(ValueError, match="expected"):
             MapStart.of(start.as_dict() | wrong)
+
+
+def test_the_walls_around_a_robot_stay_until_it_has_moved_by_a_tenth_of_the_radius():
+    walls = WallsAround(KnownMap(np.array([[5.0, 0.9], [5.0, 1.1]]), 0.05, "two cells"), Pose(), radius_m=1.0)
+    near = walls.cloud(Pose(5.0, 0.0))
+    assert near.points.tolist() == [[5.0, 0.9]]
+    assert walls.cloud(Pose(5.06, 0.06)) is near
+    assert walls.cloud(Pose(5.0, 0.11)).points.tolist() == [[5.0, 0.9], [5.0, 1.1]]
