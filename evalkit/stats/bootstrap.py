@@ -178,7 +178,8 @@ def _draw_statistic(values: Floats, statistic: Statistic, block: int, rng: np.ra
     means = draw_block_means(values, block, rng)
     if statistic == "mean":
         return means
-    return np.divide(1.0, means, out=np.zeros_like(means), where=means != 0.0)  # as the statistic itself
+    zero = 1e-12 * np.abs(values).max()  # the rounding of a mean of zeros
+    return np.divide(1.0, means, out=np.zeros_like(means), where=np.abs(means) > zero)  # as the statistic itself
 
 
 def _draw_starts(count: int, block: int, rng: np.random.Generator, draws: int) -> Ints:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evalkit.stats.intervals import Interval, wilson_interval
+from evalkit.stats.intervals import Interval, student_quantile, wilson_interval
 
 
 def test_wilson_gives_the_published_interval():
@@ -41,14 +41,24 @@ def test_wilson_of_failures_mirrors_wilson_of_successes(case: tuple[int, int]):
     assert 0.0 <= low <= successes / trials <= high <= 1.0
 
 
-def test_wilson_needs_a_trial():
-    with pytest.raises(ValueError, match="at least one trial"):
-        wilson_interval(0, 0)
+@pytest.mark.parametrize(("successes", "trials"), [(0, 0), (-1, 3), (4, 3)])
+def test_wilson_needs_a_trial_and_no_more_successes_than_trials(successes, trials):
+    with pytest.raises(ValueError, match=f"expected 0 to {trials} of at least one trial, got {successes}"):
+        wilson_interval(successes, trials)
+
+
+def test_the_quantiles_of_student_are_those_of_the_printed_table():
+    """Two-sided, 95 %: 12.706, 4.303 and 2.042 for 1, 2 and 30 degrees of freedom; 99 %: 63.657 for one."""
+    assert [student_quantile(freedom) for freedom in (1, 2, 30)] == pytest.approx([12.706, 4.303, 2.042], abs=5e-4)
+    assert student_quantile(1, 0.99) == pytest.approx(63.657, abs=5e-4)
 
 
 def test_an_interval_excludes_values_outside_its_bounds():
     assert Interval(0.5, 0.1, 0.9, 5).excludes(0.0)
     assert not Interval(0.5, -0.1, 0.9, 5).excludes(0.0)
+    assert [Interval(0.5, 0.5, 0.5, 1).excludes(value) for value in (0.4, 0.5, 0.6)] == [True, False, True]
+    assert not Interval(0.5, 0.0, 0.9, 5).excludes()
+    assert Interval(0.5, 0.1, 0.9, 5).confidence == 0.95
     with pytest.raises(ValueError, match="low"):
         Interval(0.0, 1.0, 0.0, 5)
 

@@ -6,10 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import integrate, stats
 
 from evalkit.stats.paired_tests import (
     adjust_by_holm,
+    compute_power,
+    detectable_standard_errors,
     signed_rank_tests,
     smallest_detectable_difference,
     vargha_delaney_a12,
@@ -53,14 +55,35 @@ def test_an_effect_of_half_a_standard_deviation_needs_thirty_four_pairs():
         return smallest_detectable_difference(series / series.std(ddof=1))
 
     assert detectable(34) <= 0.5 < detectable(33)
-    assert smallest_detectable_difference([0.1]) == math.inf
+    assert smallest_detectable_difference([0.1]) == smallest_detectable_difference([0.1, 0.2, math.inf]) == math.inf
+    assert smallest_detectable_difference([0.1, 0.3]) == pytest.approx(0.1 * detectable_standard_errors(1))
 
 
-def test_the_smallest_detectable_difference_of_three_has_the_power_of_the_noncentral_t():
-    error = 1.0 / math.sqrt(3.0)  # of 0, 1, 2
-    shift = smallest_detectable_difference([0.0, 1.0, 2.0]) / error
-    limit = stats.t.ppf(0.975, 2)
-    assert stats.nct.sf(limit, 2, shift) + stats.nct.cdf(-limit, 2, shift) == pytest.approx(0.8, abs=1e-3)
+@pytest.mark.parametrize("freedom", [2, 30, 1000])
+@pytest.mark.parametrize(("power", "alpha"), [(0.8, 0.05), (0.9, 0.2), (0.5, 0.01)])
+def test_power_and_detectable_shift_are_those_of_the_noncentral_t(freedom, power, alpha):
+    shift, limit = detectable_standard_errors(freedom, power, alpha), stats.t.ppf(1.0 - alpha / 2.0, freedom)
+    exact = stats.nct.sf(limit, freedom, shift) + stats.nct.cdf(-limit, freedom, shift)
+    assert exact == pytest.approx(power, abs=1e-3)
+    assert compute_power(shift, freedom, alpha) == pytest.approx(power, abs=1e-9)
+    assert compute_power(0.0, freedom, alpha) == pytest.approx(alpha, abs=1e-3)
+
+
+def test_two_pairs_detect_what_the_integral_over_their_standard_deviation_says():
+    """With one degree of freedom it is that of |Z|; the printed limit of t is 12.706."""
+
+    def density(z: float) -> float:
+        return 2.0 * stats.norm.pdf(z) * (stats.norm.cdf(shift - 12.706 * z) + stats.norm.cdf(-shift - 12.706 * z))
+
+    shift = detectable_standard_errors(1)
+    assert integrate.quad(density, 0.0, 9.0, points=[shift / 12.706])[0] == pytest.approx(0.8, abs=1e-3)
+
+
+def test_the_power_is_80_percent_at_5_percent_unless_stated():
+    assert detectable_standard_errors(2) == detectable_standard_errors(2, 0.8, 0.05)
+    assert compute_power(3.0, 2) == compute_power(3.0, 2, 0.05)
+    differences = [0.0, 1.0, 2.0]  # with the standard error 1 / sqrt(3)
+    assert smallest_detectable_difference(differences) == detectable_standard_errors(2) / math.sqrt(3.0)
 
 
 def test_an_effect_size_needs_both_series():

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from evalkit.stats.ranks import FriedmanTest, NotTested, friedman_test, spearman_correlation, success_quantiles
+from evalkit.stats.ranks import (
+    FriedmanTest,
+    NotTested,
+    compute_ranks,
+    friedman_test,
+    spearman_correlation,
+    success_quantiles,
+)
 
 # Demsar, JMLR 7, 2006, table 6: AUC of C4.5, C4.5+m, C4.5+cf, C4.5+m+cf over 14 data sets. The last but one row prints
 # 0.975 twice and ranks the first before the second: they are equal only as printed.
@@ -31,12 +38,25 @@ def test_friedman_and_the_critical_difference_equal_demsars():
     tied = 3 * (2**3 - 2) + (4**3 - 4)  # three pairs and one group of four, which Demsar's procedure excludes
     assert found.statistic == pytest.approx(uncorrected / (1 - tied / (14 * 4 * (4**2 - 1))))
     assert found.critical_difference == pytest.approx(1.25, abs=5e-3)
+    assert found.p == pytest.approx(stats.chi2.sf(found.statistic, 3))
+    assert found.sequences == 14
 
 
-def test_seven_sequences_are_not_tested():
+def test_seven_sequences_and_two_methods_are_not_tested_and_eight_of_three_alike_differ_in_nothing():
+    """Demsar, table 5: q(0.05) of three methods is 2.343; 2.343 sqrt(3 4 / (6 8)) = 1.1715."""
     assert friedman_test(np.ones((7, 3))) == NotTested(
         "ranks with a critical difference need at least 8 sequences, found 7"
     )
+    assert friedman_test(np.ones((8, 2))) == NotTested("a test of ranks needs at least 3 methods, found 2")
+    alike = friedman_test(np.ones((8, 3)))
+    assert isinstance(alike, FriedmanTest)
+    assert (alike.mean_ranks, alike.statistic, alike.p, alike.sequences) == ((2.0, 2.0, 2.0), 0.0, 1.0, 8)
+    assert alike.critical_difference == pytest.approx(1.1715, abs=5e-4)
+
+
+def test_ranks_begin_at_one_and_ties_and_failures_share_the_mean():
+    errors = [[0.3, 0.1, 0.2], [0.1, 0.1, 0.2], [math.inf, 0.1, math.inf], [5.0, 5.0, 5.0]]
+    assert compute_ranks(errors).tolist() == [[3.0, 1.0, 2.0], [1.5, 1.5, 3.0], [2.5, 1.0, 2.5], [2.0, 2.0, 2.0]]
 
 
 def test_failed_trials_lower_success():

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from evalkit.stats.paired_tests import compute_power
-from evalkit.stats.runs import MAX_RUNS, paired_confidence, paired_runs, runs_interval
+from evalkit.stats.intervals import Interval
+from evalkit.stats.paired_tests import compute_power, detectable_standard_errors
+from evalkit.stats.runs import MAX_RUNS, PairedRuns, paired_confidence, paired_runs, runs_interval
 
 TRIALS = 1500
 
@@ -136,3 +137,41 @@ def test_a_difference_without_any_spread_needs_no_further_run_and_none_no_number
     constant = paired_runs([1.0, 0.0, 3.0], [0.0, -1.0, 2.0])
     assert constant.runs_needed() == 3
     assert paired_runs([1.0, 0.0, 3.0], [1.0, 0.0, 3.0]).runs_needed() is None
+
+
+@pytest.mark.parametrize("perturbed", [False, True])
+@pytest.mark.parametrize("runs", [2, 5, 6, 7, 50, 199, 200, 201])
+def test_a_difference_that_so_many_runs_just_detect_needs_so_many(runs, perturbed):
+    """A difference of standard deviation 1 over four pairs; at most 200 runs, and at least 6 that are perturbed."""
+    errors = detectable_standard_errors(runs - 1, alpha=1.0 - paired_confidence(runs, perturbed))
+    for side, expected in ((1.0 + 1e-6, runs), (1.0 - 1e-6, runs + 1)):
+        mean = -side * errors / math.sqrt(runs)
+        found = PairedRuns(Interval(mean, -9.0, 9.0, 4, 0.99), mean, 0.5, math.nan, perturbed).runs_needed()
+        assert found == (None if expected > 200 else max(expected, 6) if perturbed else expected)
+
+
+def test_values_with_a_zero_have_an_interval_without_logarithms_that_holds_their_median():
+    """Of 0, 1, 5: mean 2, standard error sqrt(7 / 3), t(0.975, 2) = 4.30265."""
+    half = 4.30265 * math.sqrt(7.0 / 3.0)
+    found = runs_interval([5.0, 0.0, 1.0])
+    assert (found.value, found.low, found.high) == pytest.approx((1.0, 2.0 - half, 2.0 + half), abs=1e-4)
+    skewed = runs_interval([1.0] * 30 + [1e6] * 29)
+    assert skewed.low == skewed.value == 1.0
+
+
+def test_two_pairs_are_compared_and_the_detectable_difference_has_its_unit():
+    """Ratios e^0.1 and e^0.3 of 2.0: mean 0.2, standard error 0.1, t(0.995, 1) = 63.657; differences 1 and 3 of 0."""
+    found = paired_runs(2.0 * np.exp([0.1, 0.3]), [2.0, 2.0])
+    assert found.interval.value == pytest.approx(2.0 * math.expm1(0.2))
+    assert found.interval.high == pytest.approx(2.0 * math.expm1(0.2 + 6.3657), rel=1e-4)
+    assert (found.interval.support, found.interval.confidence, found.perturbed) == (2, 0.99, False)
+    errors = detectable_standard_errors(1, alpha=0.01)
+    assert found.detectable == pytest.approx(2.0 * math.expm1(0.1 * errors))
+    assert paired_runs([1.0, 3.0], [0.0, 0.0]).detectable == pytest.approx(errors)
+
+
+def test_factors_beyond_e_to_the_50_are_given_as_that():
+    """Ratios e^49.9 and e^50.1 and their inverses: neither bound nor detectable difference overflows."""
+    apart = paired_runs(np.exp([400.0, 500.0]), [3.0, 3.0])
+    assert apart.interval.value == apart.interval.high == apart.detectable == 3.0 * math.expm1(50.0)
+    assert paired_runs(np.exp([49.0, 49.0]), [1.0, 1.0]).interval.high == pytest.approx(math.expm1(49.0), rel=1e-6)
