@@ -108,10 +108,8 @@ ek_status ek_frontend_init(ek_frontend *frontend, ek_arena *arena, const ek_fron
 
 void ek_frontend_reset(ek_frontend *frontend)
 {
-    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
     frontend->oldest_keyframe = frontend->keyframe_count = 0u;
     memset(&frontend->motion, 0, sizeof frontend->motion);
-    frontend->start_from_keyframe = identity;
     frontend->last.count = frontend->local_map.count = 0u;
     if (is_lasting(frontend)) {
         ek_lasting_map_clear(&frontend->lasting);

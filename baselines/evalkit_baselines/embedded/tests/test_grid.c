@@ -66,6 +66,32 @@ static void steep_and_flat_beams_mirror_each_other(void)
     }
 }
 
+/* Beams in the frame of a base that stands anywhere, at any heading, change the cells of the same beams in the world. */
+static void the_pose_of_the_base_turns_and_moves_its_beams(void)
+{
+    static int16_t cells[256u * 256u];
+    uint64_t seed = 5u;
+    for (int k = 0; k < 40; k++) {
+        const ek_pose base = {uniform(&seed, -20.0, 20.0), uniform(&seed, -20.0, 20.0), uniform(&seed, -3.1, 3.1)};
+        const ek_real c = EK_COS(base.theta), s = EK_SIN(base.theta);
+        ek_real points[10], moved[10]; /* the sensor, two hits, two misses */
+        for (size_t i = 0; i < 10u; i += 2u) {
+            points[i] = uniform(&seed, -15.0, 15.0);
+            points[i + 1u] = uniform(&seed, -15.0, 15.0);
+            moved[i] = base.x + c * points[i] - s * points[i + 1u];
+            moved[i + 1u] = base.y + s * points[i] + c * points[i + 1u];
+        }
+        ek_grid_clear(&grid);
+        CHECK(ek_grid_add_scan(&grid, origin, moved[0], moved[1], moved + 2, 2u, moved + 6, 2u) == EK_OK);
+        const size_t crossed = observed();
+        memcpy(cells, grid.cells, sizeof cells);
+        ek_grid_clear(&grid);
+        CHECK(ek_grid_add_scan(&grid, base, points[0], points[1], points + 2, 2u, points + 6, 2u) == EK_OK);
+        CHECK(observed() == crossed && crossed > 4u && memcmp(cells, grid.cells, sizeof cells) == 0);
+        CHECK(*cell((int32_t)EK_FLOOR(moved[2]), (int32_t)EK_FLOOR(moved[3])) == 847);
+    }
+}
+
 static void occupied_wins_and_counts_once(void)
 {
     const ek_real hits[] = {EK_R(3.5), EK_R(0.5), EK_R(7.5), EK_R(0.5), EK_R(7.6), EK_R(0.4)};
@@ -184,6 +210,7 @@ int main(void)
     one_beam_frees_its_cells_and_fills_the_last();
     crossed_cells_are_exact();
     steep_and_flat_beams_mirror_each_other();
+    the_pose_of_the_base_turns_and_moves_its_beams();
     occupied_wins_and_counts_once();
     a_fixed_map_clips_and_a_rolling_one_follows();
     a_rolling_map_keeps_what_stays_inside();

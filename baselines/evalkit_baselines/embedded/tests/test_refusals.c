@@ -1,4 +1,4 @@
-/* Every parameter on both sides of its bounds, every capacity and every pointer: what the headers say is refused. */
+/* Every parameter's default and both sides of its bounds, every capacity and every pointer: as the headers say. */
 #include "check.h"
 #include "ek/normals.h"
 #include "ek/pipeline.h"
@@ -544,6 +544,52 @@ static void of_calls(void)
     free(arena.memory);
 }
 
+/* Every default in its unit; angles in degrees. */
+static void of_defaults(void)
+{
+    const ek_icp_parameters match = ek_icp_default();
+    const ek_frontend_parameters front = ek_frontend_default();
+    const ek_pipeline_parameters pipeline = ek_pipeline_default();
+    const ek_slam_parameters whole = ek_slam_default();
+    const ek_grid_parameters map = ek_grid_default();
+    const ek_loop_settings closing = ek_loop_default();
+    const double degree = 3.14159265358979323846 / 180.0;
+    const struct {
+        ek_real found;
+        double expected;
+    } numbers[] = {
+        {match.epsilon, 1e-4},           {match.max_correspondence, 0.3},  {match.cauchy, 0.0},
+        {front.keyframe_distance, 0.5},  {front.keyframe_angle, 20.0 * degree}, {front.map_voxel, 0.0},
+        {front.map_radius, 15.0},        {map.resolution, 0.05},           {map.l_occ, 0.847},
+        {map.l_free, -0.847},            {map.l_min, -5.0},                {map.l_max, 5.0},
+        {map.range_max, 12.0},           {map.widest_gap, 3.0 * degree},   {pipeline.scan.range_min, 0.15},
+        {pipeline.scan.range_max, 12.0}, {pipeline.scan.local_radius, 0.0}, {pipeline.scan.base_from_sensor.x, 0.0},
+        {whole.scan.range_min, 0.15},    {whole.scan.range_max, 12.0},     {whole.matcher.epsilon, 1e-6},
+        {whole.matcher.cauchy, 0.1},     {whole.matcher.max_correspondence, 1.0}, {whole.fine_correspondence, 0.3},
+        {whole.keyframe_distance, 0.3},  {whole.keyframe_angle, 10.0 * degree}, {whole.map_voxel, 0.1},
+        {whole.map_radius, 15.0},        {whole.map_reach, 20.0},          {whole.drift.sigma, 0.02},
+        {whole.drift.sigma_theta, 0.3 * degree}, {closing.path, 15.0},     {closing.spacing, 1.0},
+        {closing.radius, 7.0},           {closing.submap, 3.0},            {closing.cell, 0.1},
+        {closing.score, 0.55},           {closing.ambiguity, 0.92},        {closing.near, 0.15},
+        {closing.overlap, 0.8},          {closing.degenerate, 0.13},       {closing.gate, 11.345},
+        {closing.quick_gate, 6.25}};
+    for (size_t k = 0; k < sizeof numbers / sizeof *numbers; k++) {
+        CHECK_NEAR(numbers[k].found, numbers[k].expected, 1e-7 * fabs(numbers[k].expected));
+    }
+    CHECK(match.max_iterations == 40 && match.min_pairs == 3 && match.one_to_one == 1 && match.error_before == 0);
+    CHECK(match.error == EK_ERROR_MEAN && match.metric == EK_METRIC_POINT);
+    CHECK(front.use_scan_to_scan == 1 && front.use_scan_to_map == 1 && front.min_inliers == 10);
+    CHECK(front.keyframes == 10u && front.points == 2048u && front.cells == 0u && front.neighbours == 8u);
+    CHECK(front.voxels == 16384u && pipeline.deskew == 1 && pipeline.map == 1);
+    CHECK(map.columns == 1024u && map.rows == 1024u && map.left == -512 && map.bottom == -512);
+    CHECK(map.rolling == 0 && map.polygon == 0);
+    CHECK(whole.matcher.one_to_one == 0 && whole.matcher.metric == EK_METRIC_LINE && whole.min_inliers == 10);
+    CHECK(whole.deskew == 1 && whole.use_odometry == 1 && whole.work == 200000 && whole.points == 2048u);
+    CHECK(whole.keyframes == 2000u && whole.keyframe_points == 1000000u && whole.loops == 64u && whole.records == 512u);
+    CHECK(whole.voxels == 16384u && whole.map_points == 12288u && whole.loop_points == 16384u);
+    CHECK(whole.score_cells == (size_t)512 * 512);
+}
+
 /* Memory that is too small, missing or not aligned is named, and nothing is written to it. */
 static void of_memory(void)
 {
@@ -584,6 +630,7 @@ int main(void)
     of_the_pipeline();
     of_capacities();
     of_calls();
+    of_defaults();
     of_memory();
     return verdict();
 }

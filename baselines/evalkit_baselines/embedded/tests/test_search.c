@@ -173,6 +173,25 @@ static void an_even_number_of_headings_is_searched_completely(void)
     CHECK(ek_search_work(&search, &all) && !search.found);
 }
 
+/* Four motions of the middle angle fit alike: that of the lowest x, then of the lowest y, is the answer. */
+static void of_equal_scores_the_first_is_found(void)
+{
+    const ek_real corners[] = {EK_R(-0.25), EK_R(-0.35), EK_R(-0.25), EK_R(0.35), EK_R(0.35), EK_R(-0.35), EK_R(0.35), EK_R(0.35)};
+    const ek_real point[] = {EK_R(0.05), EK_R(0.05)};
+    const ek_search_window around = {{EK_R(0.0), EK_R(0.0), EK_R(0.0)}, EK_R(0.5), EK_R(0.5), EK_R(0.0)};
+    const ek_search_prior none = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    ek_work all = ek_work_make(INT64_MAX);
+    ek_score_grid_draw(&grid, &thinner, corners, 4u, EK_R(CELL), EK_R(0.0), EK_R(0.0), means, &work);
+    for (uint32_t level = 1; level < EK_SCORE_LEVELS; level++) {
+        ek_score_grid_raise(&grid, level, &work);
+    }
+    CHECK(ek_search_begin(&search, &grid, point, 1u, &around, &none, EK_R(0.1)) == EK_OK && search.angles == 1u);
+    CHECK(ek_search_work(&search, &all) && search.found);
+    CHECK_NEAR(search.score, 1.0, TOLERANCE);
+    CHECK_NEAR(search.best.x, -0.3, 1e-6);
+    CHECK_NEAR(search.best.y, -0.4, 1e-6);
+}
+
 /* Nothing near the place: an empty grid. Corners of the world in cells of 1 mm: 62 bits of cell number are sorted. */
 static void far_points_are_left_out_and_far_cells_are_sorted(void)
 {
@@ -224,6 +243,7 @@ int main(void)
     a_target_that_does_not_fit_is_cropped_around_the_place();
     an_even_number_of_headings_is_searched_completely();
     far_points_are_left_out_and_far_cells_are_sorted();
+    of_equal_scores_the_first_is_found();
     CHECK(ek_thinner_init(&thinner, &measured, 0u) == EK_OUT_OF_RANGE);
     CHECK(ek_score_grid_init(&grid, &measured, 100u) == EK_OUT_OF_RANGE);
     free(taken.memory);
