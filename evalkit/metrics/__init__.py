@@ -79,4 +79,4 @@ def _compute_score(metric: Metric, evidence: Evidence) -> Score:
     try:
         return metric.compute(evidence)
     except Exception as error:  # noqa: BLE001 - a plug-in's metric must not prevent the other scores
-        return Score(None, 0, f"could not be computed: {type(error).__name__}: {error}")
+        return Score(None, reason=f"could not be computed: {type(error).__name__}: {error}")

@@ -89,7 +89,7 @@ def direction_entropy(directions: Floats) -> float:
 def _score_mean_map_entropy(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
-        return Score(None, 0, NO_HIT)
+        return Score(None, reason=NO_HIT)
     value, places, share = _average_entropies(sample_all_neighbourhoods(evidence))
     if share < MIN_SHARE:
         return Score(
@@ -101,7 +101,7 @@ def _score_mean_map_entropy(evidence: Evidence) -> Score:
 def _score_joint_entropy(evidence: Evidence) -> Score:
     first, second = collect_half_hits(evidence)
     if len(first) == 0 or len(second) == 0:
-        return Score(None, 0, NO_HIT)
+        return Score(None, reason=NO_HIT)
     value, places = joint_minus_separate(first, second)
     if places < MIN_SHARED:
         return Score(None, places, NO_OVERLAP)

@@ -202,7 +202,7 @@ def with_cells(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence]
 
     def check(grid: OccupancyGrid) -> Score:
         if not grid.occupied().any() or not grid.free().any():
-            return Score(None, 0, _NO_CELLS)
+            return Score(None, reason=_NO_CELLS)
         return measure(grid)
 
     return with_grid(check)
@@ -211,7 +211,7 @@ def with_cells(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence]
 def _make_thickness_score(statistic: Callable[[Floats], np.floating | float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         if len(collect_all_hits(evidence)) == 0:
-            return Score(None, 0, NO_HIT)
+            return Score(None, reason=NO_HIT)
         thicknesses, share = _compute_thicknesses(evidence)
         if share < MIN_WALL_SHARE:
             return Score(None, len(thicknesses), f"only {100.0 * share:.0f} % of the hits lie along a wall")
@@ -223,7 +223,7 @@ def _make_thickness_score(statistic: Callable[[Floats], np.floating | float]) ->
 def _score_wall_share(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
-        return Score(None, 0, NO_HIT)
+        return Score(None, reason=NO_HIT)
     return make_score(100.0 * _compute_thicknesses(evidence)[1], min(len(points), MAX_PLACES))
 
 
@@ -243,7 +243,7 @@ def _score_enclosed_size(grid: OccupancyGrid) -> Score:
 def _score_cleared(evidence: Evidence) -> Score:
     first, second = evidence.first_half, evidence.second_half
     if isinstance(first, MissingMap) or isinstance(second, MissingMap):
-        return Score(None, 0, _NO_HALVES)
+        return Score(None, reason=_NO_HALVES)
     earlier, later = collect_half_hits(evidence)
     one, shared_one = cleared_share(earlier, second)
     other, shared_other = cleared_share(later, first)
@@ -255,7 +255,7 @@ def _score_cleared(evidence: Evidence) -> Score:
 def _score_split(evidence: Evidence) -> Score:
     first, second = evidence.first_half, evidence.second_half
     if isinstance(first, MissingMap) or isinstance(second, MissingMap):
-        return Score(None, 0, _NO_HALVES)
+        return Score(None, reason=_NO_HALVES)
     distances = split_distances(first, second)
     if len(distances) < MIN_SHARED:
         return Score(None, len(distances), NO_OVERLAP)

@@ -16,7 +16,7 @@ def make_final_metric(metric: Metric) -> Metric:
     """Return the metric of the corrected poses that corresponds to one of the answers; it is no headline metric."""
 
     def compute(evidence: Evidence) -> Score:
-        return Score(None, 0, NO_FINAL) if evidence.final is None else metric.compute(evidence.final)
+        return Score(None, reason=NO_FINAL) if evidence.final is None else metric.compute(evidence.final)
 
     return replace(
         metric,

@@ -52,7 +52,7 @@ def find_pairs_in_time(stamps_ns: Stamps, apart_s: float) -> tuple[Ints, Ints]:
     All pairs, including overlapping ones: each stamp with the stamp nearest to ``apart_s`` later.
     """
     wanted = stamps_ns + round(apart_s * 1e9)
-    after = np.searchsorted(stamps_ns, wanted).clip(1, max(len(stamps_ns) - 1, 1))
+    after = np.minimum(np.searchsorted(stamps_ns, wanted), len(stamps_ns) - 1)
     last = np.where(wanted - stamps_ns[after - 1] < stamps_ns[after] - wanted, after - 1, after)
     near = np.abs(stamps_ns[last] - wanted) <= 0.5 * np.median(np.diff(stamps_ns))
     first = np.arange(len(stamps_ns))
@@ -101,14 +101,14 @@ def _score_step_deg(matched: MatchedPoses) -> Score:
 def _score_second(matched: MatchedPoses, column: Literal["m", "deg"]) -> Score:
     first, last = find_pairs_in_time(matched.stamps_ns, STEP_S)
     if len(first) == 0:
-        return Score(None, 0, f"no two matched poses are {STEP_S:g} s apart")
+        return Score(None, reason=f"no two matched poses are {STEP_S:g} s apart")
     errors = relative_errors(matched, first, last)
     return make_score(rms(_compute_norms(errors)) if column == "m" else np.degrees(rms(errors[:, 2])), len(first))
 
 
 def _report_too_short(matched: MatchedPoses, length_m: float) -> Score:
     path = travelled_m(matched)[-1]
-    return Score(None, 0, f"a path of {path:.1f} m is too short for segments of {length_m:g} m")
+    return Score(None, reason=f"a path of {path:.1f} m is too short for segments of {length_m:g} m")
 
 
 def _score_percent(lengths_m: tuple[float, ...], matched: MatchedPoses) -> Score:
@@ -134,7 +134,7 @@ def _score_deg_per_turn(matched: MatchedPoses) -> Score:
     progress = turned_rad(matched)
     first, last = find_segments(progress, TURN, START_EVERY_TURN)
     if len(first) == 0:
-        return Score(None, 0, f"a path that turns {np.degrees(progress[-1]):.0f} deg has no segment of 360 deg")
+        return Score(None, reason=f"a path that turns {np.degrees(progress[-1]):.0f} deg has no segment of 360 deg")
     errors = np.abs(relative_errors(matched, first, last)[:, 2])
     return make_score(np.degrees(np.mean(errors * TURN / (progress[last] - progress[first]))), len(first))
 
@@ -142,7 +142,7 @@ def _score_deg_per_turn(matched: MatchedPoses) -> Score:
 def _score_end_percent(matched: MatchedPoses) -> Score:
     path = travelled_m(matched)[-1]
     if path < 1.0:
-        return Score(None, 0, f"a path of {path:.1f} m is too short (1 m needed)")
+        return Score(None, reason=f"a path of {path:.1f} m is too short (1 m needed)")
     last = len(matched.stamps_ns) - 1
     return make_score(
         100.0 * _compute_norms(relative_errors(matched, np.array([0]), np.array([last])))[0] / path, last + 1

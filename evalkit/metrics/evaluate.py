@@ -72,7 +72,7 @@ def evaluate_map(result: RunResult, grid: OccupancyGrid, sequence: Sequence) -> 
     table = metrics.all_metrics()
     against_truth = [one for one in table if one.group == "map against truth" and one.name not in OF_PROBABILITIES]
     meaningful = [*against_truth, *(one for one in table if one.name in OF_THE_MAP_ALONE)]
-    scores = {one.name: Score(None, 0, NO_TRAJECTORY) for one in table}
+    scores = {one.name: Score(None, reason=NO_TRAJECTORY) for one in table}
     scores |= metrics.compute_scores(evidence, meaningful)
     for name in OF_PROBABILITIES:
         scores[name] = replace(scores[name], reason=NO_PROBABILITIES)

@@ -80,9 +80,9 @@ def _score_corners(evidence: Evidence) -> Score:
 def _score_offset(evidence: Evidence) -> Score:
     true = evidence.truth.grid
     if true is None or not true.occupied().any():
-        return Score(None, 0, NO_TRUE_MAP if true is None else NO_TRUE_WALL)
+        return Score(None, reason=NO_TRUE_MAP if true is None else NO_TRUE_WALL)
     if not any(scan.hits.any() for scan, _ in evidence.mapped):
-        return Score(None, 0, NO_HIT)
+        return Score(None, reason=NO_HIT)
     offsets = signed_offsets(evidence.mapped, true)
     if len(offsets) < MIN_HITS:
         return Score(None, len(offsets), f"only {len(offsets)} hits are within {BESIDE_M:g} m of a true wall")

@@ -119,7 +119,9 @@ def _with_fit(measure: Callable[[Floats], Score]) -> Callable[[Evidence], Score]
     def compute(evidence: Evidence) -> Score:
         fit = compute_fit(evidence)
         return (
-            Score(None, 0, NO_KNOWN_MAP if evidence.known_map is None else _NO_SCANS) if fit is None else measure(fit)
+            Score(None, reason=NO_KNOWN_MAP if evidence.known_map is None else _NO_SCANS)
+            if fit is None
+            else measure(fit)
         )
 
     return compute
@@ -133,14 +135,14 @@ def _score_predicted(fit: Floats) -> Score:
 def _score_ratio(fit: Floats) -> Score:
     known = fit[np.isfinite(fit[:, :2]).all(axis=1)]
     if not len(known):
-        return Score(None, 0, _NO_ERRORS)
+        return Score(None, reason=_NO_ERRORS)
     return make_score(rms(known[:, 1]) / rms(known[:, 0]), len(known))
 
 
 def _score_within(fit: Floats) -> Score:
     known = fit[np.isfinite(fit[:, :2]).all(axis=1)]
     if not len(known):
-        return Score(None, 0, _NO_ERRORS)
+        return Score(None, reason=_NO_ERRORS)
     return make_score(100.0 * np.mean(known[:, 1] <= WITHIN * known[:, 0]), len(known))
 
 
@@ -148,8 +150,8 @@ def _score_start(measure: Callable[[Evidence], float]) -> Callable[[Evidence], S
     def compute(evidence: Evidence) -> Score:
         start = evidence.run.start
         if start is None:
-            return Score(None, 0, NO_KNOWN_MAP)
-        return make_score(measure(evidence), start.scans) if start.searched else Score(None, 0, _GIVEN)
+            return Score(None, reason=NO_KNOWN_MAP)
+        return make_score(measure(evidence), start.scans) if start.searched else Score(None, reason=_GIVEN)
 
     return compute
 

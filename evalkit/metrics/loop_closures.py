@@ -90,7 +90,7 @@ def _judge(evidence: Evidence) -> JudgedClosures | None:
 
 def _of_slam(measure: Callable[[Evidence], Score]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
-        return Score(None, 0, NO_FINAL) if evidence.run.final is None else measure(evidence)
+        return Score(None, reason=NO_FINAL) if evidence.run.final is None else measure(evidence)
 
     return compute
 
@@ -107,8 +107,8 @@ def _of_judged(measure: Callable[[JudgedClosures], float]) -> Callable[[Evidence
     def compute(evidence: Evidence) -> Score:
         judged = _judge(evidence)
         if judged is None:
-            return Score(None, 0, NO_TRUE_TRAJECTORY)
-        return make_score(measure(judged), len(judged.right)) if len(judged.right) else Score(None, 0, _NONE_JUDGED)
+            return Score(None, reason=NO_TRUE_TRAJECTORY)
+        return make_score(measure(judged), len(judged.right)) if len(judged.right) else Score(None, reason=_NONE_JUDGED)
 
     return _of_slam(compute)
 
@@ -116,10 +116,10 @@ def _of_judged(measure: Callable[[JudgedClosures], float]) -> Callable[[Evidence
 def _score_recall(evidence: Evidence) -> Score:
     judged, truth = _judge(evidence), evidence.truth.trajectory
     if judged is None or truth is None:
-        return Score(None, 0, NO_TRUE_TRAJECTORY)
+        return Score(None, reason=NO_TRUE_TRAJECTORY)
     visits = find_all_revisits(truth)
     if len(visits) == 0:
-        return Score(None, 0, NO_REVISIT)
+        return Score(None, reason=NO_REVISIT)
     return make_score(100.0 * find_closed(judged, visits.first_ns, visits.second_ns, truth).mean(), len(visits))
 
 
@@ -136,7 +136,7 @@ def _make_correction_ms(statistic: Callable[[Floats], np.floating]) -> Callable[
         if corrected is None:
             return Score(None, len(evidence.run.steps), _NOT_REPORTED)
         if not corrected.any():
-            return Score(None, 0, _NO_CORRECTION)
+            return Score(None, reason=_NO_CORRECTION)
         if not is_measured(evidence.run, "cpu_ns"):
             return Score(None, int(corrected.sum()), NOT_MEASURED["cpu_ns"])
         return make_score(statistic(evidence.run.steps["cpu_ns"][corrected] * 1e-6), int(corrected.sum()))
@@ -146,7 +146,7 @@ def _make_correction_ms(statistic: Callable[[Floats], np.floating]) -> Callable[
 
 def _score_final_ms(evidence: Evidence) -> Score:
     if not is_measured(evidence.run, "cpu_ns"):
-        return Score(None, 0, NOT_MEASURED["cpu_ns"])
+        return Score(None, reason=NOT_MEASURED["cpu_ns"])
     return make_score(evidence.run.final_cpu_ns * 1e-6, 1)
 
 

@@ -131,7 +131,7 @@ def _scored(
     return compute
 
 
-_WITHOUT_WALL = Score(None, 0, NO_WALL)
+_WITHOUT_WALL = Score(None, reason=NO_WALL)
 
 
 @cached
@@ -139,9 +139,9 @@ def _compare_walls(evidence: Evidence) -> WallDistances | Score:
     """Return the distances between the walls of both maps, or a score without value if they are missing."""
     true, mapped = evidence.truth.grid, evidence.grid
     if true is None or not true.occupied().any():
-        return Score(None, 0, NO_TRUE_MAP if true is None else NO_TRUE_WALL)
+        return Score(None, reason=NO_TRUE_MAP if true is None else NO_TRUE_WALL)
     if isinstance(mapped, MissingMap):
-        return Score(None, 0, f"no map: {mapped.reason}")
+        return Score(None, reason=f"no map: {mapped.reason}")
     return compare_walls(mapped, true) if mapped.occupied().any() else _WITHOUT_WALL
 
 
@@ -170,7 +170,7 @@ def find_cells(grid: OccupancyGrid, other: OccupancyGrid) -> tuple[Ints, Ints]:
 
 def _score_coverage(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
     if not true.observed.any():
-        return Score(None, 0, _NOTHING_OBSERVED)
+        return Score(None, reason=_NOTHING_OBSERVED)
     return make_score(100.0 * map_coverage(mapped, true), int(true.observed.sum()))
 
 

@@ -52,11 +52,11 @@ def pair_errors(evidence: Evidence, truth: Trajectory, world_from_start: Floats)
 def _score_median(evidence: Evidence) -> Score:
     truth, matched = evidence.truth.trajectory, evidence.matched
     if isinstance(matched, Unmatched):
-        return Score(None, 0, matched.reason)
+        return Score(None, reason=matched.reason)
     if truth is None:
-        return Score(None, 0, NO_TRUE_TRAJECTORY)
+        return Score(None, reason=NO_TRUE_TRAJECTORY)
     values = pair_errors(evidence, truth, matched.world_from_start.row)
-    return make_score(np.median(values), len(values)) if len(values) else Score(None, 0, _NONE)
+    return make_score(np.median(values), len(values)) if len(values) else Score(None, reason=_NONE)
 
 
 _NONE = "no two successive scans with hits have true poses"

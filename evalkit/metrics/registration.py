@@ -119,19 +119,19 @@ def _compute_residuals(clouds: Iterator[tuple[Floats, cKDTree]]) -> Floats:
 
 def _score_successive(evidence: Evidence) -> Score:
     if not evidence.successive:
-        return Score(None, 0, _NO_PAIR)
+        return Score(None, reason=_NO_PAIR)
     step = median_step_m(evidence.successive)
     if step > MAX_STEP_M:
-        return Score(None, 0, f"successive scans are {step:.1f} m apart: too far to overlap")
+        return Score(None, reason=f"successive scans are {step:.1f} m apart: too far to overlap")
     return _score_median(scan_to_scan_residuals(evidence.successive), 0)
 
 
 def _score_mapped(column: int, evidence: Evidence) -> Score:
     if len(evidence.mapped) < 2:
-        return Score(None, 0, _TOO_FEW)
+        return Score(None, reason=_TOO_FEW)
     step = median_step_m(pairwise(evidence.mapped))
     if step > MAX_STEP_M:
-        return Score(None, 0, f"mapped scans are {step:.1f} m apart: too far to overlap")
+        return Score(None, reason=f"mapped scans are {step:.1f} m apart: too far to overlap")
     return _score_median(_compute_map_residuals(evidence), column)
 
 
@@ -144,7 +144,7 @@ def _score_median(residuals: Floats, column: int) -> Score:
     values = residuals[:, column]
     values = values[np.isfinite(values)]
     if len(values) == 0:
-        return Score(None, 0, f"no scan has {MIN_PAIRS} pairs within {MAX_PAIR_M:g} m")
+        return Score(None, reason=f"no scan has {MIN_PAIRS} pairs within {MAX_PAIR_M:g} m")
     return make_score(np.median(values) * (100.0 if column else 1.0), len(values))
 
 
@@ -152,7 +152,7 @@ def _score_own_values(stage: str, field: Literal["error", "iterations"], evidenc
     values = evidence.run.steps[f"{stage}_{field}"].astype(np.float64)
     reported = np.isfinite(values) if field == "error" else values > 0.0
     if not reported.any():
-        return Score(None, 0, _NOT_REPORTED)
+        return Score(None, reason=_NOT_REPORTED)
     return make_score(np.median(values[reported]), int(reported.sum()))
 
 
@@ -162,7 +162,7 @@ def _score_share(field: Literal["accepted", "converged"], evidence: Evidence) ->
     last = np.where(steps[f"s2m_{field}"] >= 0, steps[f"s2m_{field}"], steps[f"s2s_{field}"])
     reported = last[last >= 0]
     if len(reported) == 0:
-        return Score(None, 0, _NOT_REPORTED)
+        return Score(None, reason=_NOT_REPORTED)
     return make_score(100.0 * np.mean(reported == 0), len(reported))
 
 

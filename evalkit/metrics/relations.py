@@ -97,14 +97,14 @@ def _scored(
     def compute(evidence: Evidence) -> Score:
         relations = evidence.truth.relations
         if relations is None or len(relations) == 0:
-            return Score(None, 0, _NO_RELATIONS)
+            return Score(None, reason=_NO_RELATIONS)
         wanted = select_part(relations, part)
         motions, covered = compute_estimated_motions(evidence.run.estimate, relations)
         measured = relations.first_from_second[covered]
         errors = form(motions, measured)[wanted[covered], column]
         if len(errors) == 0:
             kind = "" if part == "all" else f"{part} "
-            return Score(None, 0, f"the estimate covers none of {wanted.sum()} {kind}relations")
+            return Score(None, reason=f"the estimate covers none of {wanted.sum()} {kind}relations")
         errors = np.degrees(errors) if column else errors
         return make_score(statistic(errors**2 if squared else errors), len(errors))
 
@@ -114,7 +114,7 @@ def _scored(
 def _score_covered(evidence: Evidence) -> Score:
     relations = evidence.truth.relations
     if relations is None or len(relations) == 0:
-        return Score(None, 0, _NO_RELATIONS)
+        return Score(None, reason=_NO_RELATIONS)
     return make_score(100.0 * compute_estimated_motions(evidence.run.estimate, relations)[1].mean(), len(relations))
 
 

@@ -90,13 +90,13 @@ def _make_score_function(measure: Callable[[Floats], float]) -> Callable[[Eviden
     def compute(evidence: Evidence) -> Score:
         reference = evidence.truth.trajectory
         if reference is None or len(reference) < 2:
-            return Score(None, 0, NO_TRUE_TRAJECTORY)
+            return Score(None, reason=NO_TRUE_TRAJECTORY)
         visits = find_all_revisits(reference)
         if len(visits) == 0:
-            return Score(None, 0, NO_REVISIT)
+            return Score(None, reason=NO_REVISIT)
         motions, covered = compute_estimated_motions(evidence.run.estimate, visits)
         if not covered.any():
-            return Score(None, 0, f"the estimate covers none of {len(visits)} revisits")
+            return Score(None, reason=f"the estimate covers none of {len(visits)} revisits")
         errors = symmetric_errors(motions, visits.first_from_second[covered])
         return make_score(measure(errors), len(errors))
 

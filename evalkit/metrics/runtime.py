@@ -51,7 +51,7 @@ def late_share(run: RunResult) -> float:
 def _score_milliseconds(field: str, statistic: Callable[[Floats], np.floating], evidence: Evidence) -> Score:
     steps = evidence.run.steps
     if len(steps) == 0:
-        return Score(None, 0, NO_POSES)
+        return Score(None, reason=NO_POSES)
     if field in NOT_MEASURED and not is_measured(evidence.run, field):
         return Score(None, len(steps), NOT_MEASURED[field])
     return make_score(statistic(steps[field] * 1e-6), len(steps))
@@ -94,7 +94,7 @@ def _score_late_wall(evidence: Evidence) -> Score:
 
 def _score_memory(evidence: Evidence) -> Score:
     if evidence.run.peak_memory_bytes == 0:
-        return Score(None, 0, _NO_MEMORY)
+        return Score(None, reason=_NO_MEMORY)
     return make_score(evidence.run.peak_memory_bytes / 2**20, 1)
 
 

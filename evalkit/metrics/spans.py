@@ -84,10 +84,10 @@ def _make_score_function(measure: Callable[[SpanLengths], float]) -> Callable[[E
     def compute(evidence: Evidence) -> Score:
         spans = evidence.truth.spans
         if not spans:
-            return Score(None, 0, _NO_TAPE)
+            return Score(None, reason=_NO_TAPE)
         lengths = _measure_spans(evidence)
         if len(lengths.measured_m) == 0:
-            return Score(None, 0, f"the estimate covers none of {len(spans)} measured distances")
+            return Score(None, reason=f"the estimate covers none of {len(spans)} measured distances")
         return make_score(measure(lengths), len(lengths.measured_m))
 
     return compute
@@ -100,7 +100,7 @@ def _find_worst_sigmas(lengths: SpanLengths) -> float:
 def _score_covered(evidence: Evidence) -> Score:
     spans = evidence.truth.spans
     if not spans:
-        return Score(None, 0, _NO_TAPE)
+        return Score(None, reason=_NO_TAPE)
     return make_score(100.0 * len(_measure_spans(evidence).measured_m) / len(spans), len(spans))
 
 

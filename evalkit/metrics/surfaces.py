@@ -227,7 +227,7 @@ def _find_copies(evidence: Evidence) -> Floats:
 def _score_mean_variance(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
-        return Score(None, 0, NO_HIT)
+        return Score(None, reason=NO_HIT)
     value, places = mean_variance(thin_evenly(points, MAX_HITS), thin_evenly(points, 2 * MAX_PLACES))
     if places < MIN_PLACES:
         return Score(None, places, f"only {places} places have {MIN_HITS} hits within {PATCH_M:g} m")
@@ -237,7 +237,7 @@ def _score_mean_variance(evidence: Evidence) -> Score:
 def _score_orthogonal(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
-        return Score(None, 0, NO_HIT)
+        return Score(None, reason=NO_HIT)
     value, places = orthogonal_variance(thin_evenly(points, MAX_HITS), find_all_wall_pieces(evidence))
     if places < MIN_PLACES:
         return Score(None, places, _NO_ORTHOGONAL)
@@ -246,7 +246,7 @@ def _score_orthogonal(evidence: Evidence) -> Score:
 
 def _score_ghost_percent(evidence: Evidence) -> Score:
     if len(collect_all_hits(evidence)) == 0:
-        return Score(None, 0, NO_HIT)
+        return Score(None, reason=NO_HIT)
     copies = _find_copies(evidence)
     if len(copies) < MIN_STRETCHES:
         return Score(None, len(copies), f"single scans contain only {len(copies)} stretches of wall")
@@ -259,7 +259,7 @@ def _score_ghost_distance(evidence: Evidence) -> Score:
         return share
     copies = _find_copies(evidence)
     copies = copies[np.isfinite(copies)]
-    return make_score(np.median(copies), len(copies)) if len(copies) else Score(None, 0, _NO_COPY)
+    return make_score(np.median(copies), len(copies)) if len(copies) else Score(None, reason=_NO_COPY)
 
 
 _NO_ORTHOGONAL = "single scans contain too few walls at right angles to each other"

@@ -186,7 +186,7 @@ def with_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence],
 
     def compute(evidence: Evidence) -> Score:
         if isinstance(evidence.grid, MissingMap):
-            return Score(None, 0, f"no map: {evidence.grid.reason}")
+            return Score(None, reason=f"no map: {evidence.grid.reason}")
         return measure(evidence.grid)
 
     return compute
@@ -198,7 +198,7 @@ def with_true_grid(measure: Callable[[OccupancyGrid, OccupancyGrid], Score]) -> 
     def compute(evidence: Evidence) -> Score:
         true = evidence.truth.grid
         if true is None:
-            return Score(None, 0, NO_TRUE_MAP)
+            return Score(None, reason=NO_TRUE_MAP)
         return with_grid(lambda mapped: measure(mapped, true))(evidence)
 
     return compute

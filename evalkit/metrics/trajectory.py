@@ -132,7 +132,7 @@ def with_matched_poses(measure: Callable[[MatchedPoses], Score]) -> Callable[[Ev
 
     def compute(evidence: Evidence) -> Score:
         if isinstance(evidence.matched, Unmatched):
-            return Score(None, 0, evidence.matched.reason)
+            return Score(None, reason=evidence.matched.reason)
         return measure(evidence.matched)
 
     return compute
@@ -165,14 +165,14 @@ def _compute_distances(one: Floats, other: Floats) -> Floats:
 def _score_answered(evidence: Evidence) -> Score:
     expected = evidence.run.expected
     if expected == 0:
-        return Score(None, 0, _UNKNOWN_LENGTH)
+        return Score(None, reason=_UNKNOWN_LENGTH)
     return make_score(100.0 * len(evidence.run.steps) / expected, expected)
 
 
 def _score_covered(evidence: Evidence) -> Score:
     truth = evidence.truth.trajectory
     if truth is None or truth.duration_s == 0.0:
-        return Score(None, 0, NO_TRUE_TRAJECTORY if truth is None else _NO_DURATION)
+        return Score(None, reason=NO_TRUE_TRAJECTORY if truth is None else _NO_DURATION)
     return make_score(100.0 * covered_share(evidence.run.estimate, truth), len(evidence.run.steps))
 
 

@@ -169,3 +169,38 @@ def test_pairs_a_second_apart_are_found_by_time_not_by_count() -> None:
     assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 4), (5, 6)]
     still = match(np.zeros((5, 3)), np.zeros((5, 3)))
     assert score("rpe_1s_m", still) == Score(None, 0, "no two matched poses are 1 s apart")
+
+
+def test_every_tenth_of_a_metre_and_every_ten_degrees_begin_a_segment_up_to_the_last_that_fits() -> None:
+    """Of 25 m: starts at 0 to 25 - L; of 450 deg in steps of 3 deg: the first poses from 0, 10, ... and 90 deg on."""
+    found = match(integrate_steps(STRAIGHT), integrate_steps(STRAIGHT))
+    for length, count in ((1, 241), (2, 231), (5, 201), (10, 151), (20, 51)):
+        assert score(f"drift_{length}m_percent", found).support == count
+    assert score("drift_percent", found).support == 241 + 231 + 201 + 151 + 51
+    assert score("rpe_1m_m", found).support == 241
+    assert score("rpe_step_deg", found).support == score("rpe_step_m", found).support == 500
+    assert score("end_error_percent", found).support == 501
+    turn = integrate_steps(np.tile([0.02, 0.0, np.radians(3.0)], (150, 1)))
+    assert score("drift_deg_per_turn", match(turn, turn)).support == 10
+
+
+@pytest.mark.parametrize(("metres", "enough"), [(1.0, True), (0.99, False)])
+def test_the_error_at_the_end_needs_a_path_of_a_metre(metres: float, enough: bool) -> None:
+    line = np.column_stack([np.linspace(0.0, metres, 5), np.zeros((5, 2))])
+    found = score("end_error_percent", match(line * [1.1, 1.0, 1.0], line))
+    assert found.value == (pytest.approx(10.0) if enough else None)
+    assert (score("rpe_1m_m", match(line, line)).reason == "") == enough
+    if not enough:
+        reason = "a path of 1.0 m is too short for segments of 1 m"
+        assert score("rpe_1m_m", match(line, line)) == score("drift_deg_per_m", match(line, line))
+        assert score("rpe_1m_m", match(line, line)).reason == reason
+
+
+@pytest.mark.parametrize(
+    ("milliseconds", "pairs"),
+    [([0, 900, 1100], [(0, 2)]), ([0, 400, 800, 1200], [(0, 3), (1, 3)]), ([0, 400, 800, 1199], [(0, 3)])],
+)
+def test_a_pair_ends_at_the_nearest_stamp_the_later_of_two_to_half_a_median_step(milliseconds, pairs) -> None:
+    """Steps of 400 ms: 200 ms early or late is near enough, 201 ms (of 1199 after 400 and 1000) is not."""
+    first, last = drift.find_pairs_in_time(np.array(milliseconds) * 1_000_000, 1.0)
+    assert list(zip(first.tolist(), last.tolist(), strict=True)) == pairs

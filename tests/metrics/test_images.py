@@ -95,3 +95,22 @@ def test_a_cell_that_a_finer_map_has_not_observed_is_undecided() -> None:
     np.testing.assert_allclose(coarse, 0.7, atol=1e-6)
     np.testing.assert_allclose(found, [[0.9, 0.9], [0.9, 0.5]], atol=1e-6)
     assert seen.tolist() == [[True, True], [True, False]]
+
+
+@pytest.mark.parametrize(("cells", "enough"), [(100, True), (99, False)])
+def test_a_similarity_needs_a_hundred_common_cells(cells, enough) -> None:
+    observed = np.zeros((60, 60), np.bool_)
+    observed.ravel()[:cells] = True
+    found = compute_similarity(grid(room(), observed=observed), grid(room()))
+    assert (found.value is not None, found.support) == (enough, cells)
+
+
+def test_of_shifts_that_fit_alike_the_shortest_is_taken_and_each_is_searched() -> None:
+    """Stripes with a period of four cells fit at -4, 0 and 4, at most three of which are searched."""
+    stripes = np.tile(np.where(np.arange(40) % 4 < 2, 0.9, 0.1), (30, 1))
+    assert images.find_best_shift(stripes, stripes) == (0, 0)
+    dot = np.full((20, 20), 0.5)
+    for row, column in np.ndindex(7, 7):
+        one, other = dot.copy(), dot.copy()
+        one[10:13, 10:13] = other[7 + row : 10 + row, 7 + column : 10 + column] = 0.9
+        assert images.find_best_shift(one, other) == (row - 3, column - 3)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, RunResult
+from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.metrics import landmarks
 from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
@@ -59,9 +59,9 @@ def square(side_m=4.0, resolution_m=0.01):
     return OccupancyGrid(log_odds, np.ones_like(occupied), resolution_m, corner, corner)
 
 
-def scan(side_m):
+def scan(side_m, count=1000):
     """Return a scan of a square room from its centre."""
-    angles = np.linspace(0.0, 2.0 * np.pi, 1000, endpoint=False)
+    angles = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     ranges = 0.5 * side_m / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
     return Scan(0, ranges, angles, 0.0, 20.0), np.zeros(3)
 
@@ -79,6 +79,14 @@ def test_a_room_mapped_too_large_has_its_walls_behind_the_true_walls(off_m: floa
     assert found.support == 1000
 
 
+@pytest.mark.parametrize(("count", "enough"), [(100, True), (99, False)])
+def test_an_offset_needs_a_hundred_hits_within_half_a_metre(count: int, enough: bool) -> None:
+    found = scores((scan(4.0, count),), square())["map_wall_offset_m"]
+    assert (found.value is not None, found.support) == (enough, count)
+    assert scores((scan(4.96),), square())["map_wall_offset_m"].support > 500  # 0.48 m behind
+    assert scores((scan(5.04),), square())["map_wall_offset_m"].support == 0
+
+
 def test_cells_far_from_every_true_wall_have_no_signed_offset() -> None:
     assert scores((scan(8.0),), square())["map_wall_offset_m"].reason.startswith("only 0 hits are within 0.5 m")
     assert scores((), square())["map_wall_offset_m"].reason == "no mapped scan has a hit"
@@ -91,5 +99,10 @@ def test_the_corners_of_the_true_map_are_at_their_known_positions() -> None:
     moved = OccupancyGrid(grid.log_odds, grid.observed, 0.05, -0.9, 2.0)
     assert scores((), grid, grid)["map_corner_ospa_m"].value == 0.0
     assert scores((), grid, moved)["map_corner_ospa_m"].value == pytest.approx(0.1)
+    assert scores((), grid, moved)["map_corner_ospa_m"].support == 8
+    blank = OccupancyGrid(np.full((9, 9), -5.0, np.float32), np.ones((9, 9), np.bool_), 0.05, 0.0, 0.0)
+    assert scores((), blank, grid)["map_corner_ospa_m"] == Score(None, 4, "the ground-truth map has no corner")
+    assert scores((scan(4.0),), blank)["map_wall_offset_m"].reason == "the ground-truth map has no wall"
+    assert scores((scan(4.0),), None)["map_wall_offset_m"].reason == "no ground-truth map"
     inner = np.array([(x, y) for x in (0.15, 3.85) for y in (3.15, 6.85)])
     assert landmarks.ospa(landmarks.find_corners(grid), inner) < 0.05

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit.metrics.neighbourhoods import compute_neighbourhoods, thin_evenly
+from evalkit.metrics.neighbourhoods import Neighbourhoods, compute_neighbourhoods, thin_evenly
 
 
 def test_the_ellipse_of_each_neighbourhood_equals_numpys_covariance() -> None:
@@ -38,3 +38,15 @@ def test_the_direction_of_a_wall_is_recovered() -> None:
 def test_evenly_keeps_the_first_and_the_last() -> None:
     assert thin_evenly(np.arange(10), 4).tolist() == [0, 3, 6, 9]
     assert thin_evenly(np.arange(3), 9).tolist() == [0, 1, 2]
+
+
+def test_a_piece_of_wall_has_five_points_and_more_than_nine_times_the_variance_along_it():
+    counts, large = np.array([5, 4, 5, 5]), np.array([9.1, 9.1, 9.0, 0.0])
+    found = Neighbourhoods(counts, np.array([1.0, 1.0, 1.0, 0.0]), large, np.zeros(4))
+    assert found.flat.tolist() == [True, False, False, False]
+
+
+def test_a_neighbourhood_has_a_radius_of_half_a_metre_unless_stated():
+    line = np.column_stack([np.array([-0.51, -0.49, 0.0, 0.49, 0.51]), np.zeros(5)])
+    assert compute_neighbourhoods(line, np.zeros((1, 2))).counts.tolist() == [3]
+    assert compute_neighbourhoods(line, np.zeros((1, 2)), 0.52).counts.tolist() == [5]

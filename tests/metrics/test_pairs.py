@@ -46,9 +46,15 @@ def test_coincident_points_have_no_error() -> None:
     assert np.isnan(pairs.pair_error(np.ones((5, 2)), np.zeros(3), np.array([1.0, 0.0, 0.0])))
 
 
-def compute_pair_error(estimated_step, sensor=(0.1, 0.0, 0.5)):
+def test_points_at_the_centroid_are_left_out() -> None:
+    """A point 1 um from the middle of a circle of 4 m, nearer than a millionth of the radius, changes nothing."""
+    points = np.concatenate([CIRCLE, [[1e-6, 0.0]]])
+    assert pairs.pair_error(points, np.zeros(3), np.array([0.3, 0.4, 0.0])) == pytest.approx(0.125)
+
+
+def compute_pair_error(estimated_step, sensor=(0.1, 0.0, 0.5), known=11, hits=()):
     """Score ten steps, each estimated as given where the ground truth moves 0.2 m ahead; the lidar is mounted off-
-    centre.
+    centre. ``known``: true poses; ``hits``: number of hits of some scans, of others 90.
     """
     stamps = np.arange(11) * 100_000_000
     base_from_sensor = np.array(sensor)
@@ -59,11 +65,15 @@ def compute_pair_error(estimated_step, sensor=(0.1, 0.0, 0.5)):
     steps = np.zeros(11, STEP)
     steps["stamp_ns"] = stamps
     steps["x"], steps["y"], steps["theta"] = np.array(estimate).T
-    run, truth = RunResult(steps, 11), Truth("exact", Trajectory(stamps, np.array(true)))
+    run, truth = RunResult(steps, 11), Truth("exact", Trajectory(stamps[:known], np.array(true)[:known]))
     matched = match_trajectories(run.estimate, truth.trajectory)
     assert isinstance(matched, MatchedPoses)
     start = matched.world_from_start.row
-    scan = [Scan(int(stamp), np.full(90, 4.0), ANGLES, 0.0, 10.0) for stamp in stamps]
+    counts = dict(hits)
+    scan = [
+        Scan(int(stamp), np.where(np.arange(90) < counts.get(k, 90), 4.0, np.inf), ANGLES, 0.0, 10.0)
+        for k, stamp in enumerate(stamps)
+    ]
     placed = [(s, se2.compose(se2.compose(start, e), base_from_sensor)) for s, e in zip(scan, estimate, strict=True)]
     evidence = Evidence(run, truth, matched, successive=tuple(pairwise(placed)))
     (metric,) = pairs.METRICS
@@ -74,6 +84,15 @@ def test_steps_are_compared_with_the_true_motion_of_the_sensor() -> None:
     assert compute_pair_error([0.2, 0.0, 0.0]).value == pytest.approx(0.0, abs=1e-9)
     found = compute_pair_error([0.24, 0.0, 0.0])
     assert (found.value, found.support) == (pytest.approx(0.01), 10)  # 4 cm on a circle of 4 m
+
+
+def test_steps_without_a_true_pose_at_either_end_or_with_one_hit_are_left_out() -> None:
+    assert compute_pair_error([0.24, 0.0, 0.0], known=6).support == 5
+    assert compute_pair_error([0.24, 0.0, 0.0], known=6, hits={2: 1, 4: 0}).support == 3
+    assert compute_pair_error([0.24, 0.0, 0.0], hits={2: 2, 10: 1}).support == 9
+    assert compute_pair_error([0.24, 0.0, 0.0], hits=dict.fromkeys(range(11), 1)).reason == (
+        "no two successive scans with hits have true poses"
+    )
 
 
 def test_missing_ground_truth_gives_a_reason() -> None:

@@ -130,3 +130,33 @@ def test_the_last_stage_with_a_residual_provides_the_residual_of_the_guess() -> 
     found = scores((), steps)
     assert found["guess_kept_percent"] == Score(25.0, 4)
     assert found["not_converged_percent"] == Score(75.0, 4)
+
+
+def test_the_measured_scans_are_a_hundred_from_the_second_to_the_last() -> None:
+    assert registration._choose_measured(2) == [1]
+    assert registration._choose_measured(4) == [1, 2, 3]
+    assert registration._choose_measured(101) == list(range(1, 101))
+    many = registration._choose_measured(1000)
+    assert (len(many), many[0], many[-1]) == (100, 1, 999)
+
+
+def test_a_scan_meets_the_ten_keyframes_before_it() -> None:
+    """Scans of one point a metre apart, each seen at its own place: the local map holds the last ten before a scan."""
+    point = Scan(0, np.array([0.001]), np.array([0.0]), 0.0, 20.0)
+    mapped = tuple((point, np.array([float(k), 0.0, 0.0])) for k in range(14))
+    for index, (source, tree) in enumerate(registration._iterate_local_maps(mapped), start=1):
+        assert source.tolist() == [[index + 0.001, 0.0]]
+        assert tree.data[:, 0].tolist() == pytest.approx([k + 0.001 for k in range(max(index - 10, 0), index)])
+
+
+@pytest.mark.parametrize(("count", "enough"), [(10, True), (9, False)])
+def test_a_residual_needs_ten_pairs_and_successive_scans_at_most_two_metres_apart(count: int, enough: bool) -> None:
+    angles = np.linspace(-0.5, 0.5, count)
+    few = Scan(0, np.full(count, 5.0), angles, 0.0, 20.0)
+    still = scores(tuple((few, np.zeros(3)) for _ in range(3)))
+    for name, support in (("s2s_m", 2), ("s2m_m", 2)):
+        reason = "no scan has 10 pairs within 0.5 m"
+        assert still[name] == (Score(0.0, support) if enough else Score(None, reason=reason))
+    assert still["s2m_paired_percent"] == Score(100.0, 2)
+    apart = scores(map_scans(np.array([[-1.0, 0, 0], [1.0, 0, 0]])))
+    assert apart["s2s_m"].support == apart["s2m_m"].support == 1  # 2 m, not farther

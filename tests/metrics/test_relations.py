@@ -165,3 +165,16 @@ def test_squared_errors_equal_a_hand_calculation() -> None:
     assert found["relations_square_sd_m2"].value == pytest.approx(squares.std())
     assert found["relations_square_mean_deg2"].value == pytest.approx(4 / 3)
     assert found["relations_square_mean_m2"].support == 3
+
+
+def test_relations_over_ten_seconds_in_either_order_are_long() -> None:
+    measured = make_relations((0, 9.99, 0, 0, 0), (0, 10, 0, 0, 0), (10, 0, 0, 0, 0), (9.5, 0, 0, 0, 0))
+    assert relations.select_part(measured, "short").tolist() == [True, False, False, True]
+    assert relations.select_part(measured, "long").tolist() == [False, True, True, False]
+    assert relations.select_part(measured, "all").all()
+
+
+def test_the_estimate_covers_relations_in_gaps_of_two_seconds_at_most() -> None:
+    estimate = Trajectory(np.array([0, 2_000_000_000, 4_000_000_001]), np.zeros((3, 3)))
+    covered = relations.compute_estimated_motions(estimate, make_relations((0, 1, 0, 0, 0), (1, 3, 0, 0, 0)))[1]
+    assert covered.tolist() == [True, False]

@@ -107,3 +107,21 @@ def test_visits_are_those_that_brute_force_finds() -> None:
     found = revisits.find_revisits(path, covered_m=8.0)
     assert len(expected) > 50
     assert list(zip(found.first_ns, found.second_ns, strict=True)) == expected
+
+
+def test_on_a_path_of_more_than_400_m_a_place_is_revisited_after_100_m() -> None:
+    """Five laps of 100.5 m: each of 503 places a lap is met again a lap later, but for those of the last one."""
+    found = revisits.find_revisits(laps(4.9, radius_m=100.5 / (2.0 * np.pi), steps=600), near_m=0.3)
+    gaps = {lap: int((found.second_ns - found.first_ns == lap * 60_000_000_000).sum()) for lap in (1, 2, 3, 4)}
+    share = len(found) / (503 * (3.9 + 2.9 + 1.9 + 0.9))  # at most 2,000 are kept
+    assert share == pytest.approx(2000 / 4829, rel=0.01)
+    assert [gaps[lap] / share for lap in gaps] == pytest.approx([503 * laps for laps in (3.9, 2.9, 1.9, 0.9)], rel=0.03)
+
+
+def test_at_most_two_thousand_revisits_are_kept_evenly_spaced() -> None:
+    """Each of 2,827 places of the first lap of 565 m is revisited once."""
+    found = revisits.find_revisits(laps(2.0, radius_m=90.0, steps=5655), near_m=0.3)
+    assert len(found) == revisits.MAX_REVISITS == 2000
+    spacing = np.diff(np.unique(found.first_ns))
+    assert spacing.max() <= 3.0 * np.median(spacing)
+    assert found.first_ns[0] == 0

@@ -30,6 +30,7 @@ def test_times_equal_a_hand_calculation() -> None:
     assert found["cpu_median_ms"] == Score(30.0, 5)
     assert found["cpu_max_ms"].value == 150.0
     assert found["cpu_p95_ms"].value == pytest.approx(128.0)  # four fifths of the way from 40 to 150
+    assert found["cpu_p99_ms"].value == pytest.approx(145.6)  # 0.96 of that way
     assert found["wall_median_ms"].value == 32.0
     assert found["conversion_percent"].value == pytest.approx(10.0)
     assert found["preparation_percent"].value == pytest.approx(25.0)
@@ -88,3 +89,24 @@ def test_unmeasured_times_give_a_reason() -> None:
     idle = scores([0.0, 0.0], [0.0, 0.0])
     assert idle["real_time_factor"].reason == "not measured on this machine: no CPU time"
     assert idle["peak_memory_mib"].reason == "memory was not measured"
+
+
+def test_two_scans_have_a_period_and_one_has_none() -> None:
+    two = scores([50.0, 100.0], [100.0, 101.0])
+    assert (two["late_percent"], two["late_wall_percent"]) == (Score(0.0, 2), Score(50.0, 2))  # 100 ms is in time
+    assert (two["real_time_factor"].value, two["real_time_factor"].support) == (pytest.approx(100.0 / 75.0), 2)
+    one = scores([50.0], [50.0])
+    for name in ("late_percent", "late_wall_percent", "real_time_factor"):
+        assert one[name] == Score(None, 1, "fewer than two scans have a pose")
+
+
+@pytest.mark.parametrize(("measured", "enough"), [(2, False), (3, True)])
+def test_cpu_time_counts_as_measured_where_more_than_half_of_the_scans_have_it(measured, enough) -> None:
+    steps = np.zeros(4, STEP)
+    steps["stamp_ns"] = np.arange(4) * 100_000_000
+    steps["cpu_ns"][:measured], steps["device_ns"] = 150_000_000, 7
+    run = RunResult(steps, 4)
+    assert runtime.is_measured(run, "cpu_ns") == enough
+    assert runtime.work_ns(run).tolist() == ([150_000_000] * 3 + [0] if enough else [7] * 4)
+    assert runtime.late_share(run) == (0.75 if enough else 0.0)
+    assert runtime.late_share(RunResult(steps[:1], 1)) == 0.0

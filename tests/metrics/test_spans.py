@@ -6,7 +6,7 @@ import pytest
 from evalkit.core.ground_truth import Truth
 from evalkit.core.measured_distances import Span, SpanEnd
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, RunResult
+from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.metrics import spans
 from evalkit.metrics.table import Evidence, MatchedPoses, Unmatched
@@ -108,3 +108,17 @@ def test_a_measured_distance_needs_a_length_and_a_precision() -> None:
 def test_a_distance_whose_ends_coincide_in_the_estimate_is_0_m_long() -> None:
     found = scores(run_of([0.0, 0.0, 0.0]), [Span("still", at(0), at(2), 3.0)])
     assert found["span_rmse_m"].value == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("count", "along_m", "beside_m", "found"),
+    [(10, 0.29, 0.14, True), (9, 0.29, 0.14, False), (10, 0.31, 0.14, False), (10, 0.29, 0.16, False),
+     (10, -0.29, -0.14, True), (10, -0.31, 0.0, False), (10, 0.0, -0.16, False)],
+)  # fmt: skip
+def test_a_wall_is_ten_hits_within_30_cm_along_the_tape_and_15_cm_beside_it(count, along_m, beside_m, found) -> None:
+    tape = Span("robot to wall", at(0), SpanEnd(3.0, 0.0), 3.0)
+    hits = np.tile([3.0 + along_m, beside_m], (count, 1))
+    scan = Scan(0, np.hypot(*hits.T), np.arctan2(hits[:, 1], hits[:, 0]), 0.0, 20.0), np.zeros(3)
+    answer = scores(run_of([0.0, 0.0]), [tape], (scan,))
+    assert answer["span_answered_percent"] == Score(100.0 * found, 1)
+    assert answer["span_rmse_m"].value == (pytest.approx(abs(along_m)) if found else None)

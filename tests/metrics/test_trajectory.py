@@ -189,3 +189,51 @@ def test_a_gap_in_the_answers_is_not_covered() -> None:
     poses = np.zeros((8, 3))
     whole = Trajectory(np.arange(11) * SECOND, np.zeros((11, 3)))
     assert trajectory.covered_share(Trajectory(stamps, poses), whole) == pytest.approx(0.6)
+
+
+def test_the_answers_of_a_sequence_of_unknown_length_and_a_truth_of_one_pose_have_no_share() -> None:
+    truth = make_random_walk()
+    (answered,) = (metric for metric in trajectory.METRICS if metric.name == "answered_percent")
+    (covered,) = (metric for metric in trajectory.METRICS if metric.name == "covered_percent")
+    assert answered.compute(evidence_of(truth, truth, 0)).reason == "the number of scans in the sequence is unknown"
+    assert answered.compute(evidence_of(truth, truth, 80)).support == 80
+    one = Trajectory(truth.stamps_ns[:1], truth.poses[:1])
+    assert covered.compute(evidence_of(truth, one, 60)).reason == "the ground-truth trajectory has no duration"
+    assert covered.compute(evidence_of(truth, None, 60)).reason == "no ground-truth trajectory"
+
+
+@pytest.mark.parametrize(("gap_s", "share"), [(1.0, 1.0), (1.001, 0.0)])
+def test_gaps_of_a_second_are_covered_and_interpolated(gap_s: float, share: float) -> None:
+    ends = Trajectory(np.array([0, round(gap_s * SECOND)]), np.zeros((2, 3)))
+    assert trajectory.covered_share(ends, ends) == share
+    errors = trajectory.compute_errors_m(Trajectory(np.array([0, SECOND // 2]), np.ones((2, 3))), ends)
+    assert np.isfinite(errors).tolist() == [True, share == 1.0]
+
+
+def test_two_common_stamps_are_enough_and_an_empty_truth_is_named() -> None:
+    truth = make_random_walk()
+    two = Trajectory(truth.stamps_ns[:2], truth.poses[:2])
+    assert match(two, truth).rule == "2 equal stamps"
+    one = Trajectory(truth.stamps_ns[:1], truth.poses[:1])
+    too_few = Unmatched("estimate and ground truth share 1 stamps, at least 2 are needed")
+    assert trajectory.match_trajectories(one, truth) == too_few
+    empty = Trajectory(np.zeros(0, np.int64), np.zeros((0, 3)))
+    assert trajectory.match_trajectories(truth, empty) == Unmatched("the ground-truth trajectory is empty")
+
+
+@pytest.mark.parametrize(("spread_m", "how"), [(0.049, "first pose"), (0.051, "least squares")])
+def test_a_path_that_spreads_less_than_five_centimetres_is_aligned_by_its_first_pose(spread_m: float, how: str) -> None:
+    """Two positions on either side of the middle spread by their distance from it."""
+    poses = np.array([[-spread_m, 0.0, 0.0], [spread_m, 0.0, 0.0]])
+    line = Trajectory(np.array([0, SECOND]), poses)
+    assert match(line, line).alignment.startswith(how)
+    assert match(line, line, alignment="first pose").alignment == "first pose"
+
+
+def test_in_a_known_map_nothing_is_fitted() -> None:
+    truth = make_random_walk()
+    start = Pose(1.0, 2.0, 0.5)
+    found = match(truth, truth, map_from_start=start)
+    np.testing.assert_allclose(found.estimate, se2.compose(start.row, truth.poses))
+    assert (found.is_in_map, found.world_from_start) == (True, start)
+    assert not match(truth, truth).is_in_map
