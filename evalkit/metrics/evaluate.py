@@ -108,11 +108,10 @@ def add_map(
         final = add_map(evidence.final, sequence, make_mapper, scans, halves)
         return replace(placed, grid=MissingMap(MAP_OF_FINAL), final=final)
     middle = len(mapped) // 2
-    first, grid = _render_maps(mapped, make_mapper, (middle, len(mapped)) if halves else (len(mapped),) * 2)
-    with_grid = replace(placed, grid=grid)
     if not halves:
-        return with_grid
-    return replace(with_grid, first_half=first, second_half=render_map(mapped[middle:], make_mapper))
+        return replace(placed, grid=render_map(mapped, make_mapper))
+    first, grid = _render_maps(mapped, make_mapper, (middle, len(mapped)))
+    return replace(placed, grid=grid, first_half=first, second_half=render_map(mapped[middle:], make_mapper))
 
 
 def render_map(mapped: PlacedScans, make_mapper: Callable[[], Mapper]) -> OccupancyGrid | MissingMap:

@@ -118,11 +118,9 @@ def compute_fit(evidence: Evidence) -> Floats | None:
 def _with_fit(measure: Callable[[Floats], Score]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         fit = compute_fit(evidence)
-        return (
-            Score(None, reason=NO_KNOWN_MAP if evidence.known_map is None else _NO_SCANS)
-            if fit is None
-            else measure(fit)
-        )
+        if fit is None:
+            return Score(None, reason=NO_KNOWN_MAP if evidence.known_map is None else _NO_SCANS)
+        return measure(fit)
 
     return compute
 

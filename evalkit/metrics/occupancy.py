@@ -94,9 +94,8 @@ def _find_cells(
 
 def _score_log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
     if true.resolution_m > mapped.resolution_m * (1.0 + _EDGE):
-        return Score(
-            None, 0, f"the cells of the ground-truth map ({true.resolution_m:g} m) are coarser than those of the map"
-        )
+        reason = f"the cells of the ground-truth map ({true.resolution_m:g} m) are coarser than those of the map"
+        return Score(None, reason=reason)
     value, cells = log_loss(mapped, true)
     return make_score(value, cells, _NO_TRUE_STATE)
 

@@ -5,7 +5,7 @@ import pytest
 
 from evalkit.core import se2
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, RunResult
+from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.metrics import clouds
 from evalkit.metrics.consistency import NO_OVERLAP
@@ -103,3 +103,28 @@ def test_a_share_of_hits_at_the_limit_is_enough(monkeypatch) -> None:
     for share, scored in ((clouds.MIN_SHARE, True), (np.nextafter(clouds.MIN_SHARE, 0.0), False)):
         monkeypatch.setattr(clouds, "_average_entropies", lambda _, share=share: (1.0, 500, share))
         assert (compute_scores(mapped)["mme_nat"].value is not None) == scored
+
+
+def test_only_neighbourhoods_of_five_points_have_an_entropy_of_at_least_a_millimetre():
+    """A line of hits 1 cm apart with a lonely pair beside it: 1/2 ln(2 pi e)^2 s2 of 1 mm and of the length."""
+    line = np.column_stack([np.arange(11) * 0.01, np.zeros(11)])
+    value, places, share = clouds.mean_map_entropy(np.concatenate([line, [[9.0, 0.0], [9.01, 0.0]]]))
+    expected = np.log(2.0 * np.pi * np.e) + np.log(1e-3) + 0.5 * np.log(np.var(line[:, 0]))
+    assert (value, places, share) == (pytest.approx(expected), 11, pytest.approx(11 / 13))
+    assert clouds.mean_map_entropy(line[:4]) == (0.0, 0, 0.0)
+
+
+@pytest.mark.parametrize(("count", "enough"), [(50, True), (49, False)])
+def test_a_hundred_common_places_and_pieces_of_wall_are_enough(count, enough):
+    wall = np.column_stack([np.linspace(1.0, 2.0, count), np.full(count, 1.0)])
+    found = compute_scores((make_scan(wall), make_scan(wall)))
+    assert found["coral_nat"].support == 2 * count
+    assert (found["coral_nat"].value is not None) == enough
+    if enough:
+        assert found["coral_nat"].value == pytest.approx(0.0, abs=1e-9)
+    pieces = compute_scores(tuple(make_scan(wall[:20]) for _ in range(5)))["direction_spread_nat"]
+    assert (pieces.value is not None, pieces.support) == (True, 100)
+    fewer = (*(make_scan(wall[:20]) for _ in range(4)), make_scan(wall[:19]))
+    assert compute_scores(fewer)["direction_spread_nat"] == Score(
+        None, 99, "the scans contain 99 pieces of wall, at least 100 are needed"
+    )

@@ -13,7 +13,7 @@ from evalkit.core.run_result import STEP, Cause, RunResult
 from evalkit.core.scan import Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import evaluate
-from evalkit.metrics.table import MAP_GROUPS
+from evalkit.metrics.table import MAP_GROUPS, MissingMap
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
 
@@ -216,3 +216,34 @@ def test_motion_within_a_scan_is_corrected_with_the_estimated_velocity(straight_
     evaluate.evaluate_run(perfect(), straight_run, mapper_factory, 3)
     for scan, _ in mapper_factory[0].scans:
         assert scan.ranges.tolist() == pytest.approx([4.0, 4.025, 4.05])
+
+
+def test_a_map_of_a_file_has_the_scores_of_its_walls_and_reasons_for_all_others(straight_run):
+    whole = evaluate.evaluate_run(perfect(), straight_run, log_odds, 400).grid
+    found = evaluate.evaluate_map(perfect(), whole, straight_run).by_metric
+    assert list(found) == [metric.name for metric in metrics.all_metrics()]
+    for name in evaluate.OF_THE_MAP_ALONE:
+        assert found[name].value is not None
+    for name in evaluate.OF_PROBABILITIES:
+        assert found[name].reason == evaluate.NO_PROBABILITIES
+    table = {metric.name: metric for metric in metrics.all_metrics()}
+    for name in found.keys() - {*evaluate.OF_THE_MAP_ALONE, *evaluate.OF_PROBABILITIES}:
+        if table[name].group != "map against truth":
+            assert (found[name].value, found[name].support, found[name].reason) == (None, 0, evaluate.NO_TRAJECTORY)
+        else:
+            assert found[name].reason != evaluate.NO_TRAJECTORY
+
+
+@pytest.mark.parametrize(("count", "most", "expected"), [
+    (0, 5, []), (-1, 5, []), (1, 5, [0]), (3, 5, [0, 1, 2]), (5, 5, [0, 1, 2, 3, 4]), (10, 4, [0, 3, 6, 9]),
+])  # fmt: skip
+def test_chosen_indices_are_even_with_the_first_and_the_last(count, most, expected):
+    assert evaluate._choose_evenly(count, most) == expected
+
+
+def test_a_run_without_the_maps_of_halves_has_the_whole_map_alone(straight_run, mapper_factory):
+    evidence = evaluate.collect_evidence(perfect(), straight_run)
+    found = evaluate.add_map(evidence, straight_run, mapper_factory, 400, halves=False)
+    assert [(len(mapper.scans), mapper.maps) for mapper in mapper_factory] == [(SCANS, [SCANS])]
+    assert isinstance(found.grid, OccupancyGrid)
+    assert isinstance(found.first_half, MissingMap)

@@ -54,6 +54,16 @@ def test_voxel_counts_equal_those_of_numpy() -> None:
         assert np.allclose(cov, np.cov(inside.T, bias=True))
 
 
+@pytest.mark.parametrize("size_m", [1.5, 2.0])
+def test_squares_of_any_size_have_a_corner_at_the_origin_and_at_least_five_points(size_m) -> None:
+    points = np.random.default_rng(3).uniform(-4.0, 4.0, (70, 2))
+    squares, counts = np.unique(np.floor(points / size_m).astype(int), axis=0, return_counts=True)
+    assert counts.min() < 5
+    assert gaussians.fit_voxels(points, size_m).at.tolist() == squares[counts >= 5].tolist()
+    five = np.array([[0.1, 0.1], [0.2, 0.1], [0.3, 0.1], [0.4, 0.1], [0.5, 0.1]])
+    assert [len(gaussians.fit_voxels(five[:count]).at) for count in (5, 4)] == [1, 0]
+
+
 def test_a_uniform_error_is_consistent_and_a_varying_error_is_not() -> None:
     at = np.array([[0, 0], [1, 0], [2, 0]])
     assert gaussians.spatial_consistency(at, np.array([0.3, 0.3, 0.3])) == pytest.approx(0.0, abs=1e-7)
@@ -82,6 +92,18 @@ def test_a_wall_two_cells_off_has_distance_two_cells_in_every_square() -> None:
     assert found["map_awd_m"].value == pytest.approx(0.1)
     assert found["map_awd_m"].support == 5
     assert found["map_scs"].value == pytest.approx(0.0, abs=1e-6)
+
+
+def test_three_squares_with_walls_in_both_maps_are_enough() -> None:
+    def cut(columns):
+        whole = grid(0)
+        return OccupancyGrid(whole.log_odds[:, :columns], whole.observed[:, :columns], 0.05, 0.0, 0.0)
+
+    assert scores(cut(60), grid(0))["map_awd_m"].support == 3
+    assert scores(cut(40), grid(0))["map_awd_m"].reason == "the maps share 2 squares with walls, at least 3 are needed"
+    assert gaussians.spatial_consistency(np.array([[0, 0], [1, 1], [-1, 1]]), np.array([1.0, 2.0, 3.0])) > 0.0
+    lonely = gaussians.spatial_consistency(np.array([[0, 0], [2, 0], [0, 2]]), np.array([1.0, 2.0, 3.0]))
+    assert np.isnan(lonely)
 
 
 def test_a_missing_map_or_missing_walls_give_a_reason() -> None:

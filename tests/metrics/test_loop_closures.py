@@ -1,5 +1,7 @@
 """Loop closures and corrections of a run with a known truth: two laps of a square of 10 m, one frame a metre."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -135,3 +137,18 @@ def test_corrected_poses_have_metrics_of_their_own_and_leave_those_of_the_answer
     }
     assert {alone[name].reason for name in slam_only} == {NO_FINAL}
     assert [metric.name for metric in metrics.METRICS if metric.counterpart and metric.headline] == []
+
+
+def test_reports_of_no_correction_are_corrections_all_the_same_and_a_truth_of_one_pose_is_none():
+    steps = run().steps.copy()
+    steps["corrected"] = 0
+    assert values(replace(run([closure(42, 2)]), steps=steps))["corrections"] == Score(0.0, FRAMES)
+    one = Truth("exact", Trajectory(STAMPS[:1], square().poses[:1]))
+    found = values(run([closure(42, 2)]), one)
+    for name in ("closures_wrong", "closure_recall_percent"):
+        assert found[name] == Score(None, 0, NO_TRUE_TRAJECTORY)
+    straight = Truth("exact", Trajectory(STAMPS, np.column_stack([np.arange(80.0), np.zeros((80, 2))])))
+    recall = values(run([closure(42, 2)]), straight)["closure_recall_percent"]
+    assert recall.reason == "the true path does not revisit a place"
+    partly = Truth("exact", Trajectory(STAMPS[:42], square().poses[:42]))
+    assert values(run([closure(42, 2), closure(41, 1)]), partly)["closures_wrong"].support == 1

@@ -134,3 +134,22 @@ def test_coverage_is_the_observed_share_of_the_observed_cells_of_the_true_map() 
     assert scores(coarse, true)["map_coverage_percent"].value == 100.0
     assert scores(true, None)["map_coverage_percent"].reason == "no ground-truth map"
     assert scores(None, true)["map_coverage_percent"].reason.startswith("no map: ")
+
+
+def test_true_maps_without_walls_or_observed_cells_are_reasons() -> None:
+    empty = grid(np.zeros((5, 5), np.bool_))
+    assert scores(grid(wall(20)), empty)["map_f1"] == Score(None, 0, "the ground-truth map has no wall")
+    unseen = OccupancyGrid(np.zeros((5, 5), np.float32), np.zeros((5, 5), np.bool_), 0.05, 0.0, 0.0)
+    reason = "the ground-truth map has no observed cell"
+    assert scores(grid(wall(20)), unseen)["map_coverage_percent"] == Score(None, 0, reason)
+    for name in ("map_f1", "map_recall", "map_iou_10cm", "map_com"):
+        assert scores(empty, grid(wall(20)))[name].value == 0.0
+
+
+def test_the_shared_cells_of_random_maps_with_other_origins_equal_those_of_sets() -> None:
+    rng = np.random.default_rng(5)
+    ours, theirs = rng.random((30, 40)) < 0.2, rng.random((25, 35)) < 0.2
+    mapped, true = grid(ours, 0.05, -0.75, 1.35), grid(theirs, 0.05, -0.5, 1.2)  # 5 columns and -3 rows apart
+    one = {(row, column) for row, column in np.argwhere(ours).tolist()}
+    other = {(row - 3, column + 5) for row, column in np.argwhere(theirs).tolist()}
+    assert scores(mapped, true)["map_iou"].value == pytest.approx(len(one & other) / len(one | other))

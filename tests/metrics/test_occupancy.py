@@ -97,3 +97,21 @@ def test_the_metric_table_contains_log_loss_and_wall_width_or_a_reason():
     assert coarse.reason == "the cells of the ground-truth map (0.2 m) are coarser than those of the map"
     lonely = scores(grid([[5.0, -5.0], [-5.0, -5.0]]), None)["wall_width_m"]
     assert lonely.reason == "no occupied cells lie along a line"
+
+
+def test_cells_half_as_large_are_placed_from_any_origin():
+    """The centre of each true cell lies in the map's cell by plain division, off all edges."""
+    states = np.random.default_rng(4).choice([-5.0, 0.0, 5.0], (9, 14))
+    true = grid(states, 0.05, x=-1.013, y=2.517)
+    mapped = grid(np.ones((6, 8)), 0.1, x=-0.93, y=2.41)
+    occupied, free = np.zeros((6, 8), bool), np.zeros((6, 8), bool)
+    for row, column in np.ndindex(states.shape):
+        y = math.floor((2.517 + (row + 0.5) * 0.05 - 2.41) / 0.1)
+        x = math.floor((-1.013 + (column + 0.5) * 0.05 + 0.93) / 0.1)
+        if 0 <= y < 6 and 0 <= x < 8:
+            occupied[y, x] |= states[row, column] > 0
+            free[y, x] |= states[row, column] < 0
+    assert occupied.any()
+    found = find_true_states(mapped, true)
+    assert found[0].tolist() == occupied.tolist()
+    assert found[1].tolist() == (free & ~occupied).tolist()

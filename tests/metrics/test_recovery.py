@@ -67,9 +67,9 @@ def test_a_map_of_another_place_does_not_move_a_frame():
     assert judge(poses, None, moved) is None
 
 
-def judge_by_relations(poses, begin_s, end_s, lost=LOST):
+def judge_by_relations(poses, begin_s, end_s, lost=LOST, still=False):
     """Relations that the truth gives between times in seconds; without a true trajectory."""
-    true = Trajectory(STAMPS, TRUE)
+    true = Trajectory(STAMPS, 0.0 * TRUE if still else TRUE)
     first, second = (np.asarray(each) * 1_000_000_000 for each in (begin_s, end_s))
     relations = Relations(first, second, se2.between(true.at(first), true.at(second)))
     steps = np.zeros(len(STAMPS), dtype=STEP)
@@ -90,6 +90,59 @@ def test_without_a_true_trajectory_relations_across_the_loss_tell_that_it_was_fo
     again = shifted(195, 320)
     again[400:, 1] += 3.0
     assert judge_by_relations(again, [*across[0], 38], [*across[1], 42]) == LOST
+
+
+def test_a_relation_counts_from_ten_seconds_before_the_loss_on():
+    assert judge_by_relations(shifted(195, 320), [10], [35]) == LostTrack(20.0, "planted", 35.0)
+    assert judge_by_relations(shifted(195, 320), [11], [35]) == LOST
+    assert judge_by_relations(TRUE, [0], [20]) == LOST  # ends with the loss
+    assert judge_by_relations(TRUE, [0], [21]) == LostTrack(20.0, "planted", 21.0)
+    assert judge_by_relations(TRUE, [32], [0]) == LostTrack(20.0, "planted", 32.0)  # in either order
+
+
+def test_a_loss_that_was_none_is_found_again_at_the_next_pose():
+    assert judge(TRUE) == LostTrack(20.0, "planted", 20.1)
+
+
+def test_a_metre_from_its_place_in_the_map_a_run_is_not_lost_yet():
+    near = MapStart(Pose(0.0, 1.0, 0.0), 1, 0.0, True, 0.9)
+    assert judge(TRUE, None, near) is None
+    assert judge(TRUE, LOST, near) == LOST  # and half a metre is right
+    earlier = shifted(100, 600, 3.0)
+    assert judge(earlier, LOST, MapStart(Pose(), 1, 0.0, True, 0.9)).at_s == pytest.approx(10.0)
+    assert judge(earlier, LostTrack(5.0, "planted"), MapStart(Pose(), 1, 0.0, True, 0.9)).at_s == 5.0
+
+
+@pytest.mark.parametrize(("degrees", "again_s"), [(9.9, 35.0), (-9.9, 35.0), (10.1, None)])
+def test_a_relation_of_a_robot_that_stands_is_right_within_ten_degrees(degrees, again_s):
+    turned = np.where(STAMPS[:, None] < 30 * 10**9, 0.0, [[0.0, 0.0, np.radians(degrees)]])
+    assert judge_by_relations(turned, [5], [35], still=True).recovered_at_s == again_s
+
+
+@pytest.mark.parametrize(
+    ("metres", "degrees", "again_s", "by_relation_s"),
+    [(1.7, 0.0, 50.0, 50.0), (1.9, 0.0, 52.3, None), (0.0, 9.9, 50.0, None), (0.0, 10.1, None, None)],
+)
+def test_a_pose_is_right_within_five_percent_of_the_path_and_ten_degrees(metres, degrees, again_s, by_relation_s):
+    """At 0.9 m/s, from 10 s before the loss at 20 s on: 36 m at 50 s, when the robot is right again, 38 m at 52.3 s.
+
+    The error of a relation is the mean of both orders: 9.9 deg over 36 m are 3.1 m.
+    """
+    true = np.column_stack([np.minimum(0.09 * np.arange(1200), 54.0), np.zeros((1200, 2))])
+    stamps, poses = np.arange(1200) * 100_000_000, true.copy()
+    poses[500:] += [0.0, metres, np.radians(degrees)]
+    known = Trajectory(stamps, true)
+    begin, end = np.array([10]) * 10**9, np.array([50]) * 10**9
+    relations = Relations(begin, end, se2.between(known.at(begin), known.at(end)))
+    for truth, expected in ((Truth("exact", known), again_s), (Truth("measured", relations=relations), by_relation_s)):
+        steps = np.zeros(len(stamps), dtype=STEP)
+        steps["stamp_ns"], (steps["x"], steps["y"], steps["theta"]) = stamps, poses.T
+        if truth.trajectory is not None:
+            steps["y"][150:500] += 50.0
+        run = RunResult(steps, len(steps))
+        found = add_recovery(Evidence(run, truth, match_trajectories(run.estimate, truth.trajectory)), LOST)
+        assert found is not None
+        assert found.recovered_at_s == (expected and pytest.approx(expected))
 
 
 def test_a_truth_at_other_times_says_nothing_about_the_loss():
