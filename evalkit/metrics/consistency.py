@@ -129,7 +129,7 @@ def find_enclosed_areas(grid: OccupancyGrid) -> Ints:
 
     free = grid.free()
     labels, count = ndimage.label(free)
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    sizes = np.bincount(labels.ravel())[1:]
     kept = sizes >= MIN_AREA_CELLS
     if count:
         kept[np.argmax(sizes)] = False

@@ -86,6 +86,25 @@ def test_a_doubled_wall_is_thicker() -> None:
     assert consistency.wall_thicknesses(twice)[0].mean() == pytest.approx(0.075, rel=0.01)
 
 
+def test_at_most_a_thousand_places_are_measured() -> None:
+    y = np.linspace(-1.0, 1.0, 1500)
+    scan = Scan(0, np.hypot(2.0, y), np.arctan2(y, 2.0), 0.0, 20.0), np.zeros(3)
+    found = scores(None, mapped=(scan,))
+    assert found["wall_share_percent"] == Score(100.0, 1000)
+    assert found["wall_thickness_m"].support == 1000
+    assert scores(None, mapped=(wall_scan(2.5),))["wall_share_percent"].support == 200
+
+
+@pytest.mark.parametrize(("share", "enough"), [(0.05, True), (0.049, False)])
+def test_a_thickness_needs_a_twentieth_of_the_hits_along_walls(monkeypatch, share: float, enough: bool) -> None:
+    values = np.linspace(0.0, 1.0, 101)
+    monkeypatch.setattr(consistency, "_compute_thicknesses", lambda _: (values, share))
+    found = scores(None, mapped=(wall_scan(2.5),))
+    expected = (pytest.approx(0.5), pytest.approx(0.95)) if enough else (None, None)
+    assert (found["wall_thickness_m"].value, found["wall_thickness_p95_m"].value) == expected
+    assert found["wall_thickness_m"].support == 101
+
+
 def test_scattered_hits_are_not_a_wall() -> None:
     rng = np.random.default_rng(0)
     scan = Scan(0, np.sqrt(rng.uniform(0.0, 25.0, 5000)), rng.uniform(-np.pi, np.pi, 5000), 0.0, 5.0)
@@ -163,6 +182,33 @@ def test_halves_without_common_area_have_no_violation_score() -> None:
     found = scores(grid(band(1)), nowhere, grid(band(1)), (wall_scan(2.5), wall_scan(2.5)))
     assert found["cleared_percent"].reason == "the two halves of the run observed almost no common places"
     assert found["split_distance_m"].reason == "the two halves of the run observed almost no common places"
+    both = scores(grid(band(1)), grid(band(1)), grid(band(1)), (wall_scan(2.5), wall_scan(15.0)))
+    assert both["cleared_percent"].support == 200  # only the first half lies in the map of the other
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+def test_both_halves_need_a_map(missing: int) -> None:
+    halves = [None if index == missing else grid(band(1)) for index in range(2)]
+    found = scores(grid(band(1)), *halves, mapped=(wall_scan(2.5), wall_scan(2.5)))
+    for name in ("cleared_percent", "split_distance_m"):
+        assert found[name] == Score(None, 0, "the two halves of the run have no maps")
+
+
+def test_only_observed_cells_of_the_other_map_below_minus_one_are_free_space() -> None:
+    """One hit in each of four cells: at the limit, below it, not observed, and outside the grid."""
+    log_odds = np.array([[-1.0, -1.01, -5.0]], np.float32)
+    other = OccupancyGrid(log_odds, np.array([[True, True, False]]), 1.0, 10.0, 20.0)
+    hits = np.array([[10.5, 20.5], [11.5, 20.5], [12.5, 20.5], [13.5, 20.5]])
+    assert consistency.cleared_share(hits, other) == (0.5, 2)
+    assert consistency.cleared_share(hits[2:], other) == (0.0, 0)
+
+
+def test_cells_are_looked_up_up_to_the_edges_of_the_grid() -> None:
+    """A grid of one cell from (10, 20) to (11, 21)."""
+    one = OccupancyGrid(np.array([[3.0]], np.float32), np.array([[True]]), 1.0, 10.0, 20.0)
+    points = np.array([[10.0, 20.0], [10.99, 20.99], [9.99, 20.5], [11.0, 20.5], [10.5, 19.99], [10.5, 21.0]])
+    assert consistency.look_up_cells(points, one)[1].tolist() == [True, True, False, False, False, False]
+    assert consistency.look_up_cells(points, one)[0][:2].tolist() == [3.0, 3.0]
 
 
 def test_halves_shifted_by_three_cells_are_fifteen_centimetres_apart() -> None:

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, RunResult
+from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.metrics import surfaces
-from evalkit.metrics.neighbourhoods import compute_neighbourhoods
+from evalkit.metrics.neighbourhoods import build_kd_tree, compute_neighbourhoods
 from evalkit.metrics.surfaces import WallPieces
 from evalkit.metrics.table import Evidence
 
@@ -113,3 +114,92 @@ def test_without_walls_in_two_directions_no_place_is_measured(count: int) -> Non
     variance, places = surfaces.orthogonal_variance(along_x(1.0, 0.0), parallel)
     assert np.isnan(variance)
     assert places == 0
+
+
+def test_forty_pieces_of_each_of_a_hundred_scans_are_examined() -> None:
+    wall = make_scan(along_x(2.0, 3.0, 0.0), (1.0, 0.0))
+    found = surfaces.find_wall_pieces((wall,) * 101)
+    assert len(found) == 100 * 40
+    assert len(surfaces.find_wall_pieces((wall,) * 3)) == 3 * 40
+    np.testing.assert_allclose(found.sensors, np.tile([1.0, 0.0], (4000, 1)))
+    np.testing.assert_allclose(found.middles[:, 1], 3.0)
+    np.testing.assert_allclose(np.sin(found.direction), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("away", "height", "valley", "found_m"),
+    [(9, 0.9, 0.1, None), (10, 0.9, 0.1, 0.1), (50, 0.9, 0.1, 0.5), (51, 0.9, 0.1, None), (20, 0.26, 0.1, 0.2),
+     (20, 0.24, 0.1, None), (20, 0.8, 0.4, 0.2), (20, 0.8, 0.41, None), (-30, 0.9, 0.1, 0.3)],
+)  # fmt: skip
+def test_a_second_copy_is_10_to_50_cm_away_a_quarter_as_high_and_apart_by_a_valley_of_half(
+    away, height, valley, found_m
+) -> None:
+    """Bins of 1 cm; the highest peak has the density 1."""
+    density = np.zeros(121)
+    low, high = sorted((60, 60 + away))
+    density[low : high + 1] = valley
+    density[60], density[60 + away] = 1.0, height
+    found = surfaces._find_second_mode(density)
+    assert found == pytest.approx(found_m) if found_m else np.isnan(found)
+
+
+def test_of_two_copies_the_higher_separate_one_counts_and_a_single_peak_has_none() -> None:
+    density = np.zeros(121)
+    density[[60, 75, 90]] = 1.0, 0.4, 0.6
+    assert surfaces._find_second_mode(density) == pytest.approx(0.3)
+    density[[75, 90]] = 0.0
+    assert np.isnan(surfaces._find_second_mode(density))
+
+
+def test_profiles_across_walls_are_those_of_a_plain_count() -> None:
+    """Hits within 25 cm along each wall, seen from its own side, by the distance across towards the sensor in cm."""
+    rng = np.random.default_rng(6)
+    hits, sensors = rng.uniform(-1.0, 1.0, (3000, 2)), rng.uniform(-4.0, 4.0, (3000, 2))
+    middles, directions = rng.uniform(-0.5, 0.5, (70, 2)), rng.uniform(0.0, np.pi, 70)
+    own = rng.uniform(-4.0, 4.0, (70, 2))
+    own[0] = middles[0]  # on the wall: its left side counts
+    normals, expected = np.zeros((70, 2)), np.zeros((70, 121))
+    for row in range(70):
+        along = np.array([np.cos(directions[row]), np.sin(directions[row])])
+        normals[row] = [-along[1], along[0]]
+        normals[row] *= -1.0 if (own[row] - middles[row]) @ normals[row] < 0.0 else 1.0
+        for hit, sensor in zip(hits - middles[row], sensors - middles[row], strict=True):
+            at = round(float(hit @ normals[row]) * 100.0) + 60
+            if abs(hit @ along) <= 0.25 and sensor @ normals[row] > 0.0 and 0 <= at <= 120:
+                expected[row, at] += 1
+    tree = build_kd_tree(hits)
+    assert expected.sum() > 5000
+    counts = surfaces._count_across(hits, sensors, tree, middles, normals)
+    assert counts[:, 1:-1].tolist() == expected[:, 1:-1].tolist()  # the outermost bins are cut by a circle
+    profiles = surfaces._compute_profiles(hits, sensors, WallPieces(middles, directions, own))
+    smooth = ndimage.gaussian_filter1d(counts, 2.0, axis=1, mode="constant")
+    np.testing.assert_allclose(profiles, smooth, atol=1e-12)
+
+
+@pytest.mark.parametrize(("count", "enough"), [(20, True), (19, False)])
+def test_twenty_places_and_stretches_of_wall_are_enough(monkeypatch, count: int, enough: bool) -> None:
+    copies = np.where(np.arange(count) < 5, 0.2, np.nan)
+    monkeypatch.setattr(surfaces, "_find_copies", lambda _: copies)
+    monkeypatch.setattr(surfaces, "mean_variance", lambda *_: (0.0004, count))
+    monkeypatch.setattr(surfaces, "orthogonal_variance", lambda *_: (0.0009, count))
+    found = scores((make_scan(along_x(1.0, 3.0)),))
+    assert found["mpv_cm2"].value == (pytest.approx(4.0) if enough else None)
+    assert found["mom_cm2"].value == (pytest.approx(9.0) if enough else None)
+    assert found["ghost_wall_percent"].value == (25.0 if enough else None)
+    assert found["ghost_wall_m"] == Score(0.2, 5) if enough else found["ghost_wall_m"].value is None
+    assert {found[name].support for name in ("mpv_cm2", "mom_cm2", "ghost_wall_percent")} == {count}
+
+
+def test_pieces_represent_a_stretch_of_25_cm_along_50_cm_across_and_10_degrees() -> None:
+    """The first piece stands for those near it; each beyond one of the limits stands for itself."""
+    level = [[0.0, 0.0], [0.24, 0.0], [0.26, 0.0], [0.0, 0.49], [-0.24, -0.49], [0.0, 0.6]]
+    pieces = WallPieces(np.array(level), np.zeros(6), np.zeros((6, 2)))
+    assert surfaces._choose_spaced(pieces).tolist() == [0, 2, 5]
+    turned = WallPieces(np.zeros((4, 2)), np.radians([0.0, 9.9, 10.1, 170.1]), np.zeros((4, 2)))
+    assert surfaces._choose_spaced(turned).tolist() == [0, 2]
+
+
+@pytest.mark.parametrize(("degrees", "members"), [(9.9, 2), (10.1, 1)])
+def test_a_family_of_walls_is_within_ten_degrees_of_its_direction(degrees: float, members: int) -> None:
+    directions = np.radians([180.0 - degrees, degrees, 90.0 - degrees, 90.0 + degrees])
+    assert [len(family) for family in surfaces.find_orthogonal_families(directions)] == [members, members]

@@ -10,6 +10,7 @@ from evalkit.core.run_result import STEP, LostTrack, RunResult
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.core.world import World, closed_outline
+from evalkit.metrics import track
 from evalkit.metrics.table import Evidence
 from evalkit.metrics.track import _find_jumps, _fit, find_lost_track
 
@@ -193,3 +194,139 @@ def test_the_longer_step_after_missing_scans_is_no_jump_and_one_as_long_without_
 def test_no_points_fit_nowhere():
     some, none, same = np.zeros((3, 2)), np.zeros((0, 2)), np.zeros(3)
     assert [_fit(*pair, same) for pair in ((some, some), (some, none), (none, some), (none, none))] == [1.0, 0, 0, 0]
+
+
+def tracks(reference, estimate, period_ns=100_000_000):
+    return track._Tracks(np.arange(len(reference)) * period_ns, np.asarray(estimate), np.asarray(reference))
+
+
+@pytest.mark.parametrize(
+    ("path_m", "off_m", "off_deg", "wrong"),
+    [(0.0, 0.99, 0.0, False), (0.0, 1.0, 0.0, False), (0.0, 1.01, 0.0, True), (4.0, 1.99, 0.0, False),
+     (4.0, 2.01, 0.0, True), (4.0, 0.0, 44.0, False), (4.0, 0.0, -46.0, True)],
+)  # fmt: skip
+def test_a_motion_is_wrong_beyond_a_metre_and_half_of_the_path_or_beyond_45_degrees(path_m, off_m, off_deg, wrong):
+    true = np.array([[0.0, 0.0, 0.0], [path_m, 0.0, 0.0]])
+    found = tracks(true, np.add(true, [[0.0, 0.0, 0.0], [0.0, off_m, np.radians(off_deg)]]))
+    assert found.are_wrong(np.array([0]), np.array([1])).tolist() == [wrong]
+
+
+@pytest.mark.parametrize(("off_deg", "wrong"), [(89.0, False), (91.0, True)])
+def test_after_turns_of_180_degrees_to_and_fro_a_motion_is_wrong_beyond_90(off_deg, wrong):
+    true = np.column_stack([np.zeros((7, 2)), np.radians([0.0, 30.0, 0.0, 30.0, 0.0, 30.0, 0.0])])
+    estimate = true.copy()
+    estimate[-1, 2] += np.radians(off_deg)
+    assert tracks(true, estimate).are_wrong(np.array([0]), np.array([6])).tolist() == [wrong]
+
+
+@pytest.mark.parametrize(
+    ("usual", "longest", "column", "jumps"),
+    [(0.0, 0.49, 0, False), (0.0, 0.51, 0, True), (0.11, 0.54, 0, False), (0.11, 0.56, 0, True),
+     (0.0, np.radians(29.0), 2, False), (0.0, np.radians(31.0), 2, True), (0.2, 0.99, 2, False), (0.2, 1.01, 2, True)],
+)  # fmt: skip
+def test_a_jump_is_longer_than_half_a_metre_or_30_degrees_and_five_times_as_fast_as_usual(
+    usual, longest, column, jumps
+):
+    steps = np.zeros((60, 3))
+    steps[:, column], steps[40, column] = usual, longest
+    found = _find_jumps(steps, np.arange(61) * 100_000_000)
+    assert np.flatnonzero(found).tolist() == [40] * jumps
+
+
+def test_the_usual_speed_is_that_of_95_percent_of_the_steps():
+    steps = np.zeros((100, 3))
+    steps[:5, 0], steps[5:, 0] = 0.6, 0.05  # 5 %: the 95th percentile is 0.05 + 0.05 (0.6 - 0.05) = 0.0775 m
+    assert _find_jumps(steps, np.arange(101) * 100_000_000).sum() == 5
+    steps[5, 0] = 0.6
+    assert not _find_jumps(steps, np.arange(101) * 100_000_000).any()
+
+
+@pytest.mark.parametrize(("off_m", "windows"), [(2.4, []), (2.6, [(0, 10)])])
+def test_from_ten_metres_on_the_error_since_the_start_is_limited_to_a_quarter_of_the_path(off_m, windows):
+    true = np.column_stack([np.arange(21.0), np.zeros((21, 2))])
+    estimate = np.where(true[:, :1] > 3.0, np.add(true, [0.0, off_m, 0.0]), true)
+    assert list(track._find_long_windows(tracks(true, estimate))) == windows
+
+
+@pytest.mark.parametrize(
+    ("step_m", "drift_m", "jump_m", "lost"),
+    [(0.01, 0.0099, 0.0, False), (0.01, 0.0101, 0.0, True), (0.1, 0.043, 0.13, False), (0.1, 0.043, 0.15, True)],
+)
+def test_a_window_ends_after_ten_seconds_or_two_metres(step_m, drift_m, jump_m, lost):
+    """At 10 Hz. Slowly, 100 steps of a window drift to 1 m. Else 20 steps drift 0.86 m: more within the limit of half
+    of the path, 1 m; with 30 steps and 1.5 m it would not."""
+    steps = np.tile([step_m, 0.0, 0.0], (250, 1))
+    wrong = np.add(steps, [0.0, drift_m, 0.0])
+    wrong[100, 1] += jump_m
+    assert (next(track._find_windows(tracks(drive(steps), drive(wrong))), None) is not None) == lost
+
+
+@pytest.mark.parametrize(
+    ("seconds", "step_m", "off_m", "off_deg", "wrong"),
+    [(10, 0.0, 0.99, 0.0, False), (10, 0.0, 1.01, 0.0, True), (10, 0.0, 0.0, 44.0, False), (10, 0.0, 0.0, 46.0, True),
+     (11, 0.0, 2.4, 0.0, False), (11, 0.0, 2.6, 0.0, True), (11, 0.0, 0.0, 170.0, False), (20, 1.0, 4.9, 0.0, False),
+     (20, 1.0, 5.1, 0.0, True)],
+)  # fmt: skip
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_relation_is_wrong_by_the_limits_of_a_window_or_over_ten_seconds_by_its_path(
+    seconds, step_m, off_m, off_deg, wrong, order
+):
+    estimate = Trajectory(np.arange(31) * 10**9, np.column_stack([step_m * np.arange(31.0), np.zeros((31, 2))]))
+    ends = np.array([3, 3 + seconds])[::order] * 10**9
+    own = se2.between(*estimate.at(ends))
+    measured = se2.compose(own, [0.0, off_m, np.radians(off_deg)])
+    relations = Relations(ends[:1], ends[1:], measured[None])
+    found = track._find_wrong_relations(estimate, relations)
+    assert [(one.first_ns, one.last_ns, one.lost.at_s) for one in found] == [(*ends.tolist(), 3.0 + seconds)] * wrong
+
+
+@pytest.mark.parametrize(
+    ("own", "reference", "lost"),
+    [(0.29, 0.0, True), (0.31, 0.1, False), (0.55, 0.5, True), (0.65, 0.5, False), (0.0, 0.0, True)],
+)
+def test_a_difference_counts_unless_the_scans_fit_the_estimate_better_by_a_tenth_and_at_least_by_0_3(
+    monkeypatch, own, reference, lost
+):
+    one = track._Difference(0, 1, np.zeros(3), np.zeros(3), LostTrack(1.0, "planted"))
+    monkeypatch.setattr(track, "_measure_fits", lambda *_: iter([(one, own, reference)]))
+    assert track._find_supported([one], lambda: ()) == [one.lost] * lost
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "lost"),
+    [(0.0, 0.29, False), (0.0, 0.31, True), (0.5, 0.59, False), (0.5, 0.61, True), (0.9, 0.5, False)],
+)
+def test_a_long_step_counts_where_the_scans_fit_the_motion_before_better_by_a_tenth_and_at_least_by_0_3(
+    monkeypatch, own, other, lost
+):
+    poses = with_jump(walk(), 70)
+    monkeypatch.setattr(track, "_measure_fits", lambda judged, _: ((one, own, other) for one in judged))
+    estimate = Trajectory(np.arange(len(poses)) * 100_000_000, poses)
+    found = track._find_contradicted_by_scans(estimate, None, lambda: ())
+    assert [one.at_s for one in found] == [pytest.approx(7.0)] * lost
+
+
+@pytest.mark.parametrize("first", [False, True])
+def test_a_jump_is_replaced_by_the_speed_before_it_and_in_the_first_step_by_none(first):
+    """From (1, 2) at 0.5 rad: 0.1 m in 0.1 s, and a jump of 3 m in 0.3 s becomes one of 0.3 m."""
+    steps, seconds = np.tile([0.1, 0.0, 0.0], (9, 1)), np.full(9, 0.1)
+    steps[0 if first else 5] = [3.0, 1.0, 0.7]
+    seconds[0 if first else 5] = 0.3
+    stamps = np.concatenate([[0], np.cumsum(np.round(seconds * 1e9))]).astype(np.int64)
+    found = track._without_jumps(Trajectory(stamps, drive(steps, (1.0, 2.0, 0.5))))
+    smooth = np.tile([0.1, 0.0, 0.0], (9, 1))
+    smooth[0 if first else 5] = [0.0 if first else 0.3, 0.0, 0.0]
+    assert found.stamps_ns.tolist() == stamps.tolist()
+    np.testing.assert_allclose(found.poses, drive(smooth, (1.0, 2.0, 0.5)), atol=1e-9)
+
+
+@pytest.mark.parametrize(("off_m", "share"), [(0.149, 1.0), (0.151, 0.0)])
+def test_points_fit_within_15_cm(off_m, share):
+    points = np.array([[1.0, 0.0], [3.0, 1.0]])
+    assert _fit(points, points, np.array([off_m, 0.0, 0.0])) == share
+
+
+def test_a_run_of_two_scans_may_be_lost():
+    true = np.zeros((2, 3))
+    lost = judge("truth", true, np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
+    assert lost.at_s == pytest.approx(0.1)
