@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from evalkit.core.pose import Pose
-from evalkit.odometry.correlative import PEAK_M, ScoreGrid, Window, branch_and_bound, windows_around
+from evalkit.odometry.correlative import (
+    MAX_CELLS,
+    PEAK_M,
+    PEAK_RAD,
+    ScoreGrid,
+    Window,
+    branch_and_bound,
+    other_headings,
+    windows_around,
+)
 
 WALLS = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 2.0], [4.0, 2.0], [4.0, 4.5], [0.0, 4.5]])
 
@@ -174,11 +183,74 @@ def test_the_score_interpolates_towards_the_right_neighbour_on_every_side():
         assert grid.score(0.05 + aside * signs) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("best", [Pose(0.3, -0.2, 0.0), Pose(1.9, 0.9, 0.0), Pose(-2.4, 0.0, 0.0)])
+@pytest.mark.parametrize("best", [Pose(0.3, -0.2, 0.0), Pose(1.9, 0.9, 0.0), Pose(-2.4, 0.0, 0.0), Pose(3.4, 0.0)])
 def test_the_windows_around_a_motion_cover_the_others_once(best):
-    window = Window(Pose(0.5, -0.5, 0.25), 3.0, 2.0, 0.2)
+    window = Window(Pose(0.5, -0.5, 0.25), 3.0, 1.7, 0.2)
     parts = windows_around(window, best)
     assert {(part.centre.theta, part.theta_rad) for part in parts} == {(0.25, 0.2)}
-    for x, y in np.random.default_rng(0).uniform([-2.5, -2.5], [3.5, 1.5], (500, 2)):
+    for x, y in np.random.default_rng(0).uniform([-2.5, -2.2], [3.5, 1.2], (500, 2)):
         covering = sum(abs(x - part.centre.x) < part.x_m and abs(y - part.centre.y) < part.y_m for part in parts)
         assert covering == (abs(x - best.x) > PEAK_M or abs(y - best.y) > PEAK_M)
+
+
+def test_a_grid_has_at_most_four_thousand_cells_a_side():
+    """Cells of 1 m and 0.1 m of scatter: two cells beside the points, another for the level, and one to be beyond."""
+    square = np.array([[0.5, 0.5], [4089.5, 4089.5]])
+    assert ScoreGrid.from_points(square, 1.0, 0.1, 0).levels[0].size == MAX_CELLS == 4096**2
+    with pytest.raises(ValueError, match="points: they spread over 4097 m by 4096 m"):
+        ScoreGrid.from_points(np.add(square, [[0.0, 0.0], [1.0, 0.0]]), 1.0, 0.1, 0)
+
+
+@pytest.mark.parametrize("depth", [0, 2, 3])
+@pytest.mark.parametrize("cell_m", [0.25, 0.5])
+def test_points_anywhere_on_the_plane_are_scored_by_their_distance_and_bounded_by_the_maxima(depth, cell_m):
+    """One point at the centre of its cell; levels are maxima over squares from each cell upwards."""
+    at = np.array([-7.0, 30.0]) + 0.5 * cell_m
+    grid = ScoreGrid.from_points(at[None], cell_m, cell_m, depth)
+    assert len(grid.levels) == depth + 1
+    for across, up in ((0, 0), (1, 0), (0, -2), (2, 2), (-3, 0), (3, 1), (0, 4)):
+        squared = across**2 + up**2
+        expected = round(255 * math.exp(-0.5 * squared)) / 255 if squared <= 9 else 0.0
+        assert grid.score(at + cell_m * np.array([across, up])) == pytest.approx(expected)
+    assert grid.score(np.array([[1e4, 0.0], [-1e4, 0.0], [0.0, 1e4], [0.0, -1e4]])).tolist() == [0.0] * 4
+    for level, found in enumerate(grid.levels):
+        height, width = found.shape
+        for row, column in np.argwhere(found).tolist():
+            square = grid.levels[0][row : row + 2**level, column : column + 2**level]
+            assert found[row, column] == square.max()
+        assert np.count_nonzero(found[:, [0, -1]]) == np.count_nonzero(found[[0, -1]]) == 0
+        assert (height, width) == grid.levels[0].shape
+
+
+def test_other_headings_are_those_more_than_twenty_degrees_away():
+    window = other_headings(Pose(1.0, 2.0, 0.5))
+    assert (window.x_m, window.y_m, window.theta_rad) == (0.5, 0.5, math.pi - math.radians(20.0))
+    assert (0.5, math.radians(20.0)) == (PEAK_M, PEAK_RAD)
+    assert (window.centre.x, window.centre.y) == (1.0, 2.0)
+    assert abs((window.centre.inverse() @ Pose(1.0, 2.0, 0.5)).theta) == pytest.approx(math.pi)
+
+
+@pytest.mark.parametrize(
+    ("step_rad", "reach_m", "step"),
+    [(0.0, 10.0, 2.0 * math.asin(0.005)), (0.0, 0.01, 2.0 * math.asin(0.5)), (0.2, 10.0, 0.2)],
+)
+def test_the_step_of_the_angles_moves_the_farthest_point_by_a_cell(step_rad, reach_m, step):
+    """Cells of 10 cm: the chord of a step at the range of the farthest point, at least a cell away."""
+    angles = Window(Pose(), 0.0, 0.0, 1.5, step_rad).angles(0.1, reach_m)
+    assert np.diff(angles) == pytest.approx(step)
+    assert (angles.min(), angles.max()) == pytest.approx(
+        (-math.floor(1.5 / step) * step, math.floor(1.5 / step) * step)
+    )
+    around = Window(Pose(), 0.0, 0.0, math.pi, step_rad).angles(0.1, reach_m)
+    count = math.ceil(2.0 * math.pi / step)
+    assert len(around) == count
+    assert np.diff(around) == pytest.approx(2.0 * math.pi / count)
+    assert 0.0 in around
+
+
+@pytest.mark.parametrize("name", ["x_m", "y_m", "theta_rad", "step_rad"])
+def test_extents_of_a_window_are_not_negative(name):
+    extents = {"x_m": 0.0, "y_m": 0.0, "theta_rad": 0.0, "step_rad": 0.0}
+    assert Window(Pose(), **extents).x_m == 0.0
+    with pytest.raises(ValueError, match="expected extents that are not negative"):
+        Window(Pose(), **{**extents, name: -1e-9})

@@ -304,6 +304,45 @@ def test_a_scan_may_be_reduced_to_voxel_means(voxel_m):
     assert len(registration.targets[0]) == len(np.unique(np.floor(LANDMARKS / voxel_m), axis=0)) < len(LANDMARKS)
 
 
+# limits and defaults
+
+DEFAULTS = {
+    "prior": "odometry", "scan_to_scan": True, "scan_to_scan_with_odometry": True, "scan_to_map": True, "deskew": True,
+    "local_radius_m": 0.0, "source_voxel_m": 0.0, "local_map": "keyframes", "keyframes": 10, "keyframe_distance_m": 0.5,
+    "keyframe_angle_deg": 20.0, "local_map_voxel_m": 0.0, "local_map_radius_m": 15.0, "local_map_cell_m": 0.05,
+    "local_map_probability": 0.5, "min_inliers": 10,
+}  # fmt: skip
+
+
+def test_every_parameter_of_the_front_end_has_its_default():
+    assert {p.name: p.default for p in frontend.PARAMETERS} == DEFAULTS
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "below", "most", "beyond"),
+    [("local_radius_m", 0.0, -0.1, 1e9, None), ("source_voxel_m", 0.0, -0.1, 1e9, None), ("keyframes", 1, 0, 999, None),
+     ("keyframe_distance_m", 0.0, -0.1, 1e9, None), ("keyframe_angle_deg", 0.0, -0.1, 1e9, None),
+     ("local_map_voxel_m", 0.0, -0.1, 1e9, None), ("local_map_radius_m", 1.0, 0.9, 1e9, None),
+     ("local_map_cell_m", 0.005, 0.004, 10.0, 10.1), ("local_map_probability", 0.0, -0.1, 1.0, 1.1),
+     ("min_inliers", 0, -1, 999, None)],
+)  # fmt: skip
+def test_every_number_of_the_front_end_is_refused_beyond_its_limits(name, least, below, most, beyond):
+    plain = spec(RegistrationByIndex)
+    assert [complete_parameters("test", plain, {name: value})[name] for value in (least, most)] == [least, most]
+    for value in (below, beyond):
+        if value is not None:
+            with pytest.raises(BadParameter, match=name):
+                complete_parameters("test", plain, {name: value})
+
+
+@pytest.mark.parametrize("moved", [Pose(0.5), Pose(0.0, -0.5), Pose(0.0, 0.0, math.radians(20.0))])
+def test_a_keyframe_is_added_at_exactly_half_a_metre_or_twenty_degrees(moved):
+    registration = RegistrationByIndex(inliers=0)  # not accepted: the poses of the odometry are kept
+    method = build_odometry(registration, scan_to_scan=False)
+    run_poses(method, [frame(pose, i, odom=pose) for i, pose in enumerate((Pose(), moved, moved))])
+    assert [len(target) // len(LANDMARKS) for target in registration.targets] == [1, 2]
+
+
 # parameters
 
 GAIN, BIAS = Parameter("gain", 1.0, "", "how much", low=0.0), Parameter("bias", 0, "", "how far")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from evalkit.core.errors import BadParameter
 from evalkit.core.pose import Pose
 from evalkit.odometry.local_map import GridMap, KeyframeMap, VoxelMap, voxel_means
 from evalkit.plugins import registry
@@ -153,3 +154,27 @@ def test_only_cells_within_the_radius_are_matched_against():
 def test_a_scan_without_a_hit_is_a_keyframe_without_points(local_map):
     local_map.add(np.empty((0, 2)), Pose())
     assert len(local_map.cloud(Pose())) == 0
+
+
+def test_the_cells_around_the_robot_are_matched_wherever_it_is():
+    local_map = GridMap(registry.mapper("log-odds").make(resolution_m=0.5), 0.5, 3.0)
+    local_map.add(np.array([[2.1, 0.1], [8.1, 4.1], [8.1, 8.1]]), *AT_REST)
+    assert sort_points(local_map.cloud(Pose(7.0, 3.0, 1.0)).points) == [[8.25, 4.25]]
+
+
+def test_a_voxel_of_a_persistent_map_takes_twenty_points():
+    lasting = VoxelMap(1.0, 10.0)
+    for x in (*np.full(19, 0.2), 0.4, 0.9):
+        lasting.add(np.array([[x, 0.5]]), Pose())
+    np.testing.assert_allclose(lasting.cloud(Pose()).points, [[0.21, 0.5]])  # (19 0.2 + 0.4) / 20
+
+
+@pytest.mark.parametrize("voxel_m", [0.0, -1.0])
+def test_a_persistent_map_without_voxels_is_refused(voxel_m):
+    with pytest.raises(BadParameter, match="local_map_voxel_m"):
+        VoxelMap(voxel_m, 10.0)
+
+
+def test_cells_far_apart_in_both_directions_are_different():
+    points = np.array([[x, y] for x in (-40000.5, 0.5, 40000.5) for y in (-40000.5, 0.5, 40000.5)])
+    np.testing.assert_allclose(voxel_means(points, 1.0), points)

@@ -1,6 +1,7 @@
 """Tracking in a known map: poses in the map are those of the simulation, a place that repeats is refused."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.io.map_server import read_rotated_map, write_map
 from evalkit.odometry import map_localisation
 from evalkit.odometry.frontend import complete_parameters
-from evalkit.odometry.known_map import Place, WallsAround
+from evalkit.odometry.known_map import SEARCH_POINTS, MapSearch, Place, WallsAround, thin_evenly
 from evalkit.odometry.map_localisation import MapTracker, PlaceSearch, find_start, localise
 from evalkit.odometry.run_odometry import estimate_poses
 from evalkit.plugins import registry
@@ -238,3 +239,92 @@ def test_the_walls_around_a_robot_stay_until_it_has_moved_by_a_tenth_of_the_radi
     assert near.points.tolist() == [[5.0, 0.9]]
     assert walls.cloud(Pose(5.06, 0.06)) is near
     assert walls.cloud(Pose(5.0, 0.11)).points.tolist() == [[5.0, 0.9], [5.0, 1.1]]
+
+
+def test_the_walls_around_a_robot_are_taken_again_after_a_tenth_of_any_radius():
+    walls = WallsAround(KnownMap(np.array([[5.0, 0.0]]), 0.05, "a cell"), Pose(1.0, 2.0, 0.0), radius_m=3.0)
+    near = walls.cloud(Pose())
+    assert walls.cloud(Pose(0.0, 0.29)) is near
+    assert walls.cloud(Pose(0.31, 0.0)) is not near
+    assert walls.cloud(Pose(1.01, -2.0)).points.tolist() == [[4.0, -2.0]]  # 2.99 m away
+    assert len(walls.cloud(Pose(0.7, -2.0))) == 0  # 3.3 m
+
+
+@pytest.mark.parametrize(("cells", "kept"), [(1, 1), (299, 299), (300, 300), (301, 151), (601, 201)])
+def test_at_most_three_hundred_points_are_searched_evenly_chosen(cells, kept):
+    points = np.column_stack([0.05 + 0.1 * np.arange(cells), np.full(cells, 0.05)])
+    found = thin_evenly(points)
+    assert (len(found), SEARCH_POINTS) == (kept, 300)
+    np.testing.assert_allclose(np.diff(found[:, 0]), 0.1 * math.ceil(cells / 300))
+
+
+@pytest.mark.parametrize(
+    ("off", "found"),
+    [(Pose(0.45, 0.0), True), (Pose(0.0, -0.45), True), (Pose(0.0, 0.0, math.radians(14.0)), True),
+     (Pose(0.9, 0.0), False), (Pose(0.0, 0.9), False), (Pose(0.0, 0.0, math.radians(-21.0)), False)],
+)  # fmt: skip
+def test_a_given_start_is_corrected_within_half_a_metre_and_15_degrees(floor, off, found):
+    points = measure(PATH[3], 0).points_in_base(None)
+    place = MapSearch(read_walls(floor)).correct_place(points, PATH[3] @ off)
+    assert (place is not None and distance(place.map_from_base, PATH[3]) < 0.04) == found
+
+
+def test_a_place_is_found_to_a_hundredth_of_a_metre_and_a_quarter_of_a_degree(floor):
+    """The search in cells of 10 cm alone would be off by up to 5 cm."""
+    search = MapSearch(read_walls(floor))
+    for pose in PATH[::3]:
+        place = search.correct_place(measure(pose, 0).points_in_base(None), pose @ Pose(0.17, -0.13, 0.06))
+        assert place is not None
+        left = pose.inverse() @ place.map_from_base
+        assert math.hypot(left.x, left.y) < 0.025
+        assert abs(left.theta) < math.radians(0.3)
+
+
+def joined(odometry):
+    """Return the x of the scans that are searched together after positions of the wheels."""
+    search = PlaceSearch(SimpleNamespace())
+    for x in odometry:
+        search._join(np.zeros((1, 2)), Pose(x))
+    return [pose.x for _, pose in search._scans]
+
+
+def test_scans_ten_centimetres_apart_on_the_last_five_metres_are_joined_sixty_at_most():
+    assert joined([0.0, 0.09, 0.2, 0.29]) == [0.09, 0.29]  # of scans nearer than 10 cm the newer ones
+    assert joined([0.0, 2.0, 4.9]) == [0.0, 2.0, 4.9]
+    assert joined([0.0, 2.0, 5.1]) == [2.0, 5.1]
+    circle = [0.15 * (k % 2) for k in range(70)]
+    assert len(joined(circle)) == 60
+
+
+@pytest.mark.parametrize(("count", "searched"), [(10, 1), (9, 0)])
+def test_a_scan_of_ten_points_is_searched(count, searched):
+    search = PlaceSearch(SimpleNamespace(find_place=lambda _: None))
+    angles = np.linspace(0.0, 3.0, count)
+    frame = Frame(Scan(0, np.full(count, 5.0), angles, 0.05, 20.0), odom_from_base=Pose())
+    assert search.feed(frame) is None
+    assert search.trials == searched
+
+
+@pytest.mark.parametrize(
+    ("due", "says"), [(True, "after 40 searches in 40 scans"), (False, "after 0 searches in 2000")]
+)
+def test_a_start_is_given_up_after_40_searches_or_2000_scans(floor, monkeypatch, due, says):
+    monkeypatch.setattr(map_localisation.MapSearch, "find_place", lambda *_: None)
+    monkeypatch.setattr(PlaceSearch, "_is_due", lambda *_: due)
+    ring = Scan(0, np.full(12, 5.0), np.linspace(0.0, 3.0, 12), 0.05, 20.0)
+    frames = (Frame(replace(ring, stamp_ns=k), odom_from_base=Pose(0.2 * (k % 2))) for k in range(2100))
+    with pytest.raises(NotLocalised, match=says):
+        find_start(read_walls(floor), frames)
+
+
+@pytest.mark.parametrize(("score", "lost"), [(0.55, False), (0.53, True)])
+def test_a_track_is_lost_after_ten_scans_that_fit_by_less_than_sixty_percent_of_the_start(monkeypatch, score, lost):
+    """The start fits by 0.9: 0.54 is the limit."""
+    there = Place(Pose(5.0, 5.0, 1.0), 0.9, 0.0)
+    monkeypatch.setattr(map_localisation, "PlaceSearch", lambda _: SimpleNamespace(feed=lambda _frame: there))
+    standing = SimpleNamespace(update=lambda _frame: OdometryEstimate(Pose()))
+    tracker = MapTracker(
+        lambda _pose: standing, SimpleNamespace(score=lambda _points: score), MapStart(Pose(), 1, 0.0, True, 0.9)
+    )
+    poses = [tracker.update(measure(Pose(), index)).pose for index in range(10)]
+    assert poses == [Pose()] * 9 + [there.map_from_base if lost else Pose()]
