@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+import re
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
@@ -97,6 +98,15 @@ class _Imports(NamedTuple):
     on_first_use: Mapping[str, str] = {}
 
 
+TYPE_CHECKER_BLOCK = re.compile(
+    rb"^([ \t]*)if (?:typing\.)?TYPE_CHECKING:[^\n]*\n(?:\1[ \t]+[^\n]*\n|[ \t]*\n)*", re.MULTILINE
+)
+IMPORT = re.compile(
+    rb"^[ \t]*(import[ \t][^\n]+|from[ \t]+[\w.]+[ \t]+import[ \t]*(?:\([^)]*\)|[^\n(]+))", re.MULTILINE
+)
+IMPORT_INSIDE_A_LINE = re.compile(rb"^[^#\n]*[:;][ \t]*(?:import[ \t]|from[ \t]+[\w.]+[ \t]+import\b)", re.MULTILINE)
+
+
 @cache
 def _imported(name: str, file: Path) -> _Imports:
     if file.suffix != ".py":
@@ -104,7 +114,7 @@ def _imported(name: str, file: Path) -> _Imports:
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
     names: list[str] = []
     on_first_use: dict[str, str] = {}
-    for node, runs in _statements(ast.parse(file.read_bytes()).body, True):
+    for node, runs in _find_imports(file.read_bytes()):
         if isinstance(node, ast.Import) and runs:
             names += [text for alias in node.names for text in (alias.name, f"{alias.name}.*")]
         elif isinstance(node, ast.ImportFrom):
@@ -115,6 +125,22 @@ def _imported(name: str, file: Path) -> _Imports:
             else:
                 on_first_use |= {f"{name}.{alias.asname or alias.name}": base for alias in node.names}
     return _Imports(tuple(names), on_first_use)
+
+
+def _find_imports(source: bytes) -> list[tuple[ast.AST, bool]]:
+    """Return the import statements of a source, with whether they run.
+
+    Only the lines of imports are parsed, a tenth of the time of a whole source; the whole source where imports stand in
+    unusual places. Lines of a text that look like an import are taken for one: more sources, never fewer.
+    """
+    if not IMPORT_INSIDE_A_LINE.search(source):
+        blocks = b"".join(match[0] for match in TYPE_CHECKER_BLOCK.finditer(source))
+        parts = (TYPE_CHECKER_BLOCK.sub(b"", source), True), (blocks, False)
+        try:
+            return [(node, runs) for part, runs in parts for node in ast.parse(b"\n".join(IMPORT.findall(part))).body]
+        except SyntaxError:
+            pass
+    return list(_statements(ast.parse(source).body, True))
 
 
 def _statements(nodes: Iterable[ast.AST], runs: bool) -> Iterator[tuple[ast.AST, bool]]:

@@ -1,10 +1,13 @@
 """The code hash changes with the code that determines a result, and with nothing else."""
 
+import ast
 import importlib
 import sys
+from pathlib import Path
 
 import pytest
 
+import evalkit
 from evalkit.plugins import code_hash as module
 from evalkit.plugins.code_hash import find_sources, hash_code, hash_files
 
@@ -57,6 +60,37 @@ def test_a_change_of_imported_code_changes_the_hash(package, name):
     with (package / f"{name}.py").open("a") as file:
         file.write("# changed\n")
     assert digest() != before
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "try: from stranger_plugin import bystander\nexcept ImportError: pass",
+        "x = 1; import stranger_plugin.bystander",
+        "from stranger_plugin import (  # both (needed)\n    deep,\n    bystander,\n)",
+        "from stranger_plugin import deep, \\\n    bystander",
+        "if True:\n\timport stranger_plugin.bystander as other",
+    ],
+)
+def test_imports_are_found_however_they_are_written(package, statement):
+    (package / "deeper.py").write_text(f"{statement}\n")
+    assert "bystander.py" in {
+        file.name for file in find_sources("stranger_plugin.plugin", frozenset({"stranger_plugin"}))
+    }
+
+
+def test_the_imports_of_every_module_are_those_that_the_parser_of_python_finds():
+    found = (ast.Import, ast.ImportFrom)
+    for file in Path(evalkit.__file__).parent.rglob("*.py"):
+        source = file.read_bytes()
+        parsed = {
+            (ast.dump(node), runs)
+            for node, runs in module._statements(ast.parse(source).body, True)
+            if isinstance(node, found)
+        }
+        read = {(ast.dump(node), runs) for node, runs in module._find_imports(source) if isinstance(node, found)}
+        assert read >= parsed, file
+        assert read == parsed or file.name == "testing.py", file  # whose docstring shows how to import it
 
 
 def test_a_change_of_other_code_does_not_change_the_hash(package):
