@@ -183,7 +183,7 @@ def parse(command, words):
     [
         ("cd x && evalkit compare drive --outt results", "No such option: --outt"),
         ("evalkit datasets exampel drive", "exampel"),
-        ("evalkit compare drive --jobs many | cat", "valid integer"),
+        ("evalkit compare drive --jobs many | cat", "not a valid int"),
     ],
 )
 def test_a_command_that_the_program_refuses_is_found(command, why):
