@@ -209,7 +209,14 @@ static void of_a_map(void)
     CHECK(ek_grid_check(&grid) == EK_OK);
     grid.columns = 512u; /* two times 13 m in cells of 5 cm need 576 */
     CHECK(ek_grid_check(&grid) == EK_OUT_OF_RANGE);
-    grid.columns = 1024u;
+    grid.resolution = EK_R(1.0); /* 47 m and two cells to either side, a cell in the middle, and words begun: 161 */
+    grid.range_max = EK_R(46.0);
+    for (uint32_t cells = 96u; cells <= 192u; cells += 32u) {
+        grid.columns = grid.rows = cells;
+        CHECK(ek_grid_check(&grid) == (cells < 160u ? EK_OUT_OF_RANGE : EK_OK));
+    }
+    grid = ek_grid_default();
+    grid.rolling = 1;
     grid.rows = 512u;
     CHECK(ek_grid_check(&grid) == EK_OUT_OF_RANGE && ek_grid_check(NULL) == EK_NULL_POINTER);
     CHECK(ek_grid_init(NULL, &none, &grid) == EK_NULL_POINTER && ek_grid_init(&made, NULL, &grid) == EK_NULL_POINTER);
@@ -274,6 +281,10 @@ static void of_a_loop_finder(void)
     loop.radius = EK_R(1.0);
     loop.cell = EK_R(0.02);
     CHECK(ek_loop_check(&loop) == EK_OK);
+    loop.radius = EK_R(15.875); /* 127 cells */
+    loop.cell = EK_R(0.125);
+    CHECK(ek_loop_check(&loop) == EK_OK);
+    loop.radius = EK_R(1.0);
     loop.cell = EK_R(0.0199);
     CHECK(ek_loop_check(&loop) == EK_OUT_OF_RANGE);
     CHECK(STATUS(loop, near, EK_R(0.0)) == EK_OUT_OF_RANGE && ek_loop_check(NULL) == EK_NULL_POINTER);

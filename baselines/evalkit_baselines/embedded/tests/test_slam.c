@@ -618,6 +618,128 @@ static void corrections_are_distributed_between_keyframes(void)
     free(arena.memory);
 }
 
+/* A robot that stands on an axis and turns: half of the way between two keyframes, half of a missing turn. */
+static void a_missing_turn_is_distributed_too(void)
+{
+    const ek_slam_parameters p = parameters_of(0);
+    ek_arena arena = start(&p);
+    uint64_t seed = 7u;
+    for (size_t k = 0; k < 30u; k++) {
+        step_without_odometry(k, k, &seed);
+    }
+    ek_pose *const pose = slam.keyframes.graph.pose, *const odom = slam.odom_from_keyframe;
+    odom[3] = pose[3] = pose_of(0.0, 0.0, 0.0);
+    odom[4] = pose_of(1.0, 0.0, 0.0);
+    pose[4] = pose_of(1.1, 0.2, -0.4);
+    static const double driven[] = {0.0, 0.25, 0.5, 1.0, 2.0}, shares[] = {0.0, 0.25, 0.5, 1.0, 1.0};
+    for (size_t k = 0; k < 5u; k++) {
+        const ek_pose found = ek_slam_correct(&slam, 3u, pose_of(driven[k], 0.0, 0.0));
+        CHECK_NEAR(found.x, driven[k] + 0.1 * shares[k], TOLERANCE);
+        CHECK_NEAR(found.y, 0.2 * shares[k], TOLERANCE);
+        CHECK_NEAR(found.theta, -0.4 * shares[k], TOLERANCE);
+    }
+    odom[4] = pose_of(0.0, 0.0, 0.8); /* a turn on the spot of 0.8, which was one of 1.0 */
+    pose[4] = pose_of(0.0, 0.0, 1.0);
+    CHECK_NEAR(ek_slam_correct(&slam, 3u, pose_of(0.0, 0.0, 0.2)).theta, 0.25, TOLERANCE);
+    free(arena.memory);
+}
+
+/* Invert a symmetric positive definite 3 x 3 matrix, in the order xx, xy, xt, yy, yt, tt, by its cofactors. */
+static void invert(const double a[6], double inverse[6])
+{
+    inverse[0] = a[3] * a[5] - a[4] * a[4];
+    inverse[1] = a[2] * a[4] - a[1] * a[5];
+    inverse[2] = a[1] * a[4] - a[2] * a[3];
+    inverse[3] = a[0] * a[5] - a[2] * a[2];
+    inverse[4] = a[1] * a[2] - a[0] * a[4];
+    inverse[5] = a[0] * a[3] - a[1] * a[1];
+    const double determinant = a[0] * inverse[0] + a[1] * inverse[1] + a[2] * inverse[2];
+    for (size_t k = 0; k < 6u; k++) {
+        inverse[k] /= determinant;
+    }
+}
+
+/* Two walls at right angles, of 80 and of `upright` points 5 cm apart, away from their corner, seen turned by 0.3 rad,
+ * with ten points that lie on no wall. A point on a wall with the normal (u, v) in the scan's frame weighs
+ * (u, v, x v - y u). */
+static void a_match_has_the_covariance_of_a_plain_computation(size_t upright)
+{
+    const ek_slam_parameters p = parameters_of(0);
+    ek_arena arena = start(&p);
+    ek_loop_finder *const finder = &slam.finder;
+    const ek_pose match = pose_of(2.0, 1.5, 0.3), predicted = pose_of(2.05, 1.42, 0.28);
+    const ek_sym3 spread = {EK_R(0.01), EK_R(0.002), EK_R(0.0), EK_R(0.02), EK_R(0.0), EK_R(0.003)};
+    const double spread_of[] = {0.01, 0.002, 0.0, 0.02, 0.0, 0.003}, error = 0.02;
+    const size_t on_walls = 80u + upright, count = on_walls + 10u;
+    double sum[6] = {1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-2}, covariance[6], inverse[6];
+    for (size_t k = 0; k < count; k++) {
+        const int level = k < 80u, off = k >= on_walls;
+        const ek_pose at = pose_of(level ? 1.0 + 0.05 * (double)k : off ? 3.0 + 0.1 * (double)k : 0.0,
+                                   level ? 0.0 : off ? 9.0 : 1.0 + 0.05 * (double)(k - 80u), 0.0);
+        const ek_pose seen = ek_se2_between(match, at);
+        finder->target[2u * k] = at.x;
+        finder->target[2u * k + 1u] = at.y;
+        finder->source[2u * k] = seen.x;
+        finder->source[2u * k + 1u] = seen.y;
+        if (!off) {
+            const double u = level ? sin(0.3) : cos(0.3), v = level ? cos(0.3) : -sin(0.3);
+            const double row[] = {u, v, (double)seen.x * v - (double)seen.y * u}, weight = 1.0 / (10.0 * error * error);
+            for (size_t i = 0, at_row = 0; i < 3u; i++) {
+                for (size_t j = i; j < 3u; j++, at_row++) {
+                    sum[at_row] += weight * row[i] * row[j];
+                }
+            }
+        }
+    }
+    CHECK(ek_index_build(&finder->index, finder->target, on_walls) == EK_OK);
+    CHECK(ek_normals_compute(&finder->index, 8u, EK_R(1.0), finder->normals) == EK_OK);
+    finder->index.normals = finder->normals;
+    finder->source_count = count;
+    finder->match = match;
+    finder->motion = predicted;
+    finder->covariance = spread;
+    finder->match_error = EK_R(error);
+    finder->phase = EK_FINDER_JUDGE;
+    finder->settings.gate = finder->settings.degenerate = EK_R(1e6);
+    finder->settings.overlap = EK_R(0.0);
+    ek_work work = ek_work_make(INT64_MAX);
+    ek_loop_judge(finder, &work);
+    const ek_loop_candidate *const found = &finder->candidate;
+    CHECK(found->outcome == EK_LOOP_PASSED && finder->phase == EK_FINDER_IDLE);
+    CHECK_NEAR(found->number[1], (double)on_walls / (double)count, 1e-6);
+
+    invert(sum, covariance);
+    covariance[0] += 0.015 * 0.015;
+    covariance[3] += 0.015 * 0.015;
+    covariance[5] += 0.004 * 0.004;
+    const ek_openness open = ek_observer_measure(&finder->observer, &finder->thinner, finder->source, on_walls, &work);
+    const double x = (double)open.x, y = (double)open.y, share = 1.0 - (double)open.ratio / 0.3;
+    CHECK((share > 0.0) == (upright < 20u));
+    const double variance = share > 0.0 ? 0.15 * share * 0.15 * share : 0.0;
+    covariance[0] += variance * x * x;
+    covariance[1] += variance * x * y;
+    covariance[3] += variance * y * y;
+    invert(covariance, inverse);
+    const ek_sym3 *const information = &found->edge.information;
+    const ek_real entries[] = {information->xx, information->xy, information->xt,
+                               information->yy, information->yt, information->tt};
+    const double scale = sizeof(ek_real) == sizeof(float) ? 2e-3 : 1e-9;
+    for (size_t k = 0; k < 6u; k++) {
+        CHECK_NEAR(entries[k], inverse[k], scale * (fabs(inverse[0]) + fabs(inverse[3]) + fabs(inverse[5])));
+    }
+    const ek_pose gap = ek_se2_between(match, predicted);
+    const double g[] = {(double)gap.x, (double)gap.y, (double)gap.theta};
+    for (size_t k = 0; k < 6u; k++) {
+        covariance[k] += spread_of[k];
+    }
+    invert(covariance, inverse);
+    const double chi = inverse[0] * g[0] * g[0] + inverse[3] * g[1] * g[1] + inverse[5] * g[2] * g[2] +
+                       2.0 * (inverse[1] * g[0] * g[1] + inverse[2] * g[0] * g[2] + inverse[4] * g[1] * g[2]);
+    CHECK_NEAR(found->chi, chi, scale * (1.0 + chi));
+    CHECK_NEAR(found->number[0], chi, scale * (1.0 + chi));
+    free(arena.memory);
+}
+
 /* Wheels that measure 5 % too much: 5 m at scale 1 are assumed before, and the scale remembers 50 m. */
 static void the_scale_of_the_wheels_is_learned(void)
 {
@@ -813,6 +935,9 @@ int main(void)
     false_loops_are_withdrawn(1000);
     a_certain_loop_corrects_and_an_impossible_one_is_taken_away();
     corrections_are_distributed_between_keyframes();
+    a_missing_turn_is_distributed_too();
+    a_match_has_the_covariance_of_a_plain_computation(60u);
+    a_match_has_the_covariance_of_a_plain_computation(12u); /* nearly a corridor */
     the_scale_of_the_wheels_is_learned();
     a_turned_guess_is_found_by_a_further_try();
     sweeps_beyond_the_world_are_refused();
