@@ -85,6 +85,14 @@ def test_recall_is_the_share_of_revisits_near_a_right_closure():
     assert values(run([closure(30, 20)]))["closure_recall_percent"].value == 0.0  # not the same place
 
 
+def test_a_revisit_is_closed_within_five_metres_of_path_of_both_visits():
+    """A metre a frame; the closure joins frames 0 and 40."""
+    judged = loop_closures.judge_closures((closure(40, 0),), square())
+    first, second = np.array([5, 6, 0, 0, 5]), np.array([40, 40, 35, 34, 45])
+    closed = loop_closures.find_closed(judged, STAMPS[first], STAMPS[second], square())
+    assert closed.tolist() == [True, False, True, False, True]
+
+
 def test_corrections_are_those_reported_else_the_frames_of_accepted_closures():
     cpu = np.ones(FRAMES)
     cpu[[41, 50]] = 7.0, 30.0

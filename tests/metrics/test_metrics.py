@@ -111,6 +111,26 @@ def test_shared_intermediate_results_are_computed_once_and_released_with_the_evi
     assert gone() is None
 
 
+@pytest.mark.parametrize(
+    ("name", "limits"),
+    [("mme_nat", "within 0.5 m of a hit; mean over those of at most 1,000 places that have 5 hits"),
+     ("drift_percent", "segments start every 0.1 m of true path"), ("covered_percent", "at most 1 s apart"),
+     ("map_awd_m", "over squares of 1 m in which both maps have 5 wall cells"), ("map_ssim", "up to 3 whole cells"),
+     ("map_wall_offset_m", "within 0.5 m of one"), ("map_corner_ospa_m", "(order 1, cutoff 0.5 m)"),
+     ("closures_wrong", "within 0.2 m and 5 deg"), ("closure_recall_percent", "within 5 m of path"),
+     ("map_com", "within 0.2 m of an occupied cell"), ("revisit_mean_m", "within 1 m of each other"),
+     ("revisit_within_percent", "at most 0.15 m and 0.02 rad"), ("span_rmse_m", "within 0.3 m along the tape")],
+)  # fmt: skip
+def test_the_card_of_a_metric_states_its_limits(name: str, limits: str) -> None:
+    (card,) = (metric for metric in metrics.METRICS if metric.name == name)
+    assert limits in card.definition
+
+
+def test_a_metric_has_three_digits_and_is_no_headline_unless_its_card_says_so() -> None:
+    plain = Metric("m", "metric", "m", "lower", "drift", "definition", "source", "limits", metrics.METRICS[0].compute)
+    assert (plain.digits, plain.headline, plain.slam_only, plain.no_value) == (3, False, False, ())
+
+
 def test_a_card_without_a_function_and_a_function_without_a_card_are_refused() -> None:
     compute = metrics.METRICS[0].compute
     with pytest.raises(KeyError, match="no function for pair_error"):

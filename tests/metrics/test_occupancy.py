@@ -42,6 +42,14 @@ def test_a_centre_on_an_edge_counts_for_both_cells_and_walls_win_over_free_space
     assert not free.any()
 
 
+@pytest.mark.parametrize("upright", [False, True])
+def test_two_true_cells_within_one_cell_of_the_map_leave_its_neighbour_unknown(upright):
+    states = np.array([[5.0, -5.0]])
+    mapped, true = (grid(one.T if upright else one, cell) for one, cell in ((np.ones((1, 2)), 0.1), (states, 0.05)))
+    occupied, free = find_true_states(mapped, true)
+    assert (occupied.ravel().tolist(), free.any()) == ([True, False], False)
+
+
 def test_a_coarser_ground_truth_is_rejected():
     with pytest.raises(ValueError, match="coarser"):
         find_true_states(grid([[1.0]], 0.05), grid([[5.0]], 0.1))

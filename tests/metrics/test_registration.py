@@ -113,7 +113,7 @@ def test_scans_too_far_apart_or_too_few_give_a_reason() -> None:
 def test_reported_residuals_are_passed_on_and_missing_ones_give_a_reason() -> None:
     steps = np.zeros(5, STEP)
     steps["s2s_error"] = [np.nan, 0.01, 0.02, 0.03, 0.5]
-    steps["s2s_iterations"] = [0, 4, 5, 6, 9]
+    steps["s2s_iterations"] = [0, 1, 5, 6, 9]
     steps["s2m_error"] = np.nan
     found = scores((), steps)
     assert found["own_s2s_m"] == Score(0.025, 4)

@@ -147,7 +147,11 @@ def test_of_two_copies_the_higher_separate_one_counts_and_a_single_peak_has_none
     density = np.zeros(121)
     density[[60, 75, 90]] = 1.0, 0.4, 0.6
     assert surfaces._find_second_mode(density) == pytest.approx(0.3)
-    density[[75, 90]] = 0.0
+    density[60:91] = 0.55
+    density[[60, 90]], density[89] = 1.0, 0.1  # a valley beside the second peak, deep enough
+    assert surfaces._find_second_mode(density) == pytest.approx(0.3)
+    density[60:91] = 0.0
+    density[60] = 1.0
     assert np.isnan(surfaces._find_second_mode(density))
 
 

@@ -9,7 +9,7 @@ from evalkit.commands.metric_validation import map_rebuilding
 from evalkit.commands.metric_validation.fault_injection import FAULTS
 from evalkit.commands.metric_validation.perturbation import PERTURBATIONS
 from evalkit.commands.metric_validation.rank_agreement import reference_free_metrics
-from evalkit.metrics.validated import load_validation
+from evalkit.metrics.validated import SCHEMA, load_validation
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +31,7 @@ def test_the_validation_records_its_provenance(content):
     validation = load_validation()
     assert validation.command.startswith("python -m evalkit.commands.metric_validation validate")
     assert {"evalkit", "numpy", "scipy"} <= validation.versions.keys()
+    assert content["schema"] == SCHEMA == {"name": "evalkit-metrics-validated", "version": 2}
     assert validation.map_count == 3 * (1 + sum(len(one.sizes) for one in PERTURBATIONS.values()))
     assert {row["fault"] for row in content["faults"]} == FAULTS.keys()
     assert all(row["metric_count"] for row in content["faults"])

@@ -99,6 +99,9 @@ def test_only_voxels_within_the_radius_are_matched():
     lasting.add(np.array([[0.05, 0.05], [1.95, 0.05], [2.45, 0.05]]), Pose())
     assert len(lasting.cloud(Pose())) == 2
     np.testing.assert_allclose(lasting.cloud(Pose(4.0, 0.0, 0.0)).points, [[2.45, 0.05]])
+    upright = VoxelMap(0.1, 2.0)
+    upright.add(np.array([[0.05, 3.05], [0.05, -3.05]]), Pose())
+    np.testing.assert_allclose(upright.cloud(Pose(0.0, 4.0, 0.0)).points, [[0.05, 3.05]])
 
 
 def test_the_persistent_map_object_is_reused_until_it_grows_or_the_pose_moves():

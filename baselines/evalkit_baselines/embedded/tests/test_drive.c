@@ -59,6 +59,9 @@ static void a_corridor_is_open_along_its_walls(void)
     }
     const ek_openness closed = ek_observer_measure(&observer, &thinner, xy, room(3.0, -3.14159, 3.14159, 400u), &work);
     CHECK(closed.ratio > EK_R(0.8) && ek_openness_trust(&closed) >= EK_R(1.0));
+    ek_work spent = ek_work_make(INT64_MAX);
+    ek_observer_measure(&observer, &thinner, xy, 400u, &spent);
+    CHECK(spent.done > 8u * 400u + 160u * 200u && spent.done <= 200u * 400u); /* 240 cells of 24 m of wall */
     const ek_openness few = ek_observer_measure(&observer, &thinner, xy, 7u, &work);
     CHECK_NEAR(few.ratio, 0.0, 0.0); /* seven points say nothing: open, along x */
     CHECK_NEAR(few.x, 1.0, 0.0);

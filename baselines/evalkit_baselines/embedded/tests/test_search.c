@@ -36,6 +36,9 @@ static void cells_are_found_wherever_they_lie(uint64_t *seed)
     }
     const size_t cells = ek_thin(&thinner, target, CAPACITY, EK_R(0.05), means, &work);
     CHECK(cells > CAPACITY - 20u);
+    ek_work spent = ek_work_make(INT64_MAX);
+    ek_thin(&thinner, target, CAPACITY, EK_R(0.05), means, &spent);
+    CHECK(spent.done == 8u * CAPACITY);
     for (size_t k = 1; k < cells; k++) {
         CHECK(EK_FLOOR(means[2u * k] / EK_R(0.05)) >= EK_FLOOR(means[2u * k - 2u] / EK_R(0.05)));
     }
@@ -48,6 +51,11 @@ static void scores_and_their_maxima_are_those_of_a_hand_calculation(void)
     ek_score_grid_draw(&grid, &thinner, xy, 1u, EK_R(CELL), EK_R(0.0), EK_R(0.0), means, &work);
     const int32_t column = (int32_t)EK_FLOOR((xy[0] - grid.left) / grid.cell),
                   row = (int32_t)EK_FLOOR((xy[1] - grid.bottom) / grid.cell);
+    ek_work drawn = ek_work_make(INT64_MAX), raised = ek_work_make(INT64_MAX);
+    ek_score_grid_draw(&grid, &thinner, xy, 1u, EK_R(CELL), EK_R(0.0), EK_R(0.0), means, &drawn);
+    ek_score_grid_raise(&grid, 1u, &raised);
+    const uint64_t cells = (uint64_t)grid.columns * (uint64_t)grid.rows;
+    CHECK(drawn.done > cells / 16u + 8u && drawn.done <= cells / 16u + 100u && raised.done == cells / 8u);
     const uint8_t *const at = grid.level[0] + (size_t)row * (size_t)grid.columns + column;
     CHECK(at[0] == 255u && at[1] == 155u && at[-1] == 155u && at[grid.columns] == 155u); /* 255 exp(-1/2) = 154.7 */
     CHECK(at[grid.columns + 1] == 94u && at[3] == 3u && at[4] == 0u);                     /* 93.8, 2.8 */

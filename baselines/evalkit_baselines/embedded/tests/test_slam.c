@@ -706,6 +706,7 @@ static void a_match_has_the_covariance_of_a_plain_computation(size_t upright)
     ek_loop_judge(finder, &work);
     const ek_loop_candidate *const found = &finder->candidate;
     CHECK(found->outcome == EK_LOOP_PASSED && finder->phase == EK_FINDER_IDLE);
+    CHECK(work.done > 100u * on_walls && work.done <= 200u * count);
     CHECK_NEAR(found->number[1], (double)on_walls / (double)count, 1e-6);
 
     invert(sum, covariance);
