@@ -225,13 +225,13 @@ def open_bag(path: Path) -> Iterator[Any]:
 def _open_reader(bag: Path) -> Any:
     """Return an open reader of a bag; one that needs no index if the index is damaged."""
     from rosbags.highlevel import AnyReader  # noqa: PLC0415 - heavy, and used for bags only
-    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
+    from evalkit_datasets.bag_types import NeededTypes  # noqa: PLC0415 - as above
     from evalkit_datasets.unindexed_bag import open_unindexed  # noqa: PLC0415 - as above
 
-    types = get_typestore(Stores.ROS2_HUMBLE)  # bags recorded before Iron contain no type definitions
+    types: Any = NeededTypes()
     try:
-        reader = AnyReader([bag], default_typestore=types)
+        reader = types.reader = AnyReader([bag], default_typestore=types)
         reader.open()
         if reader.connections or bag.is_dir():
             return reader
@@ -240,10 +240,10 @@ def _open_reader(bag: Path) -> Any:
         raise
     except Exception as error:
         with suppress(Exception):  # the first error says what is wrong
-            if (unindexed := open_unindexed(bag, types)) is not None:
+            if (unindexed := open_unindexed(bag)) is not None:
                 return unindexed
         raise error from None
-    return open_unindexed(bag, types) or _reopen(reader)
+    return open_unindexed(bag) or _reopen(reader)
 
 
 def _reopen(reader: Any) -> Any:

@@ -18,6 +18,7 @@ from rosbags.rosbag1.reader import ChunkInfo, Header, IndexData, RecordType
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2 import storage_mcap as mcap
 
+from evalkit_datasets.bag_types import NeededTypes
 from evalkit_datasets.unpacking import UnpackedTooMuch
 
 MAGIC_1, MAGIC_MCAP = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"
@@ -167,15 +168,16 @@ class UnindexedMcap(mcap.McapReader):
         return mcap.ChunkInfo(first, last, begin, length, {}, 0, compression, packed, unpacked, dict(counts))
 
 
-def open_unindexed(bag: Path, typestore: Any) -> AnyReader | None:
+def open_unindexed(bag: Path) -> AnyReader | None:
     """Open a ROS 1 bag or an MCAP file without its index; None for another file, or one without any whole message.
 
-    ``typestore``: the types of bags that contain no definitions. Close it as any reader.
+    Close it as any reader.
     """
     files = sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]
     if len(files) != 1 or files[0].suffix not in (".bag", ".mcap"):
         return None
-    reader = AnyReader(files, default_typestore=typestore)
+    types: Any = NeededTypes()
+    reader = types.reader = AnyReader(files, default_typestore=types)
     if files[0].suffix == ".bag":
         reader.readers = [UnindexedBag(files[0])]
     else:
