@@ -365,7 +365,7 @@ def started(path, folder, *words, **how):
     )
 
 
-@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("ending", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.thorough)])
 def test_an_interrupt_keeps_finished_runs_and_leaves_no_process(experiment, tmp_path, ending):
     folder = tmp_path / "out"
     process = started(experiment("none", "hang", "raise"), folder, "-j", "1")
@@ -439,6 +439,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", folder], check=True)
 
 
+@pytest.mark.thorough
 def test_a_disk_that_is_full_stops_the_command_and_keeps_finished_runs(experiment, small_disk):
     path = experiment("none", "raise", "nan")
     first = started(path, small_disk / "out", "-j", "1")

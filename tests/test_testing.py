@@ -140,6 +140,7 @@ except RulesBroken as error:
 """
 
 
+@pytest.mark.thorough
 def test_a_script_without_a_main_guard_checks_its_own_spec(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(SCRIPT)

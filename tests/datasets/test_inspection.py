@@ -450,7 +450,14 @@ def shorten(path, target, messages=30):
     return target
 
 
-@pytest.mark.parametrize("name", ["static-2xhokuyo.bag", "wheelchair-3xhokuyo.bag", "cartographer-backpack-short.bag"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "static-2xhokuyo.bag",
+        "wheelchair-3xhokuyo.bag",
+        pytest.param("cartographer-backpack-short.bag", marks=pytest.mark.thorough),
+    ],
+)
 def test_the_suggested_command_of_a_real_bag_is_accepted(name, tmp_path, monkeypatch):
     path = shorten(recorded("bags", name), tmp_path / name)
     monkeypatch.chdir(tmp_path)

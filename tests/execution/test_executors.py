@@ -124,6 +124,7 @@ def test_a_cluster_gives_the_same_records_as_this_machine_to_the_bit(workers, tm
     assert provenance["core"] in (*environment.cores(), None)
 
 
+@pytest.mark.thorough
 def test_a_killed_worker_loses_no_run_and_at_most_two_runs_are_active(workers, tmp_path):
     before = pids(workers)
     waits = plan("wait", "none", "none", "none", "none", "raise")

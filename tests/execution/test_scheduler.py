@@ -151,6 +151,7 @@ def test_rerun_executes_only_runs_with_the_given_status(tmp_path, threaded_scori
     assert changed == {"segfault"}
 
 
+@pytest.mark.thorough
 def test_rerun_disturbed_executes_only_runs_that_something_disturbed(tmp_path, threaded_scoring, monkeypatch):
     shares = iter([50.0, 0.0, 0.0])
     monkeypatch.setattr(run_process.ConditionsMeter, "conclude", lambda *_: RunConditions(other_percent=next(shares)))
@@ -282,6 +283,7 @@ def test_a_run_that_cannot_be_scored_has_failed_and_keeps_its_answers(tmp_path, 
     assert record.scores.by_metric == {}
 
 
+@pytest.mark.thorough
 def test_a_mapper_that_kills_the_scoring_process_affects_only_its_run(tmp_path):
     mapper = {"use": "faulty-mapper", "fault": "sigkill", "only_past_m": 1e3}
     made = records(plan("far", "none", mapper=mapper), tmp_path, jobs=1)

@@ -208,6 +208,7 @@ def test_a_worker_with_other_code_stops_the_run_instead_of_failing_tasks(squares
         run_tasks(TaskStore(tmp_path), [task], cluster=Stale())
 
 
+@pytest.mark.thorough
 def test_a_cluster_computes_the_same_and_a_task_that_ends_two_workers_is_reported(squares, tmp_path):
     pytest.importorskip("distributed")
     pytest.importorskip("cryptography")

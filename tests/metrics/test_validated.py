@@ -37,6 +37,7 @@ def test_the_validation_records_its_provenance(content):
     assert all(row["metric_count"] for row in content["faults"])
 
 
+@pytest.mark.thorough
 def test_a_recomputed_part_is_identical(content):
     sample, settings = content["sample"], (content["seed"], content["mapper"], content["scans"])
     result = map_rebuilding.score_perturbed_maps(sample["world"], sample["perturbation"], [sample["size"]], *settings)

@@ -81,6 +81,7 @@ def small_page(settings):
     return figure_10_chapter.CHAPTER.sections(chosen, results), figure_10_chapter.CHAPTER.findings(chosen, results)
 
 
+@pytest.mark.thorough
 def test_the_page_shows_plan_and_maps_and_explains_how_to_get_a_missing_recording(monkeypatch):
     monkeypatch.setattr(recorded_drive, "missing", lambda: "not here; fetch it: so and so")
     (lab, recorded), (finding,) = small_page({"laps": 0.1, "scans": 20})

@@ -67,6 +67,7 @@ def test_the_back_end_of_the_readme_is_listed_runs_and_beats_the_wheels(tmp_path
     assert request["backend_parameters"]["max_iterations"] == 20
 
 
+@pytest.mark.thorough
 def test_the_data_set_of_the_readme_is_listed_and_its_error_free_wheels_are_exact(tmp_path):
     readme = ROOT / "datasets" / "README.md"
     name, environment = install(tmp_path / "site", "datasets", "evalkit_datasets", readme)

@@ -209,7 +209,13 @@ def test_a_synthetic_sequence_is_in_order_with_ground_truth_at_every_scan(name):
     assert all(frame.odom_from_base is not None for frame in sequence.frames())
 
 
-@pytest.mark.parametrize("name", sorted(set(DATASETS) - set(SYNTHETIC)))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.thorough] * (name == "backpack"))
+        for name in sorted(set(DATASETS) - set(SYNTHETIC))
+    ],
+)
 def test_a_recording_is_repeatable_and_in_order_or_reports_how_to_get_it(name):
     spec = registry.dataset(name)
     if spec.suffixes:

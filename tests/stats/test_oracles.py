@@ -15,6 +15,7 @@ from evalkit.stats.paired_tests import adjust_by_holm
 SEED = 20260101
 
 
+@pytest.mark.thorough
 def test_holm_and_wilson_are_those_of_statsmodels():
     multitest = pytest.importorskip("statsmodels.stats.multitest", reason="statsmodels is not installed")
     proportion = pytest.importorskip("statsmodels.stats.proportion")

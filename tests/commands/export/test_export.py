@@ -90,17 +90,29 @@ def record_of(name, seed=0):
     return RunRecord(spec, run, Scores(scores, Pose(), "none", grid, errors), Lap().truth(), "evalkit compare x")
 
 
-@pytest.fixture
-def finished_folder(tmp_path, build, monkeypatch):
+@pytest.fixture(scope="module")
+def written_folder(tmp_path_factory, build):
     """A results folder with two methods over an arc, as written by a report."""
-    monkeypatch.setattr(registry, "dataset", lambda _name: DatasetSpec(lambda **_: Lap(), "", "", "", "", ""))
     records = [record_of("paper"), record_of("wheel")]
-    store = Store(tmp_path / "results")
+    store = Store(tmp_path_factory.mktemp("written") / "results")
     for record in records:
         store.save_result(record.spec, record.result)
         store.save_scores(record.key, record.scores, "")
-    report.write_report(build(records), store.folder)
+    with pytest.MonkeyPatch.context() as patch:
+        read_lap(patch)
+        report.write_report(build(records), store.folder)
     return store.folder
+
+
+@pytest.fixture
+def finished_folder(tmp_path, written_folder, monkeypatch):
+    """A copy of ``written_folder``, for one test to read and change."""
+    read_lap(monkeypatch)
+    return shutil.copytree(written_folder, tmp_path / "results")
+
+
+def read_lap(patch):
+    patch.setattr(registry, "dataset", lambda _name: DatasetSpec(lambda **_: Lap(), "", "", "", "", ""))
 
 
 def run_export(folder, form, *more):
@@ -457,6 +469,7 @@ def test_a_rerun_recording_passes_reruns_own_check(finished_folder):
         assert entity in told.stdout
 
 
+@pytest.mark.thorough
 def test_without_rerun_the_message_names_the_install_command_and_the_rest_is_written(finished_folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(NotInstalled, match=r"pip install 'evalkit\[rerun\]'"):

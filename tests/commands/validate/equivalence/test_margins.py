@@ -66,6 +66,7 @@ def test_a_question_is_ill_conditioned_if_rounding_moves_a_pose_by_a_tenth_of_th
     assert is_ill_conditioned(reference, question, right, Margin()) is ill
 
 
+@pytest.mark.thorough
 def test_two_correct_implementations_answer_ill_conditioned_questions_alike_or_are_not_asked():
     """Seed 11313 draws iterations that run 100 m apart on the last three pairs, and amplify rounding to 4e-9 m."""
     sides = [question_probes.load_backend({"name": name, "given": {}}) for name in ("paper", "embedded")]
