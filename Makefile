@@ -57,10 +57,10 @@ soak: $(VENV)/test  ## run 2,000 short runs under random kills, full disks and d
 mutation: $(VENV)/test  ## change the code at random and count how often the tests notice: survivors, score
 	$(BIN)/python tests/mutation/run.py
 
-coverage: $(VENV)/test  ## count the lines and branches of the Python code that the tests reach, beside the aims
+coverage: $(VENV)/test  ## count the lines and branches of the Python code that all tests reach, beside the aims
 	@.ci/system-packages open3d browser
 	$(BIN)/python -m pip install --quiet 'coverage>=7.10'
-	$(BIN)/python tests/mutation/python_coverage.py
+	$(BIN)/python tests/mutation/python_coverage.py -- -m ''
 
 core-coverage:  ## count the lines and branches of the C core that its own tests reach (needs cmake, gcc and gcov)
 	$(PYTHON) tests/mutation/core_coverage.py

@@ -2,7 +2,7 @@
 
 Runs the tests with coverage.py, in the processes that they start as well, and prints each package's share of lines and
 branches, and those of all beside the aims. ``--list`` prints what no test reaches. Other arguments go to pytest:
-``-- -m ''`` adds the thorough tests. A process that is killed has no share.
+``-- -m ''`` adds the thorough tests, as the make target does. A process that is killed has no share.
 """
 
 from __future__ import annotations
