@@ -69,7 +69,8 @@ def run_tests(settings: Path, arguments: list[str]) -> int:
     """Run the tests with counters and return pytest's exit code."""
     left_out = [word for name in UNCOUNTED for word in ("--deselect", name)]
     command = [sys.executable, "-m", "coverage", "run", f"--rcfile={settings}", "-m", "pytest", "-q", *left_out]
-    return subprocess.run([*command, *(arguments or ["-n", str(os.cpu_count())])], cwd=ROOT, check=False).returncode
+    workers = ["-n", str(os.cpu_count()), "--dist", "loadfile"]
+    return subprocess.run([*command, *workers, *arguments], cwd=ROOT, check=False).returncode
 
 
 def read_files(settings: Path) -> dict[str, Any]:
