@@ -224,18 +224,19 @@ def test_a_shifted_map_keeps_the_cells_inside_both_extents():
 
 
 @needs_core
-@pytest.mark.parametrize("table", [0, 5000])
-def test_two_threads_may_use_the_same_objects(table):
+@pytest.mark.parametrize("kept", [{}, {"table": 5000}, {"neighbours": 8}])
+def test_threads_may_use_the_same_objects(kept):
     core = compiled.load_core("double")
     rng = np.random.default_rng(0)
-    targets = [core.Index(rng.uniform(-3.0, 3.0, (n, 2)), table=table) for n in (4000, 300)]
-    source, icp, answers = rng.uniform(-3.0, 3.0, (500, 2)), core.Icp(**PARAMETERS), [[], []]
+    targets = [core.Index(rng.uniform(-3.0, 3.0, (n, 2)), **kept) for n in (4000, 300)]
+    source, answers = rng.uniform(-3.0, 3.0, (500, 2)), [[], []]
+    shared, own = (core.Icp(**PARAMETERS, lines="neighbours" in kept) for _ in range(2))
 
-    def ask(which):
-        for _ in range(60):
+    def ask(which, icp):
+        for _ in range(30):
             answers[which].append(icp.register(targets[which], source, (0.0, 0.0, 0.0))[:5])
 
-    threads = [threading.Thread(target=ask, args=(which,)) for which in (0, 1)]
+    threads = [threading.Thread(target=ask, args=(which, icp)) for which in (0, 1) for icp in (shared, own)]
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -27,10 +27,13 @@ def defaults() -> dict[str, dict[str, float]]:
     """
 
 class Index:
-    """Immutable index for exact nearest neighbours among points (N, 2) in metres; for ``lines``, with normals from the
-    given number of neighbours (within ``radius``); for many registrations, with a table of so many tiles."""
+    """Immutable index for exact nearest neighbours among points (N, 2) in metres.
 
-    def __init__(self, points: Array, neighbours: int = 0, radius: float = ..., table: int = 0) -> None: ...
+    For ``lines``, with normals from the given number of neighbours, computed when needed; for many registrations, with a
+    table of so many tiles.
+    """
+
+    def __init__(self, points: Array, neighbours: int = 0, *, table: int = 0) -> None: ...
     def __len__(self) -> int: ...
 
 def normals(points: Array, neighbours: int, radius: float) -> Array:

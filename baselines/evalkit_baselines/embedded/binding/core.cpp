@@ -17,8 +17,8 @@ NB_MODULE(CORE, module)
     module.def("defaults", &defaults);
 
     nb::class_<Index>(module, "Index")
-        .def(nb::init<const Points &, int64_t, double, int64_t>(), "points"_a.noconvert(), "neighbours"_a = 0,
-             "radius"_a = double(EK_FAR), "table"_a = 0)
+        .def(nb::init<const Points &, int64_t, int64_t>(), "points"_a.noconvert(), "neighbours"_a = 0, nb::kw_only(),
+             "table"_a = 0)
         .def("__len__", [](const Index &index) { return index.index().count; });
 
     module.def("normals", &normals, "points"_a.noconvert(), "neighbours"_a, "radius"_a);

@@ -12,9 +12,9 @@ namespace EK_NAME(binding) {
 
 class Index {
 public:
-    // With neighbours (2 or more) also the normals of the points, from neighbours within the radius; with tiles (1 or
-    // more) a table of neighbours, which makes registrations take turns.
-    Index(const Points &points, int64_t neighbours, double radius = EK_FAR, int64_t tiles = 0)
+    // With neighbours (2 or more) also the normals of the points, each computed when a registration needs it; with tiles
+    // (1 or more) a table of neighbours. Registrations with either take turns.
+    Index(const Points &points, int64_t neighbours, int64_t tiles = 0)
     {
         constexpr std::size_t cells_per_point = 16, max_cells = std::size_t{1} << 18; // as in the core's front end
         constexpr std::size_t blocks_per_tile = 6;
@@ -29,20 +29,16 @@ public:
         require(ek_index_build(&index_, start_of(points), points.shape(0)), "target");
         if (neighbours != 0) {
             normals_.resize(2 * room);
-            const auto limit = ek_real(std::min(radius, double(EK_FAR)));
-            require(ek_normals_compute(&index_, natural(neighbours), limit, normals_.data()), "neighbours");
-            index_.normals = normals_.data();
+            require(ek_normals_defer(&index_, natural(neighbours), normals_.data()), "neighbours");
         }
     }
 
     const ek_index &index() const { return index_; }
 
-    const std::vector<ek_real> &normals() const { return normals_; }
-
-    // Searches of an index with a table change the table.
-    std::unique_lock<std::mutex> lock_table() const
+    // A lock while a registration may change the table or the normals.
+    std::unique_lock<std::mutex> lock() const
     {
-        return index_.table ? std::unique_lock<std::mutex>(mutex_) : std::unique_lock<std::mutex>();
+        return index_.table || index_.deferred ? std::unique_lock<std::mutex>(mutex_) : std::unique_lock<std::mutex>();
     }
 
 private:
@@ -56,8 +52,14 @@ private:
 // Normals (N, 2) of points from their nearest neighbours within a radius.
 inline nb::object normals(const Points &points, int64_t neighbours, double radius)
 {
-    const Index index(points, std::max<int64_t>(neighbours, 1), radius);
-    return array_of(std::vector<ek_real>(index.normals()), {points.shape(0), 2});
+    const Index index(points, 0);
+    std::vector<ek_real> found(2 * std::max<std::size_t>(points.shape(0), 1));
+    {
+        const nb::gil_scoped_release others_may_run;
+        const auto limit = ek_real(std::min(radius, double(EK_FAR)));
+        require(ek_normals_compute(&index.index(), natural(neighbours), limit, found.data()), "neighbours");
+    }
+    return array_of(std::move(found), {points.shape(0), 2});
 }
 
 struct Iteration {
@@ -104,7 +106,7 @@ public:
         {
             const nb::gil_scoped_release others_may_run;
             const std::lock_guard<std::mutex> one_at_a_time(mutex_);
-            const std::unique_lock<std::mutex> table = target.lock_table();
+            const std::unique_lock<std::mutex> turn = target.lock();
             make_room(std::max<std::size_t>(source.shape(0), 1), std::max<std::size_t>(target.index().count, 1));
             require(ek_icp_register(&icp_, &target.index(), start_of(source), source.shape(0), pose_of(guess),
                                     &parameters_, trace ? note : nullptr, &history, &match),
