@@ -29,8 +29,8 @@ def defaults() -> dict[str, dict[str, float]]:
 class Index:
     """Immutable index for exact nearest neighbours among points (N, 2) in metres.
 
-    For ``lines``, with normals from the given number of neighbours, computed when needed; for many registrations, with a
-    table of so many tiles.
+    For ``lines``, with normals from the given number of neighbours, computed when needed; for many registrations, with
+    a table of so many tiles.
     """
 
     def __init__(self, points: Array, neighbours: int = 0, *, table: int = 0) -> None: ...

@@ -1,9 +1,10 @@
 #include "ek/normals.h"
+#include "ek/wide.h"
 
 #include <string.h>
 
 #define WIDER EK_R(1.2) /* first search: as wide as the last point's neighbours, and this much wider */
-#define BLOCK 32u      /* points compared at once */
+#define BLOCK 32u      /* points compared at once, at most EK_MAX_NEIGHBOURS */
 #define LEAST_WALL 3u  /* points within the radius that define a wall */
 
 /* The nearest points found so far, nearest first. */
@@ -62,6 +63,80 @@ static void search_box(const ek_index *index, const ek_cell_box *box, ek_real x,
     }
 }
 
+/* Points of a box, in no order; there is room for a row of cells beyond the last. */
+typedef struct {
+    size_t count;
+    ek_real squared[2u * BLOCK]; /* m^2 */
+    uint32_t slot[2u * BLOCK];
+} near_points;
+
+/* Gather the points of a box that are nearer than `radius` (m); 0 if there are more than BLOCK. */
+static int gather_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius,
+                      near_points *near)
+{
+    const ek_real *const xy = index->xy, limit = radius * radius;
+    size_t count = 0u;
+    for (int32_t row = box->bottom; row <= box->top; row++) {
+        const uint32_t *const start = index->start + (size_t)row * index->cells.columns;
+        const uint32_t from = start[box->left], to = start[box->right + 1];
+        if (to - from > BLOCK) {
+            return 0;
+        }
+        for (uint32_t k = from; k < to; k++) {
+            const ek_real dx = xy[2u * k] - x, dy = xy[2u * k + 1u] - y;
+            near->squared[count] = dx * dx + dy * dy;
+            near->slot[count] = k;
+            count += near->squared[count] < limit ? 1u : 0u;
+        }
+        if (count > BLOCK) {
+            return 0;
+        }
+    }
+    near->count = count;
+    return 1;
+}
+
+/* Count for each point how many others are nearer. */
+EK_WIDE static void rank_points(size_t count, ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT rank)
+{
+    for (size_t k = count; k < EK_PADDED(count); k++) {
+        squared[k] = EK_R(0.0);
+    }
+    for (size_t i = 0; i < count; i += EK_LANES) {
+        ek_real nearer[EK_LANES] = {EK_R(0.0)};
+        for (size_t k = 0; k < count; k++) {
+            for (size_t lane = 0; lane < EK_LANES; lane++) {
+                nearer[lane] += squared[k] < squared[i + lane] ? EK_R(1.0) : EK_R(0.0);
+            }
+        }
+        memcpy(rank + i, nearer, sizeof nearer);
+    }
+}
+
+/* As search_box, by ranks, which no processor has to predict; where fewer than `least` points are near, only their number.
+ * 0 if more than BLOCK points are near, or two equally near ones. */
+static int rank_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius, size_t least,
+                    nearest_points *found)
+{
+    near_points near;
+    ek_real rank[BLOCK], sum = EK_R(0.0);
+    if (!gather_box(index, box, x, y, radius, &near)) {
+        return 0;
+    }
+    found->count = near.count < found->wanted ? near.count : found->wanted;
+    if (near.count < least) {
+        return 1;
+    }
+    rank_points(near.count, near.squared, rank);
+    for (size_t k = 0; k < near.count; k++) {
+        const size_t at = (size_t)(int32_t)rank[k];
+        found->squared[at] = near.squared[k];
+        found->slot[at] = near.slot[k];
+        sum += rank[k];
+    }
+    return !(EK_R(2.0) * sum < (ek_real)near.count * ((ek_real)near.count - EK_R(1.0)));
+}
+
 /* Find the nearest points of (x, y) within `limit` (m); returns the distance (m) of the farthest of them. */
 static ek_real find_nearest(const ek_index *index, ek_real x, ek_real y, ek_real radius, ek_real limit,
                             nearest_points *found)
@@ -69,9 +144,13 @@ static ek_real find_nearest(const ek_index *index, ek_real x, ek_real y, ek_real
     for (;;) {
         const int widest = radius - index->cells.margin >= limit;
         const ek_cell_box box = ek_cell_grid_box(&index->cells, x, y, radius);
-        const int all = ek_cell_grid_is_all(&index->cells, &box);
-        search_box(index, &box, x, y, all || widest ? limit : radius - index->cells.margin, found);
-        if (found->count == found->wanted || all || widest) {
+        const int last = ek_cell_grid_is_all(&index->cells, &box) || widest;
+        const ek_real within = last ? limit : radius - index->cells.margin;
+        const size_t least = last ? 0u : found->wanted;
+        if (!(EK_IF_WIDE(ek_is_wide()) && rank_box(index, &box, x, y, within, least, found))) {
+            search_box(index, &box, x, y, within, found);
+        }
+        if (found->count == found->wanted || last) {
             return found->count > 0u ? EK_SQRT(found->squared[found->count - 1u]) : EK_R(0.0);
         }
         radius *= EK_R(2.0);
