@@ -110,10 +110,15 @@ class Carmen:
 
     def frames(self) -> Iterator[Frame]:
         """Yield the scans in order of time, read from the log one by one."""
-        ranks = np.argsort(self._taken.lines)
-        lines = carmen_parser.iter_readings_at(self._path, self._layout, self._taken.lines[ranks])
+        return self.frames_from(0)
+
+    def frames_from(self, first: int) -> Iterator[Frame]:
+        """Yield the scans from number ``first`` on."""
+        taken = self._taken[slice(first, None)]
+        ranks = np.argsort(taken.lines)
+        lines = carmen_parser.iter_readings_at(self._path, self._layout, taken.lines[ranks])
         readings = sort_by_rank(zip(ranks.tolist(), lines, strict=True))
-        for stamp, reading, row in zip(self._taken.stamps_ns, readings, self._odometry, strict=True):
+        for stamp, reading, row in zip(taken.stamps_ns, readings, self._odometry[first:], strict=True):
             scan = Scan(int(stamp), self._mark_ranges(reading.ranges), reading.angles, 0.0, self._range_max_m)
             yield Frame(scan, self._base_from_sensor, reader_common.pose_or_none(row))
 

@@ -96,8 +96,13 @@ class RosBag:
 
     def frames(self) -> Iterator[Frame]:
         """Yield the scans in order of time, read from the file one by one."""
-        sweeps = sort_by_rank(rosbag_parser.iter_sweeps(self._path, self._scans, self._options))
-        for sweep, pose, motion in zip(sweeps, self._poses, self._motions, strict=True):
+        return self.frames_from(0)
+
+    def frames_from(self, first: int) -> Iterator[Frame]:
+        """Yield the scans from number ``first`` on."""
+        scans = self._scans.select(slice(first, None))
+        sweeps = sort_by_rank(rosbag_parser.iter_sweeps(self._path, scans, self._options))
+        for sweep, pose, motion in zip(sweeps, self._poses[first:], self._motions[first:], strict=True):
             angles = sweep.angles()
             if self._mounting.mirrored:
                 angles = -angles

@@ -7,7 +7,7 @@ from itertools import islice
 
 from evalkit.core.ground_truth import Truth
 from evalkit.core.scan import Frame
-from evalkit.plugins.protocols import Sequence
+from evalkit.plugins.protocols import Seekable, Sequence
 
 
 class ChangedSequence:
@@ -24,7 +24,10 @@ class ChangedSequence:
 
     def frames(self) -> Iterator[Frame]:
         """Yield the changed frames."""
-        frames = islice(self._sequence.frames(), self._first, self._first + self._count)
+        if isinstance(self._sequence, Seekable):
+            frames = islice(self._sequence.frames_from(self._first), self._count)
+        else:
+            frames = islice(self._sequence.frames(), self._first, self._first + self._count)
         return (self._change(index, frame) for index, frame in enumerate(frames))
 
     def truth(self) -> Truth:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
@@ -90,4 +90,13 @@ class Sequence(Protocol):
 
     def notes(self) -> Mapping[str, int]:
         """Return the defects found while reading, counted by name ("scans out of order", "invalid ranges", ...)."""
+        ...
+
+
+@runtime_checkable
+class Seekable(Protocol):
+    """What a sequence may have as well: excerpts of a long recording are then read without all that is before them."""
+
+    def frames_from(self, first: int) -> Iterator[Frame]:
+        """Yield the frames of ``frames`` from number ``first`` on."""
         ...

@@ -133,6 +133,8 @@ def test_scans_are_sorted_and_repeated_stamps_dropped(tmp_path):
     sequence = Carmen(log(tmp_path, *lines))
     assert [frame.scan.stamp_ns // 10**9 for frame in sequence.frames()] == [1, 2, 3, 4]
     assert ranges_of(sequence, 2)[0] == 2.0
+    for first in range(5):
+        assert [frame.scan.stamp_ns // 10**9 for frame in sequence.frames_from(first)] == [1, 2, 3, 4][first:]
     assert sequence.notes() == {"scans out of order": 1, "scans with a repeated stamp dropped": 1}
 
 

@@ -7,6 +7,7 @@ from evalkit.core import se2
 from evalkit.core.pose import Pose
 from evalkit.io.tum import read_tum
 from evalkit.plugins import registry
+from evalkit.plugins.protocols import Seekable
 from evalkit_datasets import carmen_parser, catalog, recorded
 
 NAMES = list(recorded.FILES)
@@ -224,4 +225,9 @@ def test_backpack_keeps_the_first_echo(limit, count, no_returns):
 )
 def test_start_every_and_limit_shorten_each_recording(name):
     sequence = sequence_of(name, start=2, every=3, limit=4)
-    assert len(sequence) == len(list(sequence.frames())) == 4
+    frames = list(sequence.frames())
+    assert len(sequence) == len(frames) == 4
+    if isinstance(sequence, Seekable):
+        for frame, sought in zip(frames[1:], sequence.frames_from(1), strict=True):
+            assert np.array_equal(frame.scan.ranges, sought.scan.ranges, equal_nan=True)
+            assert (frame.scan.stamp_ns, frame.odom_from_base) == (sought.scan.stamp_ns, sought.odom_from_base)

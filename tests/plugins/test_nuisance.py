@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 import pytest
 
@@ -72,6 +74,22 @@ def test_excerpts_have_the_given_length_and_lie_all_over_the_recording():
     assert min(firsts) < 150
     assert max(firsts) > 750
     assert len(perturb_sequence(Recording(3), 1, 100)) in (1, 2)
+
+
+def test_an_excerpt_reads_no_scan_before_its_first_where_the_recording_can_begin_anywhere():
+    asked = []
+
+    class Sought(Recording):
+        def frames_from(self, first):
+            asked.append(first)
+            return islice(super().frames(), first, None)
+
+    for sought, plain in zip(
+        perturb_sequence(Sought(), 5, 20).frames(), perturb_sequence(Recording(), 5, 20).frames(), strict=True
+    ):
+        assert sought.scan.stamp_ns == plain.scan.stamp_ns
+        assert np.array_equal(sought.scan.ranges, plain.scan.ranges, equal_nan=True)
+    assert asked == [plain.scan.stamp_ns // 100_000_000 - 19]
 
 
 def test_lengths_change_by_one_factor_within_one_percent_and_within_their_bounds():
