@@ -232,6 +232,7 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_
                                   ek_real limit)
 {
     const uint32_t searches = list_stale(padded, icp->slack, icp->stale);
+    ek_real first = target->cells.cell;
     for (uint32_t k = 0; k < searches; k++) {
         const uint32_t i = icp->stale[k];
         const ek_neighbour answer = search_index(icp, target, i, limit);
@@ -240,8 +241,8 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_
         icp->ty[i] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
         icp->distance[i] = found ? answer.distance : EK_FAR;
         icp->nearest[i] = found ? answer.slot : (uint32_t)icp->targets;
-        if (found && target->deferred) {
-            ek_normals_ensure(target, answer.slot);
+        if (found && normals && target->deferred) {
+            ek_normals_ensure(target, answer.slot, &first);
         }
         if (normals) {
             icp->nx[i] = found ? normals[2u * target->id[answer.slot]] : EK_R(0.0);
@@ -340,8 +341,9 @@ static uint32_t update_candidates(ek_icp *icp, const ek_index *target, const ek_
     const uint32_t searches = load_candidates(icp, target, padded, limit);
     choose_neighbours(icp, padded, reach);
     take_slots(padded, icp->slots, icp->choice, icp->nearest);
+    ek_real first = target->cells.cell;
     for (size_t i = 0; i < padded && normals && target->deferred; i++) {
-        ek_normals_ensure(target, icp->nearest[i]);
+        ek_normals_ensure(target, icp->nearest[i], &first);
     }
     if (normals) {
         take_normals(padded, icp->nearest, target->id, normals, icp->nx, icp->ny);

@@ -3,7 +3,8 @@
 
 #include <string.h>
 
-#define WIDER EK_R(1.2) /* first search: as wide as the last point's neighbours, and this much wider */
+#define WIDER EK_R(1.2) /* first search: as wide as the last point's neighbours, and this much wider, */
+#define NARROW EK_R(0.25) /* but not narrower than this (cells) */
 #define BLOCK 32u      /* points compared at once, at most EK_MAX_NEIGHBOURS */
 #define LEAST_WALL 3u  /* points within the radius that define a wall */
 
@@ -187,18 +188,21 @@ static void normal_of(const ek_index *index, const nearest_points *found, ek_rea
     }
 }
 
-/* Compute the normal of the point in a slot; returns the distance of the farthest neighbour. */
-static ek_real compute_one(const ek_index *index, uint32_t slot, ek_real first, ek_real radius, nearest_points *found,
-                           ek_real *normal)
+/* Compute the normal of the point in a slot. *first: half width of the first search (m); afterwards that for a point beside
+ * this one. */
+static void compute_one(const ek_index *index, uint32_t slot, ek_real *first, ek_real radius, nearest_points *found,
+                        ek_real *normal)
 {
-    const ek_real x = index->xy[2u * slot], y = index->xy[2u * slot + 1u];
-    const ek_real farthest = find_nearest(index, x, y, first, radius, found);
+    const ek_real x = index->xy[2u * slot], y = index->xy[2u * slot + 1u], cell = index->cells.cell;
+    const ek_real farthest = find_nearest(index, x, y, *first, radius, found);
+    const ek_real widest = cell * (EK_R(1.0) + (ek_real)found->wanted / EK_R(3.0)); /* 3 points per cell */
+    *first = WIDER * farthest < widest ? WIDER * farthest : widest;
+    *first = *first > NARROW * cell ? *first : NARROW * cell;
     if (radius < EK_FAR && (found->count < LEAST_WALL || !(farthest > EK_R(0.0)))) {
         normal[0] = normal[1] = EK_R(0.0);
     } else {
         normal_of(index, found, x, y, normal);
     }
-    return farthest;
 }
 
 ek_status ek_normals_compute(const ek_index *index, size_t neighbours, ek_real radius, ek_real *normals)
@@ -211,12 +215,9 @@ ek_status ek_normals_compute(const ek_index *index, size_t neighbours, ek_real r
         return EK_OUT_OF_RANGE;
     }
     found.wanted = neighbours < index->count ? neighbours : index->count;
-    const ek_real widest = index->cells.cell * (EK_R(1.0) + (ek_real)neighbours / EK_R(3.0)); /* 3 points per cell */
     ek_real first = index->cells.cell;
     for (uint32_t k = 0; k < index->count; k++) {
-        first = WIDER * compute_one(index, k, first, radius, &found, normals + 2u * index->id[k]);
-        first = first < widest ? first : widest;
-        first = first > EK_R(0.25) * index->cells.cell ? first : EK_R(0.25) * index->cells.cell;
+        compute_one(index, k, &first, radius, &found, normals + 2u * index->id[k]);
     }
     return EK_OK;
 }
@@ -237,7 +238,7 @@ ek_status ek_normals_defer(ek_index *index, size_t neighbours, ek_real *normals)
     return EK_OK;
 }
 
-void ek_normals_ensure(const ek_index *index, uint32_t slot)
+void ek_normals_ensure(const ek_index *index, uint32_t slot, ek_real *first)
 {
     ek_real *const normal = index->deferred + 2u * (size_t)index->id[slot];
     nearest_points found;
@@ -245,5 +246,5 @@ void ek_normals_ensure(const ek_index *index, uint32_t slot)
         return;
     }
     found.wanted = index->neighbours < index->count ? index->neighbours : index->count;
-    compute_one(index, slot, index->cells.cell, EK_FAR, &found, normal);
+    compute_one(index, slot, first, EK_FAR, &found, normal);
 }

@@ -28,8 +28,9 @@ ek_status ek_normals_compute(const ek_index *index, size_t neighbours, ek_real r
  * threads at once. EK_OUT_OF_RANGE: neighbours below 2 or above EK_MAX_NEIGHBOURS. */
 ek_status ek_normals_defer(ek_index *index, size_t neighbours, ek_real *normals);
 
-/* Compute the normal of the point in a slot of such an index unless it is known. */
-void ek_normals_ensure(const ek_index *index, uint32_t slot);
+/* Compute the normal of the point in a slot of such an index unless it is known. *first: half width of the first search (m,
+ * above 0; at first a cell's width), afterwards that for a point beside this one; it affects speed alone. */
+void ek_normals_ensure(const ek_index *index, uint32_t slot, ek_real *first);
 
 #ifdef __cplusplus
 }
