@@ -11,7 +11,7 @@ import re
 import subprocess
 import sys
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from importlib.util import find_spec
 from types import FunctionType
 from typing import TYPE_CHECKING, TypeVar
@@ -175,7 +175,12 @@ def _as_spec(loaded: object, wanted: type[Spec]) -> object:
 def _needs_trial_import(point: EntryPoint) -> bool:
     """Return whether a plug-in is third-party and this process is not a child that may crash."""
     dist = getattr(point, "dist", None)
-    return (dist is None or dist.name != "evalkit") and MARK not in os.environ
+    return (dist is None or _find_name(dist) != "evalkit") and MARK not in os.environ
+
+
+@cache  # a distribution reads its metadata anew each time
+def _find_name(dist: Distribution) -> str:
+    return dist.name
 
 
 @cache  # once per process: it takes as long as the import
