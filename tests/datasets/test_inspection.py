@@ -509,6 +509,7 @@ def test_the_turtlebots_lidar_is_rotated_and_its_two_bases_are_reported():
     assert "(6.54, -8.86)" in run_inspection(found)
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_pseudo_odometry_is_rejected():
     found = inspect_recording(recorded("fr079", "fr079-fullrate.clf.gz"))

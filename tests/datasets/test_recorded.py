@@ -206,10 +206,9 @@ def test_static_does_not_move(topic, count):
     assert np.median(np.abs(ranges[-1] - ranges[0])[steady]) < 0.02
 
 
+@pytest.mark.thorough
 @needs("backpack")
-@pytest.mark.parametrize(
-    ("limit", "count", "no_returns"), [(20, 20, 573), pytest.param(None, 345, 9481, marks=pytest.mark.thorough)]
-)
+@pytest.mark.parametrize(("limit", "count", "no_returns"), [(20, 20, 573), (None, 345, 9481)])
 def test_backpack_keeps_the_first_echo(limit, count, no_returns):
     frames = list(sequence_of("backpack", **({} if limit is None else {"limit": limit})).frames())
     assert len(frames) == count

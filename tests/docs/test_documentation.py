@@ -259,6 +259,7 @@ def html(built):
     return [page for page in built.rglob("*.html") if "report" not in page.relative_to(built).parts]
 
 
+@pytest.mark.thorough  # make docs builds the site, too
 @pytest.mark.slow
 def test_no_page_loads_anything_from_the_network(built):
     loading = re.compile(r"<(?:script|link|img|iframe|source)\b[^>]*?(?:src|href)=\"?(?:https?:)?//")
@@ -268,6 +269,7 @@ def test_no_page_loads_anything_from_the_network(built):
         assert not re.search(r"url\([\"']?(?:https?:)?//|@import", sheet.read_text("utf-8")), sheet
 
 
+@pytest.mark.thorough  # make docs builds the site, too
 @pytest.mark.slow
 def test_every_internal_link_and_anchor_exists(built):
     anchors = {page: set(re.findall(r"\bid=\"?([^\s\">]+)", page.read_text("utf-8"))) for page in built.rglob("*.html")}
@@ -282,6 +284,7 @@ def test_every_internal_link_and_anchor_exists(built):
             assert not parts.fragment or unquote(parts.fragment) in anchors.get(target, ()), f"{page.name}: {link}"
 
 
+@pytest.mark.thorough  # make docs builds the site, too
 @pytest.mark.slow
 def test_the_search_of_a_site_opened_from_disk_finds_a_metric_without_a_network(built, browser):
     asked_for = []

@@ -135,6 +135,7 @@ def test_the_mapper_gets_the_given_number_of_evenly_spaced_scans_and_each_half_a
     assert [mapper.maps for mapper in mapper_factory] == [[2, 5], [3]]  # first half and whole, second half
 
 
+@pytest.mark.thorough
 def test_free_space_violations_are_rare_with_true_poses_and_common_with_wheel_odometry():
     spec = registry.dataset("lab")
     lab = spec.make(**resolve_parameters("lab", spec.parameters, {"laps": 0.5, "seed": 1, "rate_hz": 5.0}))

@@ -37,7 +37,7 @@ def test_a_planted_difference_is_the_first_one_named_and_the_correct_library_has
     ("number", "rule"),
     [
         (0, ""),
-        (1, "memory"),
+        pytest.param(1, "memory", marks=pytest.mark.thorough),
         (14, "buffers"),
         (15, "bounds"),
         pytest.param(12, "folder", marks=pytest.mark.thorough),

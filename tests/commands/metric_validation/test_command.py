@@ -109,6 +109,7 @@ def test_the_self_test_fails_if_a_fault_is_not_detected(monkeypatch):
     assert "nothing" in result.output
 
 
+@pytest.mark.thorough
 def test_a_quick_validation_writes_table_page_and_values(monkeypatch, tmp_path):
     monkeypatch.setattr(commands, "_run_tasks", lambda tasks, *_: {task.name: make_result(task) for task in tasks})
     output = run_app("validate", "--quick", "--world", "lab", "-o", str(tmp_path))
