@@ -39,7 +39,7 @@ class EmbeddedSlamSettings(LoopSettings):
     precision: str = parameter("double", "", "floating-point precision of the core", choices=("double", "float"))
     prior: str = parameter("odometry", "", "source of the first guess", choices=("odometry", "constant-velocity"))
     odometry_gate: bool = parameter(
-        False, "", "believe no match that is far from wheel odometry, unless it fits well: for dirty scans"
+        False, "", "believe no match that is only a little off wheel odometry, unless it fits well: for dirty scans"
     )
     map_voxel_m: float = parameter(0.1, "m", "side of the voxels of the lasting map", low=0.01)
     map_reach_m: float = parameter(20.0, "m", "keyframes farther apart through the graph leave the map", low=1.0)

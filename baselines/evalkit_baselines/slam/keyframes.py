@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
 
 import numpy as np
 
@@ -24,11 +25,27 @@ UNKNOWN = np.diag([1e-4, 1e-4, 1e-2])
 
 NO_DOUBT = Doubt()
 
+LOST_DOUBT = Doubt(0.5**2, math.radians(10.0) ** 2)
+"""Variance of a step by wheel odometry alone where the track was lost: 0.5 m, 10 deg. Either the odometry is right, and
+the matches before were hardly more wrong than that, or the robot was carried, and it says nothing."""
+
+DOUBTED_M = 1e9
+"""Length of such a step through the graph: from here on, two keyframes are connected by such steps only. What lies
+before does not belong to the map."""
+
 OPEN_FACTOR = 20.0
 """Variance along the walls of a bare corridor, as a multiple of that in a room."""
 
 ROOM_RATIO = 0.2
 """From this ratio of eigenvalues on (see ``observability``) all directions are equally well known."""
+
+
+class Step(IntEnum):
+    """How the motion between two keyframes is known: matched, or after a lost track by wheel odometry alone, or not."""
+
+    MATCHED = 0
+    MEASURED = 1
+    UNKNOWN = 2
 
 
 @dataclass(frozen=True)
@@ -64,7 +81,7 @@ class Keyframes:
     """Keyframes in the order of time. ``poses[k]`` is ``start_from_keyframe``, corrected; the first is the identity.
 
     ``clouds[k]`` (N, 2): points in the keyframe's frame (m). ``path_m[k]``: driven distance. ``sections[k]``: number of
-    the part of the drive without a lost track; motions between two parts are not known.
+    the part of the drive without a lost track. ``kinds[k]``: of the step to a keyframe.
     """
 
     drift: DriftModel
@@ -72,6 +89,7 @@ class Keyframes:
     clouds: list[Floats] = field(default_factory=list)
     path_m: list[float] = field(default_factory=list)
     sections: list[int] = field(default_factory=list)
+    kinds: list[Step] = field(default_factory=list)
     steps: list[Edge] = field(default_factory=list)
     loops: list[Edge] = field(default_factory=list)
     _poses: Floats = field(default_factory=lambda: np.zeros((256, 3)))
@@ -96,9 +114,14 @@ class Keyframes:
         return Pose.of(self._poses[row])
 
     def add(
-        self, stamp_ns: int, points: Floats, last_from_keyframe: Pose, known: bool = True, doubt: Doubt = NO_DOUBT
+        self,
+        stamp_ns: int,
+        points: Floats,
+        last_from_keyframe: Pose,
+        kind: Step = Step.MATCHED,
+        doubt: Doubt = NO_DOUBT,
     ) -> None:
-        """Add a keyframe by its motion from the last one; ``known``: whether that motion was measured."""
+        """Add a keyframe by its motion from the last one."""
         row, length = len(self), math.hypot(last_from_keyframe.x, last_from_keyframe.y)
         openness = measure_openness(points)
         if row == len(self._poses):
@@ -106,15 +129,18 @@ class Keyframes:
             self._apart_m = np.concatenate([self._apart_m, np.zeros_like(self._apart_m)])
         if row:
             self._poses[row] = (self.pose(row - 1) @ last_from_keyframe).row
-            information = self.drift.information(length, openness, doubt) if known else UNKNOWN
+            if kind is Step.MEASURED:
+                doubt = Doubt(*np.add(doubt, LOST_DOUBT))
+            information = UNKNOWN if kind is Step.UNKNOWN else self.drift.information(length, openness, doubt)
             self.steps.append(Edge(row - 1, row, last_from_keyframe, information))
-            self._apart_m[:row] += length if known else np.inf
+            self._apart_m[:row] += _graph_length(kind, length)
         self._apart_m[row] = 0.0
         self._ratios = (self._ratios[1], openness.ratio)
         self.stamps_ns.append(stamp_ns)
         self.clouds.append(points)
         self.path_m.append((self.path_m[-1] if row else 0.0) + length)
-        self.sections.append((self.sections[-1] if row else 0) + (not known))
+        self.sections.append((self.sections[-1] if row else 0) + (kind is not Step.MATCHED))
+        self.kinds.append(kind)
 
     def is_last_step_seen(self) -> bool:
         """Return whether the walls fix the position at the last two keyframes in all directions."""
@@ -141,12 +167,18 @@ class Keyframes:
         self.loops = list(loops)
         self._apart_m[: len(self)] = self._distances()
 
-    def join(self, loop: Edge) -> None:
-        """Move the last part of the drive, whose place was not known, to where a loop from another part puts it."""
-        part = np.flatnonzero(np.array(self.sections) == self.sections[loop.second])
+    def join(self, loop: Edge, contradicts: bool) -> None:
+        """Move all that is connected with the last keyframe to where a loop from another part of the drive puts it.
+
+        ``contradicts``: the steps by odometry alone between these parts are not known any more.
+        """
+        part = self.apart_m < DOUBTED_M
         start_from_second = self.pose(loop.first) @ loop.first_from_second
         moved = start_from_second @ self.pose(loop.second).inverse()
-        self._poses[part] = se2.compose(moved.row, self._poses[part])
+        self.poses[part] = se2.compose(moved.row, self.poses[part])
+        for row in np.flatnonzero(part[1:] != part[:-1]) + 1 if contradicts else ():
+            self.kinds[row] = Step.UNKNOWN
+            self.steps[row - 1] = replace(self.steps[row - 1], information=UNKNOWN)
 
     def near_in_time(self, row: int, reach_m: float) -> Ints:
         """Return the keyframes (K,) of the same part of the drive within a driven distance of one, ascending."""
@@ -162,10 +194,15 @@ class Keyframes:
         from scipy.sparse import csr_matrix  # noqa: PLC0415 - specs are listed without SciPy
         from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415 - likewise
 
-        path, sections, size = np.array(self.path_m), np.array(self.sections), len(self)
-        known = np.flatnonzero(np.diff(sections) == 0)
-        rows = np.r_[known, [loop.first for loop in self.loops]].astype(np.int64)
-        columns = np.r_[known + 1, [loop.second for loop in self.loops]].astype(np.int64)
-        lengths = np.r_[np.diff(path)[known] + 1e-9, np.full(len(self.loops), CLOSURE_LENGTH_M)]
+        size = len(self)
+        steps = map(_graph_length, self.kinds[1:], np.diff(self.path_m))
+        rows = np.r_[np.arange(size - 1), [loop.first for loop in self.loops]].astype(np.int64)
+        columns = np.r_[np.arange(1, size), [loop.second for loop in self.loops]].astype(np.int64)
+        lengths = np.r_[np.array([*steps]) + 1e-9, np.full(len(self.loops), CLOSURE_LENGTH_M)]
         links = csr_matrix((lengths, (rows, columns)), shape=(size, size))
         return np.asarray(dijkstra(links, directed=False, indices=np.array([size - 1]))[0], dtype=np.float64)
+
+
+def _graph_length(kind: Step, length_m: float) -> float:
+    """Return the length of a step through the graph (m)."""
+    return {Step.MATCHED: length_m, Step.MEASURED: DOUBTED_M, Step.UNKNOWN: math.inf}[kind]

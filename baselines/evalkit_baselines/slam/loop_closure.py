@@ -37,7 +37,7 @@ from evalkit.plugins.parameters import parameter
 from evalkit.plugins.protocols import Registration
 from evalkit_baselines.paper.icp import line_normals
 from evalkit_baselines.slam import pose_graph
-from evalkit_baselines.slam.keyframes import Edge, Keyframes
+from evalkit_baselines.slam.keyframes import DOUBTED_M, Edge, Keyframes
 from evalkit_baselines.slam.observability import Openness, measure_openness
 
 _SOURCE_POINTS = 300
@@ -46,6 +46,10 @@ _MIN_WINDOW_M, _MIN_WINDOW_RAD = 0.3, math.radians(3.0)
 _MAX_WINDOW_RAD = math.radians(30.0)
 _COARSE = 2.0
 """After a lost track the cells of branch and bound have so many times the side: the windows are large."""
+
+_ALL, _AROUND = 2, 3
+"""Turns at which the next of all places is compared, and a place around where the robot seems to be, whatever the graph
+believes."""
 
 _CORRELATED = 10.0
 """Points near each other have the same error: so many count as one."""
@@ -80,6 +84,7 @@ class Candidate(NamedTuple):
     """The edge that a candidate measured, whether it passed all checks, and why or why not.
 
     ``chi_square``: of its residual, nan where it was not computed. ``is_local``: the search window was small.
+    ``known``: the graph predicted the motion.
     """
 
     edge: Edge
@@ -87,26 +92,32 @@ class Candidate(NamedTuple):
     reason: str
     chi_square: float = math.nan
     is_local: bool = False
+    known: bool = True
 
 
 class _Prediction(NamedTuple):
     """The motion ``target_from_source`` that the graph predicts and its covariance (3, 3) in the source's frame.
 
-    ``known``: False after a lost track; then the motion is a guess to search around. ``turned``: or a place, at any
-    heading.
+    ``known``: where False, the motion is a guess to search around. ``turned``: or a place, at any heading. ``apart``:
+    both belong to parts of the drive that no closure connects.
     """
 
     motion: Pose
     covariance: Floats
     known: bool = True
     turned: bool = False
+    apart: bool = False
 
 
 class _Place(NamedTuple):
-    """A keyframe to compare with the last one, and where that may be, ``start_from_last``; None: at any heading."""
+    """A keyframe to compare with the last one, and where that may be, ``start_from_last``; None: at any heading.
+
+    ``known``: the graph predicts the motion between them.
+    """
 
     row: int
     expected: Pose | None
+    known: bool = True
 
 
 class LoopFinder:
@@ -116,12 +127,12 @@ class LoopFinder:
         self._settings, self._coarse, self._fine = settings, coarse, fine
         self._tried_at_m = -math.inf
         self._next_place = 0
-        self._looks_near = self._looks_elsewhere = False
+        self._turn = 0
 
-    def find(self, keyframes: Keyframes, expected: Edge | None, measured: bool) -> Candidate | None:
+    def find(self, keyframes: Keyframes, expected: Candidate | None, measured: bool) -> Candidate | None:
         """Return the candidate of the last keyframe, None where there is no place to compare.
 
-        ``expected``: an unconfirmed loop, beside which another one may confirm it. ``measured``: the keyframe has wheel
+        ``expected``: an unconfirmed one, beside which another one may confirm it. ``measured``: the keyframe has wheel
         odometry.
         """
         last = len(keyframes) - 1
@@ -135,58 +146,63 @@ class LoopFinder:
         self._tried_at_m = keyframes.path_m[last]
         return self._verify(keyframes, place, last)
 
-    def _expected_place(self, keyframes: Keyframes, loop: Edge) -> _Place | None:
-        pose, last = keyframes.pose(loop.first) @ loop.first_from_second, keyframes.pose(len(keyframes) - 1)
+    def _expected_place(self, keyframes: Keyframes, beside: Candidate) -> _Place | None:
+        loop, last = beside.edge, keyframes.pose(len(keyframes) - 1)
+        pose = keyframes.pose(loop.first) @ loop.first_from_second
         pose = pose @ (keyframes.pose(loop.second).inverse() @ last)
-        apart = bool(np.isinf(keyframes.apart_m[loop.first]))
-        row = self._nearest_other_part(keyframes, pose) if apart else self._nearest_place(keyframes, pose)
-        return None if row is None else _Place(row, pose)
+        is_apart = bool(keyframes.apart_m[loop.first] >= DOUBTED_M)
+        row = self._nearest_other_part(keyframes, pose) if is_apart else self._nearest_place(keyframes, pose)
+        return None if row is None else _Place(row, pose, beside.known)
 
     def _next_unexpected_place(self, keyframes: Keyframes, measured: bool) -> _Place | None:
-        """Return the nearest place; while another part of the drive is not connected, by turns one of it."""
+        """Return the nearest place; while another part of the drive is not connected, by turns one of it.
+
+        Of five turns three are for its place nearest to where the robot seems to be, the first and the fourth as far as
+        the graph believes the odometry since then, the third within the radius. The second is for the next of all
+        places, the last for the nearest place of the own part. Without such a belief, or such a place, these are as the
+        second.
+        """
         pose = keyframes.pose(len(keyframes) - 1)
-        row, is_apart = self._nearest_place(keyframes, pose), bool(np.isinf(keyframes.apart_m).any())
-        self._looks_elsewhere = is_apart and (row is None or not self._looks_elsewhere)
-        if not self._looks_elsewhere:
+        row, apart = self._nearest_place(keyframes, pose), keyframes.apart_m
+        if not (apart >= DOUBTED_M).any():
             return None if row is None else _Place(row, pose)
-        return self._another_place(keyframes, pose, measured)
+        self._turn = (self._turn + 1) % 5
+        near = self._nearest_other_part(keyframes, pose)
+        known = near is not None and measured and bool(np.isfinite(apart[near]))
+        if self._turn == 0 and row is not None:
+            return _Place(row, pose)
+        if near is not None and (self._turn in {1, _AROUND} or (known and self._turn != _ALL)):
+            return _Place(near, pose if measured else None, known and self._turn != _AROUND)
+        return _Place(self._next_of_all(keyframes), None, known=False)
 
     def _nearest_place(self, keyframes: Keyframes, pose: Pose) -> int | None:
         settings, apart = self._settings, keyframes.apart_m
         distance = np.hypot(keyframes.poses[:, 0] - pose.x, keyframes.poses[:, 1] - pose.y)
         radius = np.minimum(settings.loop_radius_m, 1.0 + 0.1 * apart)
-        eligible = np.flatnonzero((apart >= settings.loop_path_m) & np.isfinite(apart) & (distance <= radius))
+        eligible = np.flatnonzero((apart >= settings.loop_path_m) & (apart < DOUBTED_M) & (distance <= radius))
         if not len(eligible):
             return None
         return int(eligible[np.argmin(distance[eligible])])
 
     def _nearest_other_part(self, keyframes: Keyframes, pose: Pose) -> int | None:
         distance = np.hypot(keyframes.poses[:, 0] - pose.x, keyframes.poses[:, 1] - pose.y)
-        distance = np.where(np.isinf(keyframes.apart_m), distance, np.inf)
+        distance = np.where(keyframes.apart_m >= DOUBTED_M, distance, np.inf)
         return int(np.argmin(distance)) if distance.min() <= self._settings.loop_radius_m else None
 
-    def _another_place(self, keyframes: Keyframes, pose: Pose, measured: bool) -> _Place | None:
-        """Return the next place to look for the robot after a lost track.
-
-        By turns the one nearest to where the robot seems to be, because the track may be only a little wrong, and the
-        next of all.
-        """
-        near = self._nearest_other_part(keyframes, pose)
-        self._looks_near = not self._looks_near and near is not None
-        if self._looks_near and near is not None:
-            return _Place(near, pose if measured else None)
+    def _next_of_all(self, keyframes: Keyframes) -> int:
+        """Return the next place of the other parts, half a radius of path after the last one."""
         path, apart = np.array(keyframes.path_m), keyframes.apart_m
-        ahead = np.flatnonzero(np.isinf(apart) & (path >= path[min(self._next_place, len(path) - 1)]))
+        ahead = np.flatnonzero((apart >= DOUBTED_M) & (path >= path[min(self._next_place, len(path) - 1)]))
         if not len(ahead):
             self._next_place = 0
-            ahead = np.flatnonzero(np.isinf(apart))
+            ahead = np.flatnonzero(apart >= DOUBTED_M)
         place = int(ahead[0])
         self._next_place = int(np.searchsorted(path, path[place] + 0.5 * self._settings.loop_radius_m))
-        return _Place(place, None)
+        return place
 
     def _verify(self, keyframes: Keyframes, place: _Place, last: int) -> Candidate:
         settings, other, predicted = self._settings, place.row, self._predict(keyframes, place, last)
-        reach = settings.loop_submap_m if predicted.known else settings.loop_radius_m
+        reach = settings.loop_radius_m if predicted.apart else settings.loop_submap_m
         target = voxel_means(keyframes.points_around(other, keyframes.near_in_time(other, reach)), 0.05)
         source = voxel_means(keyframes.points_around(last, keyframes.near_in_time(last, settings.loop_submap_m)), 0.1)
         guess = Edge(other, last, predicted.motion, np.eye(3))
@@ -201,14 +217,15 @@ class LoopFinder:
         return self._judge(target, source, match, predicted, guess, is_local)
 
     def _predict(self, keyframes: Keyframes, place: _Place, last: int) -> _Prediction:
-        other = keyframes.pose(place.row)
-        if np.isfinite(keyframes.apart_m[place.row]):
+        other, apart = keyframes.pose(place.row), bool(keyframes.apart_m[place.row] >= DOUBTED_M)
+        if place.known:
             motion = other.inverse() @ keyframes.pose(last)
-            return _Prediction(motion, pose_graph.relative_covariance(keyframes.graph(), place.row, last))
+            covariance = pose_graph.relative_covariance(keyframes.graph(), place.row, last)
+            return _Prediction(motion, covariance, apart=apart)
         anywhere = np.diag([1e4, 1e4, 1e2])
         if place.expected is None:
-            return _Prediction(Pose(), anywhere, known=False, turned=True)
-        return _Prediction(other.inverse() @ place.expected, anywhere, known=False)
+            return _Prediction(Pose(), anywhere, known=False, turned=True, apart=apart)
+        return _Prediction(other.inverse() @ place.expected, anywhere, known=False, apart=apart)
 
     def _search(self, target: Floats, source: Floats, predicted: _Prediction) -> tuple[Pose | None, str, bool]:
         """Return the motion that branch and bound finds, or None and the reason, and whether the window was small."""
@@ -221,7 +238,7 @@ class LoopFinder:
         half_rad = min(max(_SIGMAS * sigma_rad, _MIN_WINDOW_RAD), _MAX_WINDOW_RAD)
         if predicted.turned:  # places half a radius apart are searched one after the other
             half, half_rad = np.full(2, 0.5 * settings.loop_radius_m), math.pi
-        cell_m = settings.loop_cell_m * (1.0 if predicted.known else _COARSE)
+        cell_m = settings.loop_cell_m * (_COARSE if predicted.apart else 1.0)
         grid = ScoreGrid.from_points(target, cell_m, cell_m, 5)
         thinned = source[:: max(len(source) // _SOURCE_POINTS, 1)]
         window = Window(motion, float(half[0]), float(half[1]), half_rad)
@@ -270,7 +287,7 @@ class LoopFinder:
         edge = Edge(guess.first, guess.second, motion, 0.5 * (information + information.T))
         if not chi <= settings.loop_gate:
             return Candidate(edge, False, f"chi2 {chi:.1f} > {settings.loop_gate:.1f}", chi, is_local)
-        return Candidate(edge, True, f"chi2 {chi:.1f}, overlap {overlap:.2f}", chi, is_local)
+        return Candidate(edge, True, f"chi2 {chi:.1f}, overlap {overlap:.2f}", chi, is_local, predicted.known)
 
 
 def _chi_square(motion: Pose, predicted: Pose, covariance: Floats) -> float:

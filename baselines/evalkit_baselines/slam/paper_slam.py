@@ -28,7 +28,7 @@ from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded.compiled import compiled_missing
 from evalkit_baselines.slam import pose_graph
 from evalkit_baselines.slam.continuity import Continuity
-from evalkit_baselines.slam.keyframes import DriftModel, Edge, Keyframes
+from evalkit_baselines.slam.keyframes import DOUBTED_M, DriftModel, Edge, Keyframes, Step
 from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
 from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder, LoopSettings
 from evalkit_baselines.slam.match_doubt import MatchDoubt
@@ -53,7 +53,7 @@ class SlamSettings(LoopSettings):
     matcher: str = parameter("embedded", "", "the paper's ICP in C99 or in NumPy", choices=("embedded", "paper"))
     prior: str = parameter("odometry", "", "source of the first guess", choices=("odometry", "constant-velocity"))
     odometry_gate: bool = parameter(
-        False, "", "believe no match that is far from wheel odometry, unless it fits well: for dirty scans"
+        False, "", "believe no match that is only a little off wheel odometry, unless it fits well: for dirty scans"
     )
     map_voxel_m: float = parameter(0.1, "m", "side of the voxels of the lasting map", low=0.01)
     map_reach_m: float = parameter(20.0, "m", "keyframes farther apart through the graph leave the map", low=1.0)
@@ -94,7 +94,7 @@ class PaperSlam:
             CoarseToFine(narrow, _make_icp(settings.matcher, **_NARROW, max_iterations=FINE_ITERATIONS)),
             _make_icp(settings.matcher, **_NARROW, max_iterations=TRIED_ITERATIONS),
         )
-        self._gate = OdometryGate(ObservableIcp(self._tries))
+        self._gate = OdometryGate(ObservableIcp(self._tries), settings.odometry_gate)
         self._front = FrontEnd(self._gate, self._gate, front_end, self._map)
         self._finder = LoopFinder(settings, wide, narrow)
         self._continuity = Continuity()
@@ -113,14 +113,15 @@ class PaperSlam:
         """Match one scan; a new keyframe may close a loop, which corrects this pose and all earlier ones.
 
         Where the scan does not lie on the one before, the track is lost: the answer is not accepted, and the map begins
-        anew until a loop closure connects it with the old one. Raises ValueError where time does not advance.
+        anew until a loop closure connects it with the old one. In between, the pose is that of the wheel odometry,
+        which the graph doubts. Raises ValueError where time does not advance.
         """
         if self._stamps_ns and frame.scan.stamp_ns <= self._stamps_ns[-1]:
             found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {self._stamps_ns[-1]} ns"
             raise ValueError(f"paper-slam: {found}; give the scans in the order of time")
         self._corrected = False
         wheels = frame.odom_from_base
-        self._gate.is_measured = self._settings.odometry_gate and frame.odom_from_base is not None
+        self._gate.is_measured = frame.odom_from_base is not None
         frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         self._tries.begin_scan(self._doubt.usual_m)
@@ -133,8 +134,8 @@ class PaperSlam:
         new = self._map.take() or (NewKeyframe(points, estimate.pose) if lost else None)
         if new is not None:
             new = NewKeyframe(voxel_means(new.points, _STORED_VOXEL_M), new.odom_from_base)
-            expected = predicted if measured else estimate.pose
-            self._insert(frame.scan.stamp_ns, new, wheels, expected if lost else None)
+            kind = Step.MATCHED if not lost else Step.MEASURED if measured else Step.UNKNOWN
+            self._insert(frame.scan.stamp_ns, new, wheels, kind, predicted if kind is Step.MEASURED else estimate.pose)
         if lost:
             estimate = replace(estimate, accepted=False)
         self._stamps_ns.append(frame.scan.stamp_ns)
@@ -169,12 +170,12 @@ class PaperSlam:
         has_odometry, near = frame.odom_from_base is not None, self._map.cloud(odom_from_base).points
         return self._continuity.is_lost(points, odom_from_base, frame.base_from_sensor, has_odometry, near)
 
-    def _insert(self, stamp_ns: int, new: NewKeyframe, wheels: Pose | None, expected: Pose | None) -> None:
-        """Add a keyframe. ``expected``: after a lost track, the pose ``odom_from_base`` that the graph takes."""
-        known = expected is None
-        last = Pose.of(self._odom_from_keyframe[-1]) if self._odom_from_keyframe else new.odom_from_base
-        motion = last.inverse() @ (new.odom_from_base if expected is None else expected)
-        self._keyframes.add(stamp_ns, new.points, motion, known, self._doubt.take())
+    def _insert(self, stamp_ns: int, new: NewKeyframe, wheels: Pose | None, kind: Step, odom_from_base: Pose) -> None:
+        """Add a keyframe; ``odom_from_base``: where the graph has it, after a lost track not where it matched."""
+        known = kind is Step.MATCHED
+        last = Pose.of(self._odom_from_keyframe[-1]) if self._odom_from_keyframe else odom_from_base
+        motion = last.inverse() @ odom_from_base
+        self._keyframes.add(stamp_ns, new.points, motion, kind, self._doubt.take())
         self._odom_from_keyframe.append(new.odom_from_base.row)
         if known and wheels is not None and self._wheels is not None and self._keyframes.is_last_step_seen():
             self._scale.observe(motion, self._wheels.inverse() @ wheels)
@@ -184,7 +185,7 @@ class PaperSlam:
             self._map.odom_from_start = new.odom_from_base @ self._keyframes.pose(len(self._keyframes) - 1).inverse()
             self._map.rebuild()
             return
-        candidate = self._finder.find(self._keyframes, self._expected_loop(), wheels is not None)
+        candidate = self._finder.find(self._keyframes, self._expected(), wheels is not None)
         if candidate is None or not self._consider(candidate):
             self._map.extend()
 
@@ -201,20 +202,19 @@ class PaperSlam:
             return False
         self._waiting = []
         edge, sections = candidate.edge, self._keyframes.sections
-        found_again = bool(np.isinf(self._keyframes.apart_m[edge.first]))
+        found_again = bool(self._keyframes.apart_m[edge.first] >= DOUBTED_M)
         if found_again:
-            self._keyframes.join(edge)
+            self._keyframes.join(edge, contradicts=not candidate.known)
             self._corrected = True
         lost = f"found again after a lost track (part {sections[edge.second]}): " if found_again else ""
         self._record(edge, True, lost + candidate.reason)
         self._optimise()
         return True
 
-    def _expected_loop(self) -> Edge | None:
+    def _expected(self) -> Candidate | None:
         """Return the last unconfirmed candidate, where another one may still confirm it."""
-        path_m = self._keyframes.path_m
-        edge = self._waiting[-1].edge if self._waiting else None
-        return edge if edge is not None and path_m[-1] - path_m[edge.second] <= _CONFIRMED_WITHIN_M else None
+        path_m, last = self._keyframes.path_m, self._waiting[-1] if self._waiting else None
+        return last if last is not None and path_m[-1] - path_m[last.edge.second] <= _CONFIRMED_WITHIN_M else None
 
     def _agree(self, earlier: Candidate, later: Candidate) -> bool:
         keyframes, first, second = self._keyframes, earlier.edge, later.edge

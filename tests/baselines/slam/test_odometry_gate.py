@@ -8,7 +8,7 @@ import pytest
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit_baselines.slam.odometry_gate import GATE_M, GATE_RAD, MIN_POINTS, OdometryGate
+from evalkit_baselines.slam.odometry_gate import MIN_POINTS, STRICT, WIDE, OdometryGate
 
 GUESS = Pose(1.0, -2.0, 0.5)
 
@@ -23,17 +23,20 @@ class Answers:
         return Match(guess @ self.gap, True, 3, self.error_m, len(source))
 
 
+@pytest.mark.parametrize("strict", [False, True])
 @pytest.mark.parametrize(
-    ("gap", "points", "is_believed"),
+    ("share", "points", "is_believed"),
     [
-        (Pose(0.99 * GATE_M, 0.0, 0.99 * GATE_RAD), MIN_POINTS, True),
-        (Pose(0.0, -1.01 * GATE_M, 0.0), MIN_POINTS, False),
-        (Pose(0.0, 0.0, 1.01 * GATE_RAD), MIN_POINTS, False),
-        (Pose(0.1, 0.0, 0.0), MIN_POINTS - 1, False),
+        ((0.99, 0.0, 0.99), MIN_POINTS, (True, True)),
+        ((0.0, -1.01, 0.0), MIN_POINTS, (False, False)),
+        ((0.0, 0.0, 1.01), MIN_POINTS, (False, False)),
+        ((0.1, 0.0, 0.0), MIN_POINTS - 1, (True, False)),
     ],
 )
-def test_far_answers_and_those_of_few_points_are_the_guess_without_pairs(gap, points, is_believed):
-    gate = OdometryGate(Answers(gap))
+def test_far_answers_and_strictly_those_of_few_points_are_the_guess_without_pairs(share, points, is_believed, strict):
+    most_m, most_rad = STRICT if strict else WIDE
+    gap, is_believed = Pose(share[0] * most_m, share[1] * most_m, share[2] * most_rad), is_believed[strict]
+    gate = OdometryGate(Answers(gap), strict)
     cloud = Cloud(np.ones((points, 2)))
     assert gate.register(cloud, cloud, GUESS).inliers == points  # the guess is none of wheels
     gate.is_measured = True

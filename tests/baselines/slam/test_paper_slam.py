@@ -8,7 +8,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.world import World, closed_outline
 from evalkit_baselines.slam import paper_slam
-from evalkit_baselines.slam.keyframes import DriftModel, Edge, Keyframes
+from evalkit_baselines.slam.keyframes import DOUBTED_M, DriftModel, Edge, Keyframes, Step
 from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder
 from evalkit_baselines.slam.observability import ObservableIcp, measure_openness
 
@@ -186,27 +186,56 @@ def test_a_closure_is_a_correction_where_it_moves_an_earlier_pose_by_more_than_a
     assert slam._corrected is corrected
 
 
-def test_the_distance_through_the_graph_is_short_across_a_loop_and_infinite_after_a_lost_track():
+def test_the_distance_through_the_graph_is_short_across_a_loop_and_beyond_all_maps_after_a_lost_track():
     keyframes = make_chain(31)
     assert keyframes.apart_m[0] == pytest.approx(30.0)
     keyframes.correct(keyframes.poses.copy(), [Edge(0, 28, Pose(28.0, 0.0, 0.0), np.eye(3))])
     assert keyframes.apart_m[0] == pytest.approx(2.5)
-    keyframes.add(31, np.zeros((0, 2)), Pose(), known=False)
-    assert np.isinf(keyframes.apart_m[:31]).all()
+    keyframes.add(31, np.zeros((0, 2)), Pose(), Step.MEASURED)
+    assert (keyframes.apart_m[:31] >= DOUBTED_M).all()
+    assert np.isfinite(keyframes.apart_m).all()
+    keyframes.add(32, np.zeros((0, 2)), Pose(), Step.UNKNOWN)
+    assert np.isinf(keyframes.apart_m[:32]).all()
+    keyframes.correct(keyframes.poses.copy(), [Edge(3, 32, Pose(), np.eye(3))])
+    assert keyframes.apart_m[3] == pytest.approx(0.5)
+    assert keyframes.apart_m[31] >= DOUBTED_M
+
+
+def test_after_a_lost_track_the_graph_believes_the_odometry_to_half_a_metre_and_10_degrees():
+    keyframes = make_chain(3)
+    keyframes.add(3, np.zeros((0, 2)), Pose(1.0, 0.0, 0.0), Step.MEASURED)
+    usual, lost = (np.linalg.inv(keyframes.steps[row].information) for row in (1, 2))
+    np.testing.assert_allclose(np.diag(lost - usual), [0.25, 0.25, np.radians(10.0) ** 2], rtol=1e-9)
+
+
+@pytest.mark.parametrize("contradicts", [False, True])
+def test_a_loop_to_another_part_moves_all_that_is_connected_and_may_refute_the_odometry_in_between(contradicts):
+    keyframes = make_chain(3)
+    keyframes.add(3, np.zeros((0, 2)), Pose(1.0, 0.0, 0.0), Step.MEASURED)
+    for row in (4, 5):
+        keyframes.add(row, np.zeros((0, 2)), Pose(1.0, 0.0, 0.0))
+    keyframes.join(Edge(0, 4, Pose(0.0, 2.0, 0.0), np.eye(3)), contradicts)
+    np.testing.assert_allclose(keyframes.poses[:, 0], [0.0, 1.0, 2.0, -1.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(keyframes.poses[:, 1], [0.0, 0.0, 0.0, 2.0, 2.0, 2.0], atol=1e-12)
+    assert keyframes.kinds[3] == (Step.UNKNOWN if contradicts else Step.MEASURED)
+    assert (keyframes.steps[2].information[0, 0] < 1e-3) == contradicts
 
 
 class PlaceFinder(LoopFinder):
     """A LoopFinder whose candidates are the places to compare, and where it expects the robot."""
 
     def _verify(self, keyframes, place, last):
-        return place.row, place.expected and place.expected.x
+        return place.row, place.expected and place.expected.x, place.known
 
 
-def make_two_parts():
+def make_two_parts(kind=Step.UNKNOWN):
     """Keyframes of two lost parts of 31 m, 1 m apart, on one line: the second begins at 10.2 m of the first."""
     keyframes = make_chain(31)
-    keyframes.add(31, np.zeros((0, 2)), Pose(-19.8, 0.0, 0.0), known=False)
+    keyframes.add(31, np.zeros((0, 2)), Pose(-19.8, 0.0, 0.0), kind)
     return keyframes
+
+
+X = pytest.approx
 
 
 def drive_on(keyframes, metres):
@@ -214,40 +243,53 @@ def drive_on(keyframes, metres):
         keyframes.add(keyframes.stamps_ns[-1] + 1, np.zeros((0, 2)), Pose(1.0, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("measured", [True, False])
-def test_after_a_lost_track_the_robot_is_sought_by_turns_where_it_seems_to_be_and_at_all_places(measured):
-    keyframes, finder, found = make_two_parts(), PlaceFinder(paper_slam.SlamSettings(), None, None), []
-    for _ in range(6):
+@pytest.mark.parametrize(
+    ("kind", "measured", "near"),
+    [
+        (Step.UNKNOWN, False, [(11, None, False), (13, None, False), (16, None, False)]),  # at any heading
+        (Step.UNKNOWN, True, [(11, X(11.2), False), (13, X(13.2), False), (16, X(16.2), False)]),
+        (
+            Step.MEASURED,
+            True,
+            [(11, X(11.2), True), (13, X(13.2), False), *((row, X(row + 0.2), True) for row in (14, 15, 16))],
+        ),
+    ],
+)
+def test_after_a_lost_track_the_robot_is_sought_by_turns_where_it_seems_to_be_and_at_all_places(kind, measured, near):
+    keyframes, finder, found = make_two_parts(kind), PlaceFinder(paper_slam.SlamSettings(), None, None), []
+    for _ in range(7):
         drive_on(keyframes, 1)
         found.append(finder.find(keyframes, None, measured))
-    near = [(11, 11.2), (13, 13.2), (15, 15.2)]  # without odometry at any heading
-    assert found[::2] == near if measured else [(row, None) for row, _ in near]
-    assert found[1::2] == [(0, None), (4, None), (8, None)]  # every 3.5 m
+    predicted = kind is Step.MEASURED  # then this place has the fourth and the last turn, too
+    others = [1, 6] if predicted else [1, 3, 4, 6]
+    assert [place for turn, place in enumerate(found) if turn not in others] == near
+    assert [found[turn][0] for turn in others] == [0, 4, 8, 12][: len(others)]  # all places, every 3.5 m
 
 
 def test_beside_an_unconfirmed_loop_another_one_is_sought_before_all_else():
     keyframes, finder = make_two_parts(), PlaceFinder(paper_slam.SlamSettings(), None, None)
     drive_on(keyframes, 20)  # a place of the same part is 15 m away along the path
-    loop = Edge(2, len(keyframes) - 1, Pose(0.4, 0.0, 0.0), np.eye(3))  # the robot was at 2.4 m of the first part
+    # the robot was at 2.4 m of the first part
+    beside = Candidate(Edge(2, len(keyframes) - 1, Pose(0.4, 0.0, 0.0), np.eye(3)), True, "", known=False)
     drive_on(keyframes, 2)
-    assert finder.find(keyframes, loop, True) == (4, pytest.approx(4.4))
+    assert finder.find(keyframes, beside, True) == (4, pytest.approx(4.4), False)
     keyframes = make_chain(41)
     keyframes.add(41, np.zeros((0, 2)), Pose(-35.0, 0.0, 0.0))  # back at 5 m, as it seems
-    loop = Edge(8, 41, Pose(0.0, 0.0, 0.0), np.eye(3))
+    beside = Candidate(Edge(8, 41, Pose(0.0, 0.0, 0.0), np.eye(3)), True, "")
     drive_on(keyframes, 1)
-    assert finder.find(keyframes, loop, True) == (9, pytest.approx(9.0))
+    assert finder.find(keyframes, beside, True) == (9, pytest.approx(9.0), True)
     drive_on(keyframes, 1)
-    assert finder.find(keyframes, None, True) == (7, pytest.approx(7.0))
+    assert finder.find(keyframes, None, True) == (7, pytest.approx(7.0), True)
 
 
-def test_while_another_part_is_not_connected_it_has_every_second_turn():
+def test_while_another_part_is_not_connected_it_has_four_of_five_turns():
     keyframes, finder, rows = make_two_parts(), PlaceFinder(paper_slam.SlamSettings(), None, None), []
     drive_on(keyframes, 17)
     keyframes.add(100, np.zeros((0, 2)), Pose(-16.0, 0.0, 0.0))  # near the beginning of its own part
-    for _ in range(4):
+    for _ in range(6):
         drive_on(keyframes, 1)
         rows.append(finder.find(keyframes, None, True)[0])
-    assert [row <= 30 for row in rows] == [True, False, True, False]
+    assert [row <= 30 for row in rows] == [True, True, True, True, False, True]
 
 
 # --- observability

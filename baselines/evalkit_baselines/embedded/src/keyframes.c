@@ -8,6 +8,8 @@
 #define BLIND EK_R(0.045)
 #define MIN_LENGTH EK_R(0.05) /* m */
 #define STILL EK_R(1e-9)      /* m: length of a step without motion */
+#define LOST EK_R(0.5)        /* m, and 10 deg: 1 sigma of a step by wheel odometry alone where the track was lost */
+#define LOST_THETA (EK_R(10.0) * EK_PI / EK_R(180.0))
 
 static const ek_sym3 UNKNOWN = {EK_R(1e-4), EK_R(0.0), EK_R(0.0), EK_R(1e-4), EK_R(0.0), EK_R(1e-2)};
 
@@ -34,6 +36,7 @@ ek_status ek_keyframes_init(ek_keyframes *keyframes, ek_arena *arena, size_t cap
     keyframes->path = (ek_real *)ek_arena_alloc(arena, capacity, sizeof(ek_real));
     keyframes->apart = (ek_real *)ek_arena_alloc(arena, capacity, sizeof(ek_real));
     keyframes->section = (uint32_t *)ek_arena_alloc(arena, capacity, sizeof(uint32_t));
+    keyframes->kind = (uint8_t *)ek_arena_alloc(arena, capacity, sizeof(uint8_t));
     return EK_OK;
 }
 
@@ -52,28 +55,41 @@ static ek_sym3 step_information(const ek_drift *drift, ek_real path, const ek_op
     return information;
 }
 
-ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t count, ek_pose last_from_keyframe, int known,
-                           const ek_openness *open, ek_doubt doubt, ek_work *work)
+/* Length of a step through the graph. */
+static ek_real graph_length(ek_step_kind kind, ek_real length)
+{
+    return kind == EK_STEP_MATCHED ? length : kind == EK_STEP_MEASURED ? EK_DOUBTED : EK_APART;
+}
+
+ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t count, ek_pose last_from_keyframe,
+                           ek_step_kind kind, const ek_openness *open, ek_doubt doubt, ek_work *work)
 {
     const size_t row = keyframes->count, used = row ? keyframes->start[row] : 0u;
     if (row == keyframes->capacity || count > keyframes->point_capacity - used) {
         return EK_TOO_MANY_POINTS;
     }
     const ek_real x = last_from_keyframe.x, y = last_from_keyframe.y, length = EK_SQRT(x * x + y * y);
-    const ek_sym3 information = known ? step_information(&keyframes->drift, length, open, doubt) : UNKNOWN;
+    if (kind == EK_STEP_MEASURED) {
+        doubt.position += LOST * LOST;
+        doubt.heading += LOST_THETA * LOST_THETA;
+    }
+    const ek_sym3 information =
+        kind == EK_STEP_UNKNOWN ? UNKNOWN : step_information(&keyframes->drift, length, open, doubt);
     const ek_status status = ek_pose_graph_add(&keyframes->graph, last_from_keyframe, &information);
     if (status != EK_OK) {
         return status;
     }
     for (size_t k = 0; k < row; k++) {
-        keyframes->apart[k] = known && keyframes->apart[k] < EK_APART ? keyframes->apart[k] + length : EK_APART;
+        const ek_real apart = keyframes->apart[k] + graph_length(kind, length);
+        keyframes->apart[k] = apart < EK_APART ? apart : EK_APART;
     }
     memcpy(keyframes->points + 2u * used, xy, 2u * count * sizeof *xy);
     keyframes->start[row] = used;
     keyframes->start[row + 1u] = used + count;
     keyframes->path[row] = (row ? keyframes->path[row - 1u] : EK_R(0.0)) + length;
     keyframes->apart[row] = EK_R(0.0);
-    keyframes->section[row] = row ? keyframes->section[row - 1u] + !known : 0u;
+    keyframes->section[row] = row ? keyframes->section[row - 1u] + (kind != EK_STEP_MATCHED) : 0u;
+    keyframes->kind[row] = (uint8_t)kind;
     keyframes->count++;
     ek_work_spend(work, row + count);
     return EK_OK;
@@ -86,11 +102,9 @@ static int shorten(ek_real *distance, ek_real other)
     return shorter;
 }
 
-/* Length of the step to a keyframe, EK_APART after a lost track. */
 static ek_real step_length(const ek_keyframes *keyframes, size_t row)
 {
-    const int known = keyframes->section[row] == keyframes->section[row - 1u];
-    return known ? keyframes->path[row] - keyframes->path[row - 1u] + STILL : EK_APART;
+    return graph_length((ek_step_kind)keyframes->kind[row], keyframes->path[row] - keyframes->path[row - 1u] + STILL);
 }
 
 void ek_keyframes_measure(ek_keyframes *keyframes, ek_work *work)
@@ -119,14 +133,19 @@ void ek_keyframes_measure(ek_keyframes *keyframes, ek_work *work)
     }
 }
 
-void ek_keyframes_join(ek_keyframes *keyframes, const ek_loop_edge *loop, ek_work *work)
+void ek_keyframes_join(ek_keyframes *keyframes, const ek_loop_edge *loop, int contradicts, ek_work *work)
 {
     ek_pose *const pose = keyframes->graph.pose;
     const ek_pose before = pose[loop->second];
     const ek_pose after = ek_se2_compose(pose[loop->first], loop->first_from_second);
     for (size_t k = 0; k < keyframes->count; k++) {
-        if (keyframes->section[k] == keyframes->section[loop->second]) {
+        const int moves = keyframes->apart[k] < EK_DOUBTED;
+        if (moves) {
             pose[k] = ek_se2_compose(after, ek_se2_between(before, pose[k]));
+        }
+        if (contradicts && k && moves != (keyframes->apart[k - 1u] < EK_DOUBTED)) {
+            keyframes->kind[k] = EK_STEP_UNKNOWN;
+            keyframes->graph.step[k].information = UNKNOWN;
         }
     }
     ek_work_spend(work, keyframes->count);

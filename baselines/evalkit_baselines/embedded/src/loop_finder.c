@@ -84,7 +84,7 @@ static void fit_window(ek_loop_finder *finder)
         const ek_real half = SIGMAS * sigma[k] > low[k] ? SIGMAS * sigma[k] : low[k];
         finder->half[k] = half < high[k] ? half : high[k];
     }
-    if (!finder->known && finder->turned) { /* places half a radius apart are searched one after the other */
+    if (finder->turned) { /* places half a radius apart are searched one after the other */
         finder->half[0] = finder->half[1] = EK_R(0.5) * finder->settings.radius;
         finder->half[2] = EK_PI;
     }
@@ -131,7 +131,7 @@ static int begin_rival(ek_loop_finder *finder)
         } else {
             part.centre.theta = ek_se2_wrap(best.theta + EK_PI);
         }
-        if ((finder->rival < 4u || !finder->known) && part.x > EK_R(0.0) && part.y > EK_R(0.0)) {
+        if ((finder->rival < 4u || !finder->candidate.known) && part.x > EK_R(0.0) && part.y > EK_R(0.0)) {
             ek_search_begin(&finder->search, &finder->grid, finder->sample, finder->sample_count, &part, &none,
                             finder->settings.ambiguity * finder->best_score);
             return 1;
@@ -142,14 +142,14 @@ static int begin_rival(ek_loop_finder *finder)
 
 static void predict(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *work)
 {
-    if (finder->known) {
+    if (finder->candidate.known) {
         if (!ek_pose_graph_work(&keyframes->graph, work)) {
             return;
         }
         finder->covariance = keyframes->graph.solver.predicted;
     }
     select_near(finder, keyframes, finder->candidate.edge.first,
-                finder->known ? finder->settings.submap : finder->settings.radius);
+                finder->apart ? finder->settings.radius : finder->settings.submap);
     finder->phase = EK_FINDER_TARGET;
 }
 
@@ -177,7 +177,7 @@ static void take_maps(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *
 
 static void draw(ek_loop_finder *finder, ek_work *work)
 {
-    const ek_real cell = (finder->known ? EK_R(1.0) : COARSE) * finder->settings.cell;
+    const ek_real cell = (finder->apart ? COARSE : EK_R(1.0)) * finder->settings.cell;
     ek_score_grid_draw(&finder->grid, &finder->thinner, finder->target, finder->target_count, cell, finder->motion.x, finder->motion.y, finder->raw, work);
     finder->level = 1u;
     finder->phase = EK_FINDER_RAISE;
@@ -195,7 +195,7 @@ static void search(ek_loop_finder *finder, ek_work *work)
     finder->best = finder->search.best;
     finder->best_score = finder->search.score;
     finder->rival = 0u;
-    if (!finder->known) { /* another place that fits may be farther away than where this one was sought */
+    if (!finder->candidate.known) { /* another place that fits may be farther away than where this one was sought */
         finder->half[0] = finder->half[1] = finder->settings.radius;
         finder->half[2] = EK_PI;
     }

@@ -155,7 +155,7 @@ static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openn
     }
     const ek_status status = ek_slam_match(slam, target, *pose, match);
     const ek_pose limited = status == EK_OK ? ek_openness_limit(open, match->target_from_source, *pose) : *pose;
-    if (status == EK_OK && slam->gated && !ek_slam_is_believed(slam->scan.count, *pose, limited, match)) {
+    if (status == EK_OK && slam->gated && !ek_slam_is_believed(slam->parameters.odometry_gate, slam->scan.count, *pose, limited, match)) {
         match->inliers = 0;
     }
     *accepted = status == EK_OK && match->inliers >= slam->parameters.min_inliers;
@@ -240,7 +240,8 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, int has_odometry, ek
     ek_motion_store(&slam->motion, prior, pose);
     ek_work task = ek_work_make(p->work ? p->work : INT64_MAX);
     if (status == EK_OK && (keyframe || estimate->lost)) {
-        status = ek_slam_insert(slam, pose, !estimate->lost, measured ? predicted : pose, &task);
+        const ek_step_kind kind = !estimate->lost ? EK_STEP_MATCHED : measured ? EK_STEP_MEASURED : EK_STEP_UNKNOWN;
+        status = ek_slam_insert(slam, pose, kind, kind == EK_STEP_MEASURED ? predicted : pose, &task);
     }
     ek_slam_work(slam, &task);
     estimate->work = task.done;
@@ -272,7 +273,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     estimate->odom_from_base = identity;
     estimate->scan_to_scan = estimate->scan_to_map = none;
     slam->corrected = 0;
-    slam->gated = p->odometry_gate && sweep->has_odometry;
+    slam->gated = sweep->has_odometry;
     status = ek_slam_track(slam, &prior, estimate, &work);
     if (status != EK_OK || !is_near(estimate->odom_from_base)) {
         return status == EK_OK ? EK_OUT_OF_RANGE : status;

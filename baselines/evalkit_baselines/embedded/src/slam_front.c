@@ -17,13 +17,13 @@
 #define FARTHEST EK_R(0.5)   /* m, and 36 deg: a further try that ends farther from the guess does not count */
 #define FARTHEST_THETA (EK_R(36.0) * EK_PI / EK_R(180.0))
 
-#define GATE EK_R(0.3)       /* m, and 20 deg: a match farther from its guess by odometry is not believed, */
-#define GATE_THETA (EK_R(20.0) * EK_PI / EK_R(180.0))
+#define STRICT EK_R(0.3)     /* m, and 20 deg: a match farther from its guess by odometry is not believed by the strict gate, */
+#define STRICT_THETA (EK_R(20.0) * EK_PI / EK_R(180.0)) /* and by the other one beyond FARTHEST, */
 #define CLEAR EK_R(0.04)     /* m: unless it has converged to a smaller error with CLEAR_SHARE of the points in pairs */
 #define CLEAR_SHARE EK_R(0.9)
 #define USUAL_SCANS EK_R(50.0) /* scans over which the usual error of matches is averaged */
 #define DOUBTED EK_R(2.0)    /* times the usual error: beyond it a match is doubted, beyond twice that wholly */
-#define FEWEST 40u           /* a match of a scan with fewer points is not believed either */
+#define FEWEST 40u           /* a match of a scan with fewer points is not believed by the strict gate either */
 
 static const ek_real TURNS[] = {EK_R(0.0), EK_R(-12.0), EK_R(12.0), EK_R(-24.0), EK_R(24.0)}; /* deg: of further tries */
 
@@ -177,13 +177,14 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek
     return EK_OK;
 }
 
-int ek_slam_is_believed(size_t points, ek_pose guess, ek_pose answer, const ek_match *match)
+int ek_slam_is_believed(int strict, size_t points, ek_pose guess, ek_pose answer, const ek_match *match)
 {
     const ek_pose gap = ek_se2_between(guess, answer);
-    const int far = gap.x * gap.x + gap.y * gap.y > GATE * GATE || EK_FABS(gap.theta) > GATE_THETA;
+    const ek_real most = strict ? STRICT : FARTHEST, most_theta = strict ? STRICT_THETA : FARTHEST_THETA;
+    const int far = gap.x * gap.x + gap.y * gap.y > most * most || EK_FABS(gap.theta) > most_theta;
     const int clear = match->converged && match->error < CLEAR &&
                       (ek_real)match->inliers >= CLEAR_SHARE * (ek_real)points;
-    return points >= FEWEST && (clear || !far);
+    return !(strict && points < FEWEST) && (clear || !far);
 }
 
 void ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match)

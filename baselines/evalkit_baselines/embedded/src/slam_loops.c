@@ -112,9 +112,9 @@ static void consider(ek_slam *slam, ek_work *work)
         return;
     }
     slam->waiting_count = 0u;
-    now->found_again = keyframes->apart[candidate.edge.first] >= EK_APART;
+    now->found_again = keyframes->apart[candidate.edge.first] >= EK_DOUBTED;
     if (now->found_again) {
-        ek_keyframes_join(keyframes, &candidate.edge, work);
+        ek_keyframes_join(keyframes, &candidate.edge, !candidate.known, work);
     }
     now->accepted = ek_pose_graph_close(&keyframes->graph, &candidate.edge) == EK_OK;
     if (now->accepted) {
@@ -156,23 +156,24 @@ static void begin_anew(ek_slam *slam, ek_work *work)
 }
 
 /* The last unconfirmed candidate, where another one may still confirm it; NULL: there is none. */
-static const ek_loop_edge *expected_loop(const ek_slam *slam)
+static const ek_loop_candidate *expected_candidate(const ek_slam *slam)
 {
-    const ek_loop_edge *const edge = slam->waiting_count ? &slam->waiting[slam->waiting_count - 1u].edge : NULL;
+    const ek_loop_candidate *const newest = slam->waiting_count ? slam->waiting + slam->waiting_count - 1u : NULL;
     const ek_real *const path = slam->keyframes.path;
-    return edge && path[slam->keyframes.count - 1u] - path[edge->second] <= CONFIRMED_WITHIN ? edge : NULL;
+    const int in_reach = newest && path[slam->keyframes.count - 1u] - path[newest->edge.second] <= CONFIRMED_WITHIN;
+    return in_reach ? newest : NULL;
 }
 
-ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, int known, ek_pose expected, ek_work *work)
+ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, ek_step_kind kind, ek_pose graph_pose, ek_work *work)
 {
     ek_keyframes *const keyframes = &slam->keyframes;
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
     const size_t row = keyframes->count;
     const size_t count = ek_thin(&slam->thinner, slam->scan.hits, slam->scan.count, STORED_VOXEL, slam->stored, work);
     const ek_openness open = ek_observer_measure(&slam->observer, &slam->thinner, slam->stored, count, work);
-    const ek_pose step = row ? ek_se2_between(slam->odom_from_keyframe[row - 1u], known ? odom_from_base : expected) : identity;
-    ek_slam_observe_wheels(slam, step, &open, known);
-    ek_status status = ek_keyframes_add(keyframes, slam->stored, count, step, known, &open, slam->doubt, work);
+    const ek_pose step = row ? ek_se2_between(slam->odom_from_keyframe[row - 1u], graph_pose) : identity;
+    ek_slam_observe_wheels(slam, step, &open, kind == EK_STEP_MATCHED);
+    ek_status status = ek_keyframes_add(keyframes, slam->stored, count, step, kind, &open, slam->doubt, work);
     if (status != EK_OK) { /* no room: from now on an odometry on the lasting map */
         slam->full = 1;
         ek_slam_draw(slam, slam->drawn, slam->stored, count, odom_from_base, work);
@@ -180,12 +181,13 @@ ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, int known, ek_po
     }
     slam->odom_from_keyframe[row] = odom_from_base;
     slam->doubt.position = slam->doubt.heading = EK_R(0.0);
-    if (!known) {
+    if (kind != EK_STEP_MATCHED) {
         begin_anew(slam, work);
         return EK_OK;
     }
     ek_slam_draw(slam, slam->drawn, slam->stored, count, odom_from_base, work);
-    if (!slam->full && slam->task == EK_TASK_IDLE && ek_loop_finder_begin(&slam->finder, keyframes, expected_loop(slam), slam->wheels.has_last, work)) {
+    if (!slam->full && slam->task == EK_TASK_IDLE &&
+        ek_loop_finder_begin(&slam->finder, keyframes, expected_candidate(slam), slam->wheels.has_last, work)) {
         slam->task = EK_TASK_FIND;
         ek_slam_work(slam, work);
     }

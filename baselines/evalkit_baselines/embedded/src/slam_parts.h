@@ -37,7 +37,7 @@ void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *o
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match);
 
 /* 0 where a match of a scan contradicts the odometry that its guess comes from (odometry_gate.py). */
-int ek_slam_is_believed(size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
+int ek_slam_is_believed(int strict, size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
 
 /* Add to the doubt of the step: where a match fits poorly, the truth may be anywhere between it and the pose
  * that wheel odometry predicts (NULL: without odometry there is no such doubt). Averages the usual error. */
@@ -52,9 +52,9 @@ void ek_slam_draw(ek_slam *slam, uint32_t map, const ek_real *xy, size_t count, 
 /* Begin to draw the map anew, with `next_odom_from_start`. */
 void ek_slam_redraw(ek_slam *slam);
 
-/* Make the projected scan a keyframe at a pose; `known`: whether the track was not lost. If it was, the graph has the
- * keyframe at the expected pose. */
-ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, int known, ek_pose expected, ek_work *work);
+/* Make the projected scan a keyframe; `graph_pose`: where the graph has it, in the same frame, which after a lost track is
+ * not where it matched. */
+ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, ek_step_kind kind, ek_pose graph_pose, ek_work *work);
 
 /* Begin to optimise all keyframes with the loops; those that contradict the others are withdrawn. */
 void ek_slam_solve(ek_slam *slam);

@@ -148,10 +148,15 @@ static void rays_are_sorted_by_bearing(void)
 
 static ek_doubt doubt;
 
-static ek_status add(double x, size_t points, int known, double ratio)
+static ek_status add_step(double x, size_t points, ek_step_kind kind, double ratio)
 {
     const ek_openness open = {EK_R(0.6), EK_R(0.8), EK_R(ratio)};
-    return ek_keyframes_add(&keyframes, xy, points, pose_of(x, 0.0, 0.0), known, &open, doubt, &work);
+    return ek_keyframes_add(&keyframes, xy, points, pose_of(x, 0.0, 0.0), kind, &open, doubt, &work);
+}
+
+static ek_status add(double x, size_t points, int known, double ratio)
+{
+    return add_step(x, points, known ? EK_STEP_MATCHED : EK_STEP_UNKNOWN, ratio);
 }
 
 /* Steps of 1 m: a variance of 0.0004 m^2, and 20 times more along (0.6, 0.8) where the walls leave it open. */
@@ -196,7 +201,7 @@ static void a_loop_joins_what_a_lost_track_has_parted(void)
         CHECK(keyframes.apart[k] >= EK_APART);
     }
     CHECK_NEAR(keyframes.apart[6], 1.0, TOLERANCE);
-    ek_keyframes_join(&keyframes, &loop, &work); /* keyframe 7 to (1, 2), turned to the left; 6 is 1 m behind it */
+    ek_keyframes_join(&keyframes, &loop, 1, &work); /* keyframe 7 to (1, 2), turned to the left; 6 is 1 m behind it */
     CHECK_NEAR(keyframes.graph.pose[7].x, 1.0, TOLERANCE);
     CHECK_NEAR(keyframes.graph.pose[7].y, 2.0, TOLERANCE);
     CHECK_NEAR(keyframes.graph.pose[7].theta, 0.5 * (double)EK_PI, TOLERANCE);
@@ -209,6 +214,32 @@ static void a_loop_joins_what_a_lost_track_has_parted(void)
     for (size_t k = 0; k < 8u; k++) {
         CHECK_NEAR(keyframes.apart[k], apart[k], 1e-6);
     }
+}
+
+/* A third part, by odometry alone: believed to 0.5 m and 10 degrees, and not any more where a loop contradicts it. */
+static void the_odometry_across_a_lost_track_is_doubted(void)
+{
+    const ek_sym3 unit = {EK_R(1.0), EK_R(0.0), EK_R(0.0), EK_R(1.0), EK_R(0.0), EK_R(1.0)};
+    const ek_loop_edge loop = {1u, 8u, pose_of(0.0, -3.0, 0.0), unit, EK_R(1.0)};
+    CHECK(add_step(1.0, 1u, EK_STEP_MEASURED, 1.0) == EK_OK);
+    const ek_step *const step = keyframes.graph.step + 8;
+    const double turn = 10.0 * (double)EK_PI / 180.0;
+    CHECK_NEAR((double)step->information.xx * (0.25 + 0.0004), 1.0, 1e-4);
+    CHECK_NEAR((double)step->information.tt * (turn * turn + 0.000025), 1.0, 1e-4);
+    for (size_t k = 0; k < 8u; k++) {
+        CHECK(keyframes.apart[k] >= EK_DOUBTED && keyframes.apart[k] < EK_APART);
+    }
+    ek_keyframes_measure(&keyframes, &work);
+    CHECK(keyframes.apart[0] >= EK_DOUBTED && keyframes.apart[0] < EK_APART && keyframes.section[8] == 2u);
+    const ek_pose seventh = keyframes.graph.pose[7];
+    ek_keyframes_join(&keyframes, &loop, 0, &work);
+    CHECK_NEAR(keyframes.graph.pose[8].x, 1.0, TOLERANCE);
+    CHECK_NEAR(keyframes.graph.pose[8].y, -3.0, TOLERANCE);
+    CHECK(memcmp(&seventh, keyframes.graph.pose + 7, sizeof seventh) == 0 && keyframes.kind[8] == EK_STEP_MEASURED);
+    ek_keyframes_join(&keyframes, &loop, 1, &work);
+    CHECK(keyframes.kind[8] == EK_STEP_UNKNOWN && keyframes.kind[7] == EK_STEP_MATCHED);
+    CHECK_NEAR(step->information.xx, 1e-4, 1e-9);
+    keyframes.count = keyframes.graph.count = 8u;
 }
 
 static void what_does_not_fit_is_refused_and_changes_nothing(void)
@@ -297,6 +328,7 @@ int main(void)
     rays_are_sorted_by_bearing();
     the_information_of_a_step_follows_its_path_and_the_open_direction();
     a_loop_joins_what_a_lost_track_has_parted();
+    the_odometry_across_a_lost_track_is_doubted();
     what_does_not_fit_is_refused_and_changes_nothing();
     constant_velocity_is_extrapolated_for_two_steps_at_most();
     a_full_map_drops_new_voxels_and_a_full_voxel_new_points();

@@ -12,7 +12,12 @@
 extern "C" {
 #endif
 
-/* A distance through the graph that is not known: another part of the drive. */
+/* How the motion between two keyframes is known: matched, or after a lost track by wheel odometry alone, or not. */
+typedef enum { EK_STEP_MATCHED = 0, EK_STEP_MEASURED, EK_STEP_UNKNOWN } ek_step_kind;
+
+/* Distances through the graph: from the first one on, two keyframes are connected by steps by odometry alone only; from
+ * the second one on not at all. */
+#define EK_DOUBTED EK_R(1e9)
 #define EK_APART EK_R(1e12)
 
 /* Assumed random errors of matched motions, 1 sigma after one metre; they grow with the root of the path. */
@@ -37,6 +42,7 @@ typedef struct {
     ek_real *path;       /* driven distance (m) */
     ek_real *apart;      /* distance from the last keyframe along steps and loops (m), or EK_APART */
     uint32_t *section;   /* part of the drive without a lost track */
+    uint8_t *kind;       /* ek_step_kind of the step to a keyframe */
 } ek_keyframes;
 
 #define ek_keyframes_init EK_NAME(keyframes_init)
@@ -48,17 +54,17 @@ typedef struct {
 ek_status ek_keyframes_init(ek_keyframes *keyframes, ek_arena *arena, size_t capacity, size_t points, size_t loops,
                             ek_drift drift);
 
-/* Add a keyframe by its motion from the last one: count pairs x y in its own frame (m). `known`: whether that motion was
- * measured. EK_TOO_MANY_POINTS: no room for it or its points; what ek_pose_graph_add refuses. An error changes nothing.
- * One operation a keyframe. */
-ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t count, ek_pose last_from_keyframe, int known,
-                           const ek_openness *open, ek_doubt doubt, ek_work *work);
+/* Add a keyframe by its motion from the last one: count pairs x y in its own frame (m). EK_TOO_MANY_POINTS: no room for
+ * it or its points; what ek_pose_graph_add refuses. An error changes nothing. One operation a keyframe. */
+ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t count, ek_pose last_from_keyframe,
+                           ek_step_kind kind, const ek_openness *open, ek_doubt doubt, ek_work *work);
 
 /* Measure the distances through the graph again: at most one pass of all keyframes for each loop. */
 void ek_keyframes_measure(ek_keyframes *keyframes, ek_work *work);
 
-/* Move the part of the drive that begins after a lost track to where a loop from an earlier part puts it. */
-void ek_keyframes_join(ek_keyframes *keyframes, const ek_loop_edge *loop, ek_work *work);
+/* Move all that is connected with the last keyframe to where a loop from another part of the drive puts it.
+ * `contradicts`: the steps by odometry alone between these parts are not known any more. */
+void ek_keyframes_join(ek_keyframes *keyframes, const ek_loop_edge *loop, int contradicts, ek_work *work);
 
 #ifdef __cplusplus
 }

@@ -46,6 +46,7 @@ typedef struct {
     ek_real number[2];
     ek_real chi;     /* of the residual; nan where it was not computed */
     int32_t is_local; /* the search window was small */
+    int32_t known;   /* the graph predicted the motion */
 } ek_loop_candidate;
 
 typedef enum {
@@ -68,13 +69,14 @@ typedef struct {
     ek_icp_parameters coarse, fine;
     size_t capacity; /* points of either map, before thinning */
     ek_finder_phase phase;
-    int32_t tried, looks_near, looks_elsewhere;
+    int32_t tried;
+    uint32_t turn;  /* of five, while another part of the drive is not connected */
     ek_real tried_at; /* m */
     size_t next_place;
     /* the candidate in work */
     ek_loop_candidate candidate;
-    int32_t known; /* 0: after a lost track the graph predicts no motion, */
-    int32_t turned; /* and where 1 not even the odometry the heading */
+    int32_t apart;  /* both belong to parts of the drive that no closure connects */
+    int32_t turned; /* not even the heading is predicted */
     ek_pose motion, match;
     ek_sym3 covariance;
     ek_real match_error, best_score, half[3];
@@ -109,9 +111,9 @@ ek_status ek_loop_finder_init(ek_loop_finder *finder, ek_arena *arena, const ek_
                               const ek_icp_parameters *coarse, const ek_icp_parameters *fine, size_t points, size_t cells);
 
 /* Look for a place to compare with the last keyframe; 1: there is one, and a candidate is in work. `expected`: an
- * unconfirmed loop, beside which another one may confirm it, or NULL. `measured`: the keyframe has wheel odometry. Four operations a
- * keyframe. The graph must not be in work. */
-int ek_loop_finder_begin(ek_loop_finder *finder, ek_keyframes *keyframes, const ek_loop_edge *expected, int measured,
+ * unconfirmed one, beside which another one may confirm it, or NULL. `measured`: the keyframe has wheel odometry. Four
+ * operations a keyframe. The graph must not be in work. */
+int ek_loop_finder_begin(ek_loop_finder *finder, ek_keyframes *keyframes, const ek_loop_candidate *expected, int measured,
                          ek_work *work);
 
 /* Go on with the candidate while work is left; 1: finder->candidate is judged. The largest part is one match: at most

@@ -22,7 +22,7 @@ typedef struct {
     ek_icp_parameters matcher;   /* EK_METRIC_LINE */
     ek_real fine_correspondence; /* m: largest distance of a pair in the last match of a loop */
     int32_t deskew, use_odometry; /* 1 or 0 */
-    int32_t odometry_gate;       /* 1: believe no match that is far from the odometry, unless it fits well */
+    int32_t odometry_gate;       /* 1: believe no match that is only a little off the odometry, unless it fits well */
     int32_t min_inliers;         /* with fewer pairs the result is rejected and the guess kept */
     ek_real keyframe_distance, keyframe_angle; /* m, rad */
     ek_real map_voxel, map_radius; /* m: side of the voxels; scans are matched with those within the radius */

@@ -1,0 +1,144 @@
+"""Disturb drives of worlds with ground truth and count lost tracks: ``python tests/baselines/slam/lost_tracks.py 4``.
+
+``carried``: at 60 % of the drive the robot is put back to where it was at 20 %, and drives on from there; the wheels do
+not notice. ``gap``: 10 s without scans in the middle. ``blind gap``: the same without odometry. ``covered``: three
+times, for 1.5 s, all beams end 0.3 to 1 m away, as if people stood around the robot. ``dirty``: 60 % of the beams have
+no return, 5 % a random range, and 10 % of the scans are missing.
+
+A row for each world and disturbance: drives; drives with a lost track; those of them in which the last part of the
+drive was found again; lost tracks in all; ATE RMSE of the corrected poses, median and worst (cm).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from false_loops import ate
+
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
+from evalkit.core.trajectory import Trajectory
+from evalkit.plugins import registry
+
+WORLDS = ("loop", "office", "doors", "wings", "symmetric-office", "long-loop")
+GAP_NS, COVERED_NS = 10_000_000_000, 1_500_000_000
+
+
+class Taken(NamedTuple):
+    """A frame, and when it was taken in the drive without a disturbance: for the true pose."""
+
+    frame: Frame
+    stamp_ns: int
+
+
+def main() -> int:
+    """Drive and print."""
+    parser = argparse.ArgumentParser(description="Count lost tracks that are found again.")
+    parser.add_argument("drives", type=int, nargs="?", default=2, help="of each world")
+    parser.add_argument("--method", default="embedded-slam", choices=("paper-slam", "embedded-slam"))
+    parser.add_argument("--first-seed", type=int, default=2000)
+    parser.add_argument("--worlds", nargs="*", default=list(WORLDS), choices=WORLDS)
+    parser.add_argument("--work", type=int, help="operations a scan of embedded-slam")
+    arguments = parser.parse_args()
+    heads = ("world", "disturbance", "drives", "with a lost track", "found again", "lost tracks", "ATE cm", "worst")
+    sys.stdout.write(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}\n")
+    changed = {} if arguments.work is None else {"work": arguments.work}
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.drives)
+    for world in arguments.worlds:
+        drives = [registry.dataset(world).make(seed=seed) for seed in seeds]
+        frames = [[Taken(frame, frame.scan.stamp_ns) for frame in drive.frames()] for drive in drives]
+        for name, disturb in DISTURBANCES.items():
+            results = [
+                run(disturb(taken, np.random.default_rng(seed)), drive.truth().trajectory, arguments.method, changed)
+                for seed, taken, drive in zip(seeds, frames, drives, strict=True)
+            ]
+            lost, found, errors = (np.array(column) for column in zip(*results, strict=True))
+            counts = (len(results), (lost > 0).sum(), found.sum(), lost.sum())
+            cells = (world, name, *map(str, counts), f"{100.0 * np.median(errors):.1f}", f"{100.0 * errors.max():.1f}")
+            sys.stdout.write(f"| {' | '.join(cells)} |\n")
+            sys.stdout.flush()
+    return 0
+
+
+def run(drive: Sequence[Taken], true: Trajectory, method: str, changed: dict[str, int]) -> tuple[int, bool, float]:
+    """Return the lost tracks, whether the robot was found again after the last one, and the ATE RMSE (m)."""
+    spec = registry.backend(method)
+    slam = spec.make(**{each.name: each.default for each in spec.parameters} | changed)
+    lost_ns = [one.frame.scan.stamp_ns for one in drive if slam.update(one.frame).accepted is False]
+    again = [loop.stamp_ns for loop in slam.loop_closures() if loop.accepted and "lost track" in loop.reason]
+    found = bool(lost_ns) and max(again, default=0) > lost_ns[-1]
+    return len(lost_ns), found, ate(slam.trajectory().poses, true.at([one.stamp_ns for one in drive]))
+
+
+def carry(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
+    """Carry the robot back."""
+    del rng
+    at, to = int(0.6 * len(drive)), int(0.2 * len(drive))
+    before, after = drive[at - 1].frame, drive[to].frame
+    later_ns = before.scan.stamp_ns - drive[to - 1].frame.scan.stamp_ns
+    stands = (before.odom_from_base or Pose()) @ (after.odom_from_base or Pose()).inverse()
+    return [*drive[:at], *(_changed(one, later_ns, stands) for one in drive[to:])]
+
+
+def _changed(taken: Taken, later_ns: int, new_from_odom: Pose) -> Taken:
+    scan = replace(taken.frame.scan, stamp_ns=taken.frame.scan.stamp_ns + later_ns)
+    odom = taken.frame.odom_from_base
+    return Taken(replace(taken.frame, scan=scan, odom_from_base=odom and new_from_odom @ odom), taken.stamp_ns)
+
+
+def leave_gap(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
+    """Leave out 10 s."""
+    del rng
+    middle = drive[len(drive) // 2].stamp_ns
+    return [one for one in drive if not middle <= one.stamp_ns < middle + GAP_NS]
+
+
+def leave_blind_gap(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
+    """Leave out 10 s, and all odometry."""
+    rest = leave_gap(drive, rng)
+    return [Taken(replace(one.frame, odom_from_base=None, start_from_end=None), one.stamp_ns) for one in rest]
+
+
+def cover(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
+    """Cover the lidar three times."""
+    begins = [drive[int(share * len(drive))].stamp_ns for share in (0.3, 0.5, 0.7)]
+
+    def covered(one: Taken) -> Taken:
+        if not any(begin <= one.stamp_ns < begin + COVERED_NS for begin in begins):
+            return one
+        return _with_ranges(one, rng.uniform(0.3, 1.0, len(one.frame.scan.ranges)))
+
+    return [covered(one) for one in drive]
+
+
+def make_dirty(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
+    """Drop beams and scans, and give some beams a random range."""
+
+    def dirty(one: Taken) -> Taken:
+        share = rng.random(len(one.frame.scan.ranges))
+        ranges = np.where(share < 0.6, np.inf, one.frame.scan.ranges)
+        return _with_ranges(one, np.where(share >= 0.95, rng.uniform(0.3, 8.0, len(share)), ranges))
+
+    return [dirty(one) for one in drive if rng.random() >= 0.1]
+
+
+def _with_ranges(taken: Taken, ranges: np.ndarray) -> Taken:
+    return Taken(replace(taken.frame, scan=replace(taken.frame.scan, ranges=ranges)), taken.stamp_ns)
+
+
+DISTURBANCES: dict[str, Callable[[Sequence[Taken], np.random.Generator], list[Taken]]] = {
+    "none": lambda drive, _: list(drive),
+    "carried": carry,
+    "gap": leave_gap,
+    "blind gap": leave_blind_gap,
+    "covered": cover,
+    "dirty": make_dirty,
+}
+
+if __name__ == "__main__":
+    sys.exit(main())
