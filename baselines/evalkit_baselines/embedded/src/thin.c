@@ -30,29 +30,30 @@ static uint64_t number_cells(ek_thinner *thinner, const ek_real *xy, size_t coun
     uint64_t largest = 0u;
     for (size_t i = 0; i < count; i++) {
         const int64_t x = (int64_t)EK_FLOOR(xy[2u * i] / size), y = (int64_t)EK_FLOOR(xy[2u * i + 1u] / size);
+        thinner->key[i] = (uint64_t)x;
+        thinner->other_key[i] = (uint64_t)y;
         left = x < left ? x : left;
         low = y < low ? y : low;
         high = y > high ? y : high;
     }
     const uint64_t height = (uint64_t)(high - low) + 1u;
     for (size_t i = 0; i < count; i++) {
-        const int64_t x = (int64_t)EK_FLOOR(xy[2u * i] / size), y = (int64_t)EK_FLOOR(xy[2u * i + 1u] / size);
-        thinner->key[i] = (uint64_t)(x - left) * height + (uint64_t)(y - low);
+        thinner->key[i] = (thinner->key[i] - (uint64_t)left) * height + (thinner->other_key[i] - (uint64_t)low);
         thinner->order[i] = (uint32_t)i;
         largest = thinner->key[i] > largest ? thinner->key[i] : largest;
     }
     return largest;
 }
 
-/* One stable pass of the radix sort; swaps the arrays. */
-static void sort_by_digit(ek_thinner *thinner, size_t count, unsigned shift)
+/* One stable pass of the radix sort, of keys up to `largest`; swaps the arrays. */
+static void sort_by_digit(ek_thinner *thinner, size_t count, unsigned shift, uint64_t largest)
 {
-    uint32_t *const digits = thinner->digits;
-    memset(digits, 0, (DIGITS + 1u) * sizeof *digits);
+    uint32_t *const digits = thinner->digits, used = largest >> shift < DIGITS ? (uint32_t)(largest >> shift) + 1u : DIGITS;
+    memset(digits, 0, (used + 1u) * sizeof *digits);
     for (size_t i = 0; i < count; i++) {
         digits[(thinner->key[i] >> shift & (DIGITS - 1u)) + 1u]++;
     }
-    for (uint32_t digit = 1; digit < DIGITS; digit++) {
+    for (uint32_t digit = 1; digit < used; digit++) {
         digits[digit] += digits[digit - 1u];
     }
     for (size_t i = 0; i < count; i++) {
@@ -72,7 +73,7 @@ static void sort_by_cell(ek_thinner *thinner, const ek_real *xy, size_t count, e
 {
     const uint64_t largest = number_cells(thinner, xy, count, size);
     for (unsigned shift = 0u; shift < 64u && largest >> shift; shift += DIGIT_BITS) {
-        sort_by_digit(thinner, count, shift);
+        sort_by_digit(thinner, count, shift, largest);
     }
     ek_work_spend(work, 8u * (uint64_t)count);
 }
