@@ -226,6 +226,13 @@ def _make_local_map(settings: FrontEndSettings) -> LocalMap:
     return KeyframeMap(settings.keyframes, settings.local_map_voxel_m)
 
 
+class _Step(NamedTuple):
+    """A motion of the base and its duration."""
+
+    motion: Pose
+    duration_ns: int
+
+
 class Motion:
     """Motion prior: the motion of the base since the previous scan, and within the current one.
 
@@ -235,8 +242,8 @@ class Motion:
     def __init__(self, prior: str) -> None:
         self._prior = prior
         self._start_from_base = Pose()
-        self._step = Pose()
-        self._step_ns = 0
+        self._step = _Step(Pose(), 0)
+        self._two_steps = _Step(Pose(), 0)
         self._stamp_ns: int | None = None
         self._odom_from_base: Pose | None = None
 
@@ -246,23 +253,28 @@ class Motion:
         if step is not None:
             return self._start_from_base, step
         elapsed = 0 if self._stamp_ns is None else frame.scan.stamp_ns - self._stamp_ns
-        return self._start_from_base, self._constant_velocity(elapsed)
+        return self._start_from_base, self._constant_velocity(self._step, elapsed)
 
     def is_measured(self, frame: Frame) -> bool:
         """Return whether wheel odometry measured the motion since the previous scan."""
         return self._wheel_step(frame) is not None
 
     def within_scan(self, frame: Frame) -> Pose | None:
-        """Return ``start_from_end``, the base's motion from this scan's first beam to its last."""
+        """Return ``start_from_end``, the base's motion from this scan's first beam to its last.
+
+        At constant velocity it is that of the last two steps: half of an error in it is the error of this scan's pose,
+        and enters the next step with the opposite sign, so that the velocity of one step oscillates.
+        """
         if self._prior == "odometry" and frame.start_from_end is not None:
             return frame.start_from_end
-        return self._constant_velocity(frame.scan.duration_ns)
+        return self._constant_velocity(self._two_steps, frame.scan.duration_ns)
 
     def store(self, frame: Frame, start_from_base: Pose) -> None:
         """Store the estimated pose of this scan."""
         if self._stamp_ns is not None:
-            self._step_ns = frame.scan.stamp_ns - self._stamp_ns
-            self._step = self._start_from_base.inverse() @ start_from_base
+            before = self._step
+            self._step = _Step(self._start_from_base.inverse() @ start_from_base, frame.scan.stamp_ns - self._stamp_ns)
+            self._two_steps = _Step(before.motion @ self._step.motion, before.duration_ns + self._step.duration_ns)
         self._stamp_ns, self._start_from_base = frame.scan.stamp_ns, start_from_base
         self._odom_from_base = frame.odom_from_base
 
@@ -271,8 +283,8 @@ class Motion:
             return None
         return self._odom_from_base.inverse() @ frame.odom_from_base
 
-    def _constant_velocity(self, elapsed_ns: int) -> Pose:
-        if self._prior == "none" or self._step_ns == 0:
+    def _constant_velocity(self, step: _Step, elapsed_ns: int) -> Pose:
+        if self._prior == "none" or step.duration_ns == 0:
             return Pose()
-        share = min(elapsed_ns / self._step_ns, 2.0)  # after a long gap the last speed has no meaning
-        return Pose.of(se2.fraction(self._step.row, np.array([share]))[0])
+        share = min(elapsed_ns / step.duration_ns, 2.0)  # after a long gap the last speed has no meaning
+        return Pose.of(se2.fraction(step.motion.row, np.array([share]))[0])

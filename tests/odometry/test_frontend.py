@@ -177,6 +177,18 @@ def test_constant_velocity_predicts_the_last_step_scaled_by_time_up_to_twice(ela
     np.testing.assert_allclose(rows(registration.guesses), [[0, 0, 0], [expected, 0, 0]], atol=1e-9)
 
 
+def test_the_motion_within_a_scan_is_that_of_the_last_two_steps_at_constant_velocity():
+    motion = frontend.Motion("constant-velocity")
+    sweep = frame(Pose(), 4)
+    sweep = replace(sweep, scan=replace(sweep.scan, time_increment_ns=STEP_NS // 100))
+    share = sweep.scan.duration_ns / STEP_NS
+    found = [motion.within_scan(sweep)]
+    for at, x in enumerate([0.0, 0.3, 0.4]):  # steps of 0.3 m and 0.1 m
+        motion.store(frame(Pose(), at), Pose(x, 0.0, 0.0))
+        found.append(motion.within_scan(sweep))
+    np.testing.assert_allclose([pose.x for pose in found], share * np.array([0.0, 0.0, 0.3, 0.2]), atol=1e-12)
+
+
 def test_without_a_prior_the_guess_is_the_identity_motion():
     registration = RegistrationByIndex()
     frames = [frame(pose, i, odom=pose) for i, pose in enumerate(PATH)]

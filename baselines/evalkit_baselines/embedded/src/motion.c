@@ -2,14 +2,19 @@
 
 #define MAX_GAP_STEPS EK_R(2.0) /* steps: after a longer gap the velocity is not extrapolated further */
 
-ek_pose ek_motion_extrapolate(const ek_motion *motion, int64_t elapsed_ns)
+static ek_pose extrapolate(ek_pose step, int64_t step_ns, int64_t elapsed_ns)
 {
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
-    if (motion->step_ns <= 0) {
+    if (step_ns <= 0) {
         return identity;
     }
-    const ek_real share = (ek_real)elapsed_ns / (ek_real)motion->step_ns;
-    return ek_se2_fraction(motion->step, share < MAX_GAP_STEPS ? share : MAX_GAP_STEPS);
+    const ek_real share = (ek_real)elapsed_ns / (ek_real)step_ns;
+    return ek_se2_fraction(step, share < MAX_GAP_STEPS ? share : MAX_GAP_STEPS);
+}
+
+ek_pose ek_motion_extrapolate(const ek_motion *motion, int64_t elapsed_ns)
+{
+    return extrapolate(motion->step, motion->step_ns, elapsed_ns);
 }
 
 /* Time since the last scan (ns), saturated at INT64_MAX. */
@@ -35,15 +40,19 @@ ek_status ek_motion_project(const ek_motion *motion, ek_scan *scan, const ek_swe
         return EK_OUT_OF_RANGE;
     }
     const ek_pose moved = sweep->has_motion ? sweep->start_from_end
-                                            : ek_motion_extrapolate(motion, sweep->time_increment_ns * gaps);
+                                            : extrapolate(motion->two_steps, motion->two_steps_ns, sweep->time_increment_ns * gaps);
     return ek_scan_project(scan, sweep, parameters, deskew && sweep->time_increment_ns > 0 ? &moved : NULL);
 }
 
 void ek_motion_store(ek_motion *motion, const ek_prior *prior, ek_pose start_from_base)
 {
     if (motion->started) {
+        const ek_pose before = motion->step;
+        const int64_t before_ns = motion->step_ns;
         motion->step_ns = time_since_last(motion, prior->stamp_ns);
         motion->step = ek_se2_between(motion->start_from_base, start_from_base);
+        motion->two_steps = ek_se2_compose(before, motion->step);
+        motion->two_steps_ns = before_ns < INT64_MAX - motion->step_ns ? before_ns + motion->step_ns : INT64_MAX;
     }
     motion->started = 1;
     motion->stamp_ns = prior->stamp_ns;

@@ -261,6 +261,8 @@ static void constant_velocity_is_extrapolated_for_two_steps_at_most(void)
     CHECK_NEAR(ek_motion_extrapolate(&motion, 100).x, 0.0, 0.0);
     motion.step_ns = 100;
     motion.step = pose_of(0.1, 0.0, 0.0);
+    motion.two_steps_ns = 200;
+    motion.two_steps = pose_of(0.2, 0.0, 0.0);
     for (size_t k = 0; k < 5u; k++) {
         CHECK_NEAR(ek_motion_extrapolate(&motion, elapsed[k]).x, driven[k], TOLERANCE);
     }
@@ -286,6 +288,28 @@ static void constant_velocity_is_extrapolated_for_two_steps_at_most(void)
     sweep.time_increment_ns = INT64_MAX;
     CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OK);
     CHECK_NEAR(scan.hits[0], 2.0, TOLERANCE);
+}
+
+/* Steps of 0.3 m and 0.1 m: the motion within a sweep is 0.2 m a step. */
+static void the_motion_within_a_sweep_is_that_of_the_last_two_steps(void)
+{
+    static const double x[] = {0.0, 0.3, 0.4}, moved[] = {0.0, 0.3, 0.2};
+    ek_real ranges[2] = {EK_R(2.0), EK_R(2.0)}, angles[2] = {EK_R(0.0), EK_R(0.0)};
+    const ek_scan_parameters parameters = {ORIGIN, EK_R(0.1), EK_R(10.0), EK_R(0.0)};
+    ek_motion motion;
+    ek_sweep sweep;
+    memset(&motion, 0, sizeof motion);
+    memset(&sweep, 0, sizeof sweep);
+    sweep.ranges = ranges;
+    sweep.angles = angles;
+    sweep.beams = 2u;
+    sweep.time_increment_ns = 100;
+    for (size_t k = 0; k < 3u; k++) {
+        const ek_prior prior = {(int64_t)(100u * k), 0, ORIGIN};
+        ek_motion_store(&motion, &prior, pose_of(x[k], 0.0, 0.0));
+        CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OK);
+        CHECK_NEAR(scan.hits[2], 2.0 + moved[k], TOLERANCE);
+    }
 }
 
 static void a_full_map_drops_new_voxels_and_a_full_voxel_new_points(void)
@@ -331,6 +355,7 @@ int main(void)
     the_odometry_across_a_lost_track_is_doubted();
     what_does_not_fit_is_refused_and_changes_nothing();
     constant_velocity_is_extrapolated_for_two_steps_at_most();
+    the_motion_within_a_sweep_is_that_of_the_last_two_steps();
     a_full_map_drops_new_voxels_and_a_full_voxel_new_points();
     free(arena.memory);
     return verdict();

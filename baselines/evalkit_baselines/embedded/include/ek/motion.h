@@ -18,8 +18,8 @@ typedef struct {
 /* The last scan; zeroed: there is none. */
 typedef struct {
     int32_t started, has_last_odometry;
-    ek_pose start_from_base, odom_from_base, step;
-    int64_t stamp_ns, step_ns;
+    ek_pose start_from_base, odom_from_base, step, two_steps;
+    int64_t stamp_ns, step_ns, two_steps_ns;
 } ek_motion;
 
 #define ek_motion_extrapolate EK_NAME(motion_extrapolate)
@@ -33,8 +33,9 @@ ek_pose ek_motion_extrapolate(const ek_motion *motion, int64_t elapsed_ns);
 /* Predict last_from_base: from wheel odometry if this scan and the last one have it, otherwise at constant velocity. */
 ek_pose ek_motion_predict(const ek_motion *motion, const ek_prior *prior);
 
-/* Compute the points of a sweep, deskewed by its own motion within the scan or else at constant velocity. Returns what
- * ek_scan_project returns; EK_OUT_OF_RANGE: a time between beams that is negative or overflows. */
+/* Compute the points of a sweep, deskewed by its own motion within the scan or else at the velocity of the last two
+ * steps: half of an error in it is the error of this scan's pose, and enters the next step with the opposite sign, so that the
+ * velocity of one step oscillates. Returns what ek_scan_project returns; EK_OUT_OF_RANGE: a time between beams that is negative or overflows. */
 ek_status ek_motion_project(const ek_motion *motion, ek_scan *scan, const ek_sweep *sweep,
                             const ek_scan_parameters *parameters, int deskew);
 
