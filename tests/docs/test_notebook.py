@@ -19,6 +19,7 @@ if not NOTEBOOK.exists():
 @pytest.mark.thorough
 def test_the_notebook_runs_and_shows_tables_figures_and_the_refusal_of_a_class_in_a_cell(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # which a command run in this process sets
     notebook = nbformat.read(NOTEBOOK, 4)
     assert not any(cell.get("outputs") for cell in notebook.cells)  # none are stored: this test makes them
     nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
