@@ -137,6 +137,7 @@ def test_resuming_a_finished_report_executes_nothing_and_gives_the_same_results(
     assert again["runs"] == results["runs"]
 
 
+@pytest.mark.thorough
 def test_the_same_inputs_give_the_same_numbers(folder, results, tmp_path):
     """All values except times and memory are identical, with one worker and with two."""
     again_too = ("paper", "wheel-odometry")

@@ -321,6 +321,7 @@ def test_no_run_is_quarantined_if_no_scoring_process_can_start(tmp_path, monkeyp
     assert records(plan("none"), tmp_path, resume=True)["none"].result.status == "complete"
 
 
+@pytest.mark.thorough
 def test_a_run_that_kills_evalkit_twice_is_quarantined_and_others_are_executed(tmp_path, threaded_scoring):
     """A back end kills its parent evalkit twice; the third evalkit skips its runs and names them."""
     (tmp_path / "t.toml").write_text(

@@ -55,6 +55,7 @@ def tune(*words):
     return CliRunner().invoke(app, ["tune", *map(str, words)])
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_a_bad_default_is_tuned_a_perfect_one_is_kept_and_a_failing_back_end_gives_exit_code_1(file, tmp_path):
     out = tmp_path / "out"
