@@ -407,6 +407,33 @@ static void a_lost_robot_is_looked_for_at_all_places_in_turn(void)
     }
 }
 
+/* Five keyframes 10 m apart, a step of the wheels alone back to near the third one, and two keyframes more, the last at the
+ * place of the sixth. Of five turns three are for the third keyframe, by the wheels in the first and the fourth, the second
+ * is for the next of all places, and the last for the sixth keyframe, which is connected. */
+static void after_a_step_of_the_wheels_alone_five_turns_look_at_four_kinds_of_places(void)
+{
+    static const double steps[] = {0.0, 10.0, 10.0, 10.0, 10.0, -18.0, 8.0, -8.0};
+    static const uint32_t expected[] = {2, 0, 2, 2, 5, 2, 1, 2, 2, 5};
+    static const int known[] = {1, 0, 0, 1, 1};
+    const ek_openness closed = {EK_R(1.0), EK_R(0.0), EK_R(1.0)};
+    const ek_real point[] = {EK_R(1.0), EK_R(0.0)};
+    const ek_slam_parameters p = parameters_of(0);
+    const ek_doubt none = {EK_R(0.0), EK_R(0.0)};
+    ek_arena arena = start(&p);
+    ek_work work = ek_work_make(INT64_MAX);
+    for (size_t k = 0; k < 8u; k++) {
+        const ek_step_kind kind = k == 5u ? EK_STEP_MEASURED : EK_STEP_MATCHED;
+        CHECK(ek_keyframes_add(&slam.keyframes, point, 1u, pose_of(steps[k], 0.0, 0.0), kind, &closed, none, &work) == EK_OK);
+    }
+    for (size_t k = 0; k < 10u; k++) {
+        slam.finder.tried = 0;
+        CHECK(ek_loop_finder_begin(&slam.finder, &slam.keyframes, NULL, 1, &work));
+        CHECK(slam.finder.candidate.edge.first == expected[k] && slam.finder.candidate.edge.second == 7u);
+        CHECK(slam.finder.candidate.known == known[k % 5u]);
+    }
+    free(arena.memory);
+}
+
 /* In slices of 2,000 operations a search takes many scans: none of them is disturbed by it. A lost track drops it. */
 static void a_search_in_small_slices_is_dropped_by_a_lost_track(void)
 {
@@ -852,6 +879,31 @@ static void a_turned_guess_is_found_by_a_further_try(void)
     free(arena.memory);
 }
 
+/* Of a scan of 400 points or more a part is matched first, of 200 to 399 points, and then all of it. */
+static void a_large_scan_is_matched_whole_after_a_part_of_it(void)
+{
+    ek_slam_parameters p = parameters_of(0);
+    p.points = 2u * BEAMS;
+    ek_arena arena = start(&p);
+    uint64_t seed = 7u;
+    ek_match match;
+    for (size_t k = 0; k < 20u; k++) {
+        step_without_odometry(k, k, &seed);
+    }
+    const size_t once = slam.scan.count;
+    memcpy(slam.scan.hits + 2u * once, slam.scan.hits, 2u * once * sizeof(ek_real)); /* each point twice */
+    slam.scan.count = 2u * once;
+    CHECK(once >= 300u);
+    const ek_pose truth = slam.motion.start_from_base;
+    const ek_pose guess = ek_se2_compose(truth, pose_of(0.05, -0.03, 0.02));
+    CHECK(ek_slam_match(&slam, &slam.map_index, guess, &match) == EK_OK && match.inliers > 250);
+    const ek_pose found = ek_se2_between(truth, match.target_from_source);
+    CHECK_NEAR(found.x, 0.0, 0.01);
+    CHECK_NEAR(found.y, 0.0, 0.01);
+    CHECK_NEAR(found.theta, 0.0, 0.005);
+    free(arena.memory);
+}
+
 /* A sweep that leads out of the world is refused, by odometry, by its sensor's place or by its points; one without
  * points gets the predicted pose. */
 static void sweeps_beyond_the_world_are_refused(void)
@@ -933,6 +985,7 @@ int main(void)
     a_match_far_from_the_odometry_must_be_clear();
     the_gate_believes_the_odometry_before_few_points();
     a_lost_robot_is_looked_for_at_all_places_in_turn();
+    after_a_step_of_the_wheels_alone_five_turns_look_at_four_kinds_of_places();
     each_bound_refuses_candidates_with_its_own_outcome();
     slices_change_no_bit_of_a_candidate();
     a_search_in_small_slices_is_dropped_by_a_lost_track();
@@ -947,6 +1000,7 @@ int main(void)
     a_match_has_the_covariance_of_a_plain_computation(12u); /* nearly a corridor */
     the_scale_of_the_wheels_is_learned();
     a_turned_guess_is_found_by_a_further_try();
+    a_large_scan_is_matched_whole_after_a_part_of_it();
     sweeps_beyond_the_world_are_refused();
     drive(0, 0.03);
     const uint64_t most = drive(100000, 0.03);
