@@ -797,8 +797,8 @@ static void the_scale_of_the_wheels_is_learned(void)
         CHECK_NEAR(wheels->driven, driven, 1e-3);
     }
     const ek_wheels before = *wheels;
-    static const double steps[][2] = {{1.05, 1.3}, {1.05, 0.7}, {0.05, 0.05}, {0.0, 0.0}}; /* wheels, match */
-    for (size_t k = 0; k < 4u; k++) { /* slipping, blocked, hardly moving and standing wheels do not count */
+    static const double steps[][2] = {{1.05, 1.3}, {1.05, 0.7}, {0.5, 0.62}, {0.5, 0.38}, {0.05, 0.05}, {0.0, 0.0}}; /* wheels, match */
+    for (size_t k = 0; k < 6u; k++) { /* slipping, blocked, hardly moving and standing wheels do not count */
         wheels->keyframe = wheels->now;
         wheels->now.x += EK_R(steps[k][0]);
         ek_slam_observe_wheels(&slam, pose_of(steps[k][1], 0.0, 0.0), &closed, 1);
