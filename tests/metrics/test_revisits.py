@@ -50,6 +50,8 @@ def test_a_straight_line_has_no_revisits() -> None:
     x = np.linspace(0.0, 30.0, 300)
     found = scores(trajectory(x, 0.0 * x, 0.0), trajectory(x, 0.0 * x, 0.0))
     assert found["revisit_mean_m"].reason == "the true path does not revisit a place"
+    two = trajectory(np.array([0.0, 5.0]), np.zeros(2), 0.0)
+    assert scores(two, two)["revisit_mean_m"].reason == "the true path does not revisit a place"
 
 
 def test_a_shifted_second_lap_has_the_shift_as_error() -> None:

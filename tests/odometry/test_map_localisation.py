@@ -245,6 +245,9 @@ def test_the_walls_around_a_robot_are_taken_again_after_a_tenth_of_any_radius():
     walls = WallsAround(KnownMap(np.array([[5.0, 0.0]]), 0.05, "a cell"), Pose(1.0, 2.0, 0.0), radius_m=3.0)
     near = walls.cloud(Pose())
     assert walls.cloud(Pose(0.0, 0.29)) is near
+    aside = walls.cloud(Pose(0.0, 1.0))
+    assert walls.cloud(Pose(0.0, 1.29)) is aside
+    near = walls.cloud(Pose())
     assert walls.cloud(Pose(0.31, 0.0)) is not near
     assert walls.cloud(Pose(1.01, -2.0)).points.tolist() == [[4.0, -2.0]]  # 2.99 m away
     assert len(walls.cloud(Pose(0.7, -2.0))) == 0  # 3.3 m
@@ -272,9 +275,10 @@ def test_a_given_start_is_corrected_within_half_a_metre_and_15_degrees(floor, of
 def test_a_place_is_found_to_a_hundredth_of_a_metre_and_a_quarter_of_a_degree(floor):
     """The search in cells of 10 cm alone would be off by up to 5 cm."""
     search = MapSearch(read_walls(floor))
-    for pose in PATH[::3]:
+    for pose in PATH[::3]:  # a given place has no rival
         place = search.correct_place(measure(pose, 0).points_in_base(None), pose @ Pose(0.17, -0.13, 0.06))
         assert place is not None
+        assert not place.is_ambiguous
         left = pose.inverse() @ place.map_from_base
         assert math.hypot(left.x, left.y) < 0.025
         assert abs(left.theta) < math.radians(0.3)
