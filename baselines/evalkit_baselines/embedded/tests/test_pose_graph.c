@@ -171,6 +171,31 @@ static void no_small_move_improves_the_optimum(uint64_t *seed)
     }
 }
 
+/* Where all errors are small the problem is linear: one iteration moves each pose to its optimum. */
+static void one_iteration_is_enough_for_small_errors(uint64_t *seed)
+{
+    const ek_solver_settings one = {1, EK_R(1e-12), EK_R(0.0)}, many = {20, EK_R(1e-12), EK_R(0.0)};
+    ek_pose first[40], odometry[40];
+    drive(40u, 1e-4, seed);
+    for (uint32_t l = 0; l < 10u; l++) {
+        const ek_loop_edge loop = loop_of(l, 17u + 2u * l, ek_se2_between(place(l), place(17u + 2u * l)), &SHARP);
+        CHECK(ek_pose_graph_close(&graph, &loop) == EK_OK);
+    }
+    memcpy(odometry, graph.pose, sizeof odometry);
+    run(&one, INT64_MAX);
+    CHECK(graph.solver.iterations == 1);
+    memcpy(first, graph.pose, sizeof first);
+    run(&many, INT64_MAX);
+    double moved = 0.0;
+    for (size_t k = 0; k < 40u; k++) {
+        CHECK_NEAR(first[k].x, graph.pose[k].x, 5e-6 + 2.0 * TOLERANCE);
+        CHECK_NEAR(first[k].y, graph.pose[k].y, 5e-6 + 2.0 * TOLERANCE);
+        CHECK_NEAR(first[k].theta, graph.pose[k].theta, 5e-6 + 2.0 * TOLERANCE);
+        moved += (double)EK_FABS(first[k].x - odometry[k].x) / 40.0;
+    }
+    CHECK(moved > 2e-4);
+}
+
 static void slices_change_no_bit_and_stay_within_their_work(uint64_t *seed)
 {
     const ek_solver_settings settings = {6, EK_R(1e-9), EK_R(10.0)};
@@ -292,6 +317,8 @@ static void bad_input_is_named_and_changes_nothing(void)
     CHECK(ek_pose_graph_begin(&graph, &none, 1) == EK_OUT_OF_RANGE);
     CHECK(ek_pose_graph_predict(&graph, 5u, 5u) == EK_OUT_OF_RANGE);
     CHECK(graph.count == count && graph.loop_count == loops);
+    ek_pose_graph_reset(&graph); /* nothing leads to the first pose: what is said of it does not matter */
+    CHECK(ek_pose_graph_add(&graph, pose_of(1e7, 0, 0), &flat) == EK_OK && EK_FABS(graph.pose[0].x) <= EK_R(0.0));
     CHECK(ek_pose_graph_init(&unused, &measured, 0u, 1u) == EK_OUT_OF_RANGE);
     CHECK(ek_pose_graph_init(&unused, &measured, 1u, 1025u) == EK_OUT_OF_RANGE);
     while (graph.count < POSES) {
@@ -314,6 +341,7 @@ int main(void)
     the_predicted_covariance_is_that_of_a_hand_calculation();
     exact_loops_recover_a_disturbed_drive(&seed);
     no_small_move_improves_the_optimum(&seed);
+    one_iteration_is_enough_for_small_errors(&seed);
     slices_change_no_bit_and_stay_within_their_work(&seed);
     loops_that_cannot_be_told_apart_are_singular();
     only_positive_definite_matrices_have_an_inverse();

@@ -875,6 +875,12 @@ static void a_turned_guess_is_found_by_a_further_try(void)
         CHECK(ek_slam_match(&slam, &slam.map_index, guess, &match) == EK_OK);
         CHECK(EK_FABS(ek_se2_between(truth, match.target_from_source).theta) > EK_R(0.1));
     }
+    slam.parameters.matcher = p.matcher;
+    for (int unusual = 0; unusual < 2; unusual++) { /* a good match is tried again where it is worse than most were */
+        slam.usual_error = EK_R(unusual ? 1e-4 : 0.0);
+        slam.tried = 0;
+        CHECK(ek_slam_match(&slam, &slam.map_index, truth, &match) == EK_OK && slam.tried == unusual);
+    }
     CHECK(ek_slam_match(&slam, &slam.map_index, pose_of(2e6, 0.0, 0.0), &match) == EK_OUT_OF_RANGE);
     free(arena.memory);
 }
