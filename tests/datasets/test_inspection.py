@@ -136,18 +136,15 @@ def test_a_long_recording_is_sampled_in_windows_over_its_whole_length():
 def test_a_sample_of_a_long_recording_gives_the_findings_of_the_whole():
     """A lidar sways by 60 deg in a room, with a no-return code; mirrored beams are found in a quarter of it."""
     turns = np.radians(60.0) * np.sin(0.05 * np.arange(3000))
-    ways = np.radians(np.arange(-90.0, 90.0)) - turns[:, None]
-    rows = 3.0 + np.cos(2 * ways) + 0.5 * np.sin(5 * ways) + 0.3 * np.cos(11 * ways + 1.0)
+    rows = round_view(-turns)
     rows[np.random.default_rng(5).random(rows.shape) < 0.03] = 30.0
-    poses = np.column_stack([0.0 * turns, 0.0 * turns, turns])
-    wheels = OdometryStream("/odom", "odom", "base", np.arange(3000) * S // 10, poses)
     whole = laser(rows)
     part = replace(whole, scans=ScanSample(rows, max_ranges=200_000))
     assert len(part.ranges) == 768
     one, other = measure_ranges(whole), measure_ranges(part)
     assert (other.codes[0].high_m, other.repeated, other.still < 0.05) == (30.0, 0, True)
     assert (other.hits, other.median_m) == (pytest.approx(one.hits, abs=0.005), pytest.approx(one.median_m, abs=0.01))
-    assert compare_turns(wheels, part).scale == pytest.approx(-1.0, rel=0.03)
+    assert compare_turns(turning(turns), part).scale == pytest.approx(-1.0, rel=0.03)
 
 
 def test_a_recording_that_stands_is_said_to_stand_where_scans_are_left_out():
@@ -201,16 +198,28 @@ def test_a_jump_is_reported_with_its_time_and_size():
 def test_turns_of_the_odometry_are_compared_with_the_scans(sign):
     """A lidar turns on the spot in an L-shaped room; the odometry reports ``sign`` times its turn."""
     turns = np.radians(4.0) * np.arange(40)
-    directions = np.radians(np.arange(-90.0, 90.0))
-    rows = []
-    for turn in turns:
-        way = directions + turn
-        rows.append(3.0 + np.cos(2 * way) + 0.5 * np.sin(5 * way) + 0.3 * np.cos(11 * way + 1.0))
-    poses = np.stack([np.zeros(40), np.zeros(40), sign * turns], axis=-1)
-    wheels = OdometryStream("/odom", "odom", "base_link", np.arange(40) * S // 10, poses)
-    found = compare_turns(wheels, laser(rows))
+    found = compare_turns(turning(sign * turns), laser(round_view(turns)))
     assert found is not None
     assert found.scale == pytest.approx(1.0 / sign, rel=0.02)
+
+
+def test_one_turn_that_the_odometry_reports_late_is_no_wrong_scale():
+    """The lidar turns by 24 deg in 1.2 s; the odometry has seen half of it by then and the rest one second later."""
+    turns = np.radians(2.0) * np.clip(np.arange(40), 0, 12)
+    late = np.radians(1.0) * np.clip(np.arange(40), 0, 24)
+    assert compare_turns(turning(late), laser(round_view(turns))) is None
+
+
+def round_view(turns):
+    """Return the ranges of a lidar with 180 beams that turns on the spot in a room without symmetry."""
+    ways = np.radians(np.arange(-90.0, 90.0)) + turns[:, None]
+    return 3.0 + np.cos(2 * ways) + 0.5 * np.sin(5 * ways) + 0.3 * np.cos(11 * ways + 1.0)
+
+
+def turning(turns):
+    """Return an odometry on the spot with these headings, ten a second."""
+    poses = np.column_stack([0.0 * turns, 0.0 * turns, turns])
+    return OdometryStream("/odom", "odom", "base_link", np.arange(len(turns)) * S // 10, poses)
 
 
 def test_turns_are_not_compared_with_too_few_pairs():

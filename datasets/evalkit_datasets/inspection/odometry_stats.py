@@ -188,10 +188,15 @@ def compare_turns(wheels: OdometryStream, laser: LaserStream) -> TurnComparison 
 
 
 def _select_pairs(times: Stamps, poses: Floats, middle_m: float) -> list[tuple[int, int]]:
-    """Return pairs of scans within 3 s between which the odometry rotates by 3 to 35 deg, nearly on the spot."""
-    pairs = []
+    """Return pairs of scans within 3 s between which the odometry rotates by 3 to 35 deg, nearly on the spot.
+
+    No two pairs overlap: each is a turn of its own, and an odometry that lags in a single turn is no wrong scale.
+    """
+    pairs: list[tuple[int, int]] = []
     seconds = seconds_since_first(times)
     for one in range(len(times)):
+        if pairs and one < pairs[-1][1]:
+            continue
         last = int(np.searchsorted(seconds, seconds[one] + MAX_PAIR_S, side="right"))
         for other in range(one + 1, min(last, one + 12)):
             turn = abs(float(se2.wrap(poses[other, 2] - poses[one, 2])))
