@@ -210,6 +210,18 @@ def test_one_turn_that_the_odometry_reports_late_is_no_wrong_scale():
     assert compare_turns(turning(late), laser(round_view(turns))) is None
 
 
+@pytest.mark.parametrize(("less", "differs"), [(6, False), (9, True)])
+def test_turns_that_contradict_each_other_are_no_wrong_scale(less, differs):
+    """Of ten turns of 6 deg the odometry reports ``less`` as 4 deg, ratio 1.5, and the others as 8 deg, ratio 0.75."""
+    seen = np.array([4.0] * less + [8.0] * (10 - less))
+    found = compare_turns(
+        turning(np.radians([0.0, *np.cumsum(seen)])), laser(round_view(np.radians(6.0) * np.arange(11)))
+    )
+    assert (found.pairs, found.scale) == (10, pytest.approx(1.5, rel=0.02))
+    assert found.interval == (pytest.approx(1.5 if differs else 0.75, rel=0.02), pytest.approx(1.5, rel=0.02))
+    assert found.differs is differs
+
+
 def round_view(turns):
     """Return the ranges of a lidar with 180 beams that turns on the spot in a room without symmetry."""
     ways = np.radians(np.arange(-90.0, 90.0)) + turns[:, None]

@@ -288,7 +288,7 @@ def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]
 
 
 def _check_turning(turn: TurnComparison | None, about: str) -> Iterator[InspectionFinding]:
-    if turn is not None and not 0.85 <= turn.scale <= 1.15:
+    if turn is not None and turn.differs:
         what = f"the scans rotate {turn.scale:.2f} times as much as the odometry ({turn.pairs} turns)"
         if turn.scale < 0.0:
             mend = f"a bag: --set '{FIELDS} clockwise'; a text log: clockwise = true in [scan]"

@@ -140,13 +140,24 @@ def measure_odometry(wheels: OdometryStream) -> OdometryStats:
 class TurnComparison:
     """The rotations of an odometry compared with those measured from ``pairs`` pairs of scans alone.
 
-    ``scale``: rotation of the scans divided by that of the odometry (1: they agree, -1: opposite direction);
-    ``spread_deg``: half the range from the 16th to the 84th percentile of the difference.
+    ``scale``: median of the rotation of the scans divided by that of the odometry (1: they agree, -1: opposite
+    direction); ``interval``: of that median, about 95 %, by ranks. ``spread_deg``: half the range from the 16th to the
+    84th percentile of the difference.
     """
 
     pairs: int
     scale: float
+    interval: tuple[float, float]
     spread_deg: float
+
+    @property
+    def differs(self) -> bool:
+        """Whether the scans rotate more than 15 % more or less than the odometry, beyond chance."""
+        low, high = self.interval
+        return high < 1.0 - SAME_SCALE or low > 1.0 + SAME_SCALE
+
+
+SAME_SCALE = 0.15
 
 
 MAX_PAIR_S = 3.0
@@ -184,7 +195,10 @@ def compare_turns(wheels: OdometryStream, laser: LaserStream) -> TurnComparison 
         return None
     odometry, scans = np.array(odometry_turns), np.array(scan_turns)
     low, high = np.degrees(np.percentile(scans - odometry, [16, 84]))
-    return TurnComparison(len(odometry_turns), float(np.median(scans / odometry)), 0.5 * float(high - low))
+    ratios = np.sort(scans / odometry)
+    rank = int(0.5 * len(ratios) - math.sqrt(len(ratios)))  # Conover 1999, section 3.2: normal approximation
+    interval = float(ratios[rank]), float(ratios[-1 - rank])
+    return TurnComparison(len(ratios), float(np.median(ratios)), interval, 0.5 * float(high - low))
 
 
 def _select_pairs(times: Stamps, poses: Floats, middle_m: float) -> list[tuple[int, int]]:
