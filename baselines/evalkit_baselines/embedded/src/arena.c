@@ -1,12 +1,12 @@
 #include "ek/arena.h"
 
-#ifdef EK_GUARDED /* under AddressSanitizer: poison the gap between two blocks */
+#ifdef EK_GUARDED
 #include <sanitizer/asan_interface.h>
-#define GAP EK_ALIGNMENT
 #define GUARD(start, bytes) __asan_poison_memory_region((start), (bytes))
+#define OPEN(start, bytes) __asan_unpoison_memory_region((start), (bytes))
 #else
-#define GAP 0u
 #define GUARD(start, bytes) ((void)(start), (void)(bytes))
+#define OPEN(start, bytes) ((void)(start), (void)(bytes))
 #endif
 
 ek_arena ek_arena_make(void *memory, size_t bytes)
@@ -26,10 +26,11 @@ void *ek_arena_alloc(ek_arena *arena, size_t count, size_t size)
         return NULL;
     }
     const size_t end = start + count * size;
-    arena->used = (end + GAP + (EK_ALIGNMENT - 1u)) / EK_ALIGNMENT * EK_ALIGNMENT;
+    arena->used = (end + EK_ARENA_GAP + (EK_ALIGNMENT - 1u)) / EK_ALIGNMENT * EK_ALIGNMENT;
     if (!arena->memory || arena->used > arena->bytes) {
         return NULL;
     }
+    OPEN(arena->memory + start, end - start); /* where another arena had a gap */
     GUARD(arena->memory + end, arena->used - end);
     return arena->memory + start;
 }

@@ -44,7 +44,7 @@ static inline ek_real uniform(uint64_t *state, double low, double high)
     return EK_R(low + (high - low) * ((double)(*state >> 11) / 9007199254740992.0));
 }
 
-/* Allocate the arena of a test, once. */
+/* Allocate the arena of a test, once; it does not begin as zeros, on which the code must not rely. */
 static inline ek_arena memory_of(size_t bytes)
 {
     void *const memory = malloc(bytes);
@@ -52,6 +52,7 @@ static inline ek_arena memory_of(size_t bytes)
         fprintf(stderr, "no memory\n");
         exit(EXIT_FAILURE);
     }
+    memset(memory, 0xA5, bytes);
     return ek_arena_make(memory, bytes);
 }
 

@@ -4,6 +4,8 @@
 
 #define BEAMS 720u
 
+static const ek_pose ORIGIN = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+
 static ek_frontend frontend;
 static ek_real points[2u * BEAMS];
 
@@ -164,6 +166,67 @@ static void too_few_pairs_keep_the_guess(ek_arena *arena, ek_frontend_parameters
     }
 }
 
+/* Three keyframes of different sizes at most: the map holds the points of the last three, at their own places. */
+static void keyframes_leave_in_the_order_they_came(ek_arena *arena, ek_frontend_parameters parameters)
+{
+    static const size_t counts[] = {3u, 5u, 8u, 2u, 7u, 4u, 1u, 6u};
+    ek_estimate estimate;
+    parameters.keyframes = 3u;
+    parameters.use_scan_to_scan = parameters.use_scan_to_map = 0;
+    init_with(arena, &parameters);
+    for (size_t k = 0; k < sizeof counts / sizeof *counts; k++) {
+        const ek_prior prior = {(int64_t)k + 1, 1, {EK_R(k), EK_R(0.0), ek_se2_wrap(EK_R(0.5) * EK_PI * (ek_real)(k % 4u))}};
+        for (size_t i = 0; i < counts[k]; i++) {
+            points[2u * i] = EK_R(0.25);
+            points[2u * i + 1u] = EK_R(0.0);
+        }
+        CHECK(ek_frontend_update(&frontend, points, counts[k], &prior, &estimate) == EK_OK && estimate.keyframe);
+        const size_t first = k < 3u ? 0u : k - 2u;
+        size_t all = 0u;
+        for (size_t i = first; i <= k; i++) {
+            all += counts[i];
+        }
+        CHECK(frontend.local_map.count == all && frontend.keyframe_count == (k < 3u ? k + 1u : 3u));
+        for (size_t slot = 0; slot < all; slot++) { /* a quarter of a metre ahead, to the left, behind or to the right */
+            const double x = (double)frontend.local_map.xy[2u * slot], y = (double)frontend.local_map.xy[2u * slot + 1u];
+            const double near = floor(x + 0.5), turn = fmod(near, 4.0);
+            CHECK(near >= (double)first && near <= (double)k);
+            CHECK_NEAR(x - near, turn == 0.0 ? 0.25 : turn == 2.0 ? -0.25 : 0.0, 1e-5);
+            CHECK_NEAR(y, turn == 1.0 ? 0.25 : turn == 3.0 ? -0.25 : 0.0, 1e-5);
+        }
+    }
+}
+
+/* A keyframe's points stay within the world, whatever its heading; those of another scan need not. */
+static void the_points_of_a_keyframe_stay_in_the_world(ek_arena *arena, ek_frontend_parameters parameters)
+{
+    static const struct {
+        double x, y, u, v;
+        ek_status status;
+    } cases[] = {{999980.0, 0.0, 10.0, 0.0, EK_OK},           {999980.0, 0.0, 0.0, 10.0, EK_OK},
+                 {999980.0, 0.0, 30.0, 0.0, EK_OUT_OF_RANGE}, {999980.0, 0.0, 0.0, 30.0, EK_OUT_OF_RANGE},
+                 {0.0, -999980.0, 0.0, 30.0, EK_OUT_OF_RANGE}, {0.0, -999980.0, 16.0, 16.0, EK_OUT_OF_RANGE},
+                 {0.0, -999980.0, 12.0, -12.0, EK_OK},        {-1000001.0, 0.0, 0.0, 0.0, EK_OUT_OF_RANGE}};
+    parameters.use_scan_to_scan = parameters.use_scan_to_map = 0;
+    for (int keyframe = 0; keyframe < 2; keyframe++) {
+        parameters.keyframe_distance = EK_R(keyframe ? 0.5 : 1e7);
+        for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+            ek_estimate estimate;
+            ek_prior prior = {1, 1, {EK_R(0.0), EK_R(0.0), EK_R(0.0)}};
+            init_with(arena, &parameters);
+            points[0] = points[1] = EK_R(1.0);
+            CHECK(ek_frontend_update(&frontend, points, 1u, &prior, &estimate) == EK_OK);
+            prior.stamp_ns = 2;
+            prior.odom_from_base.x = EK_R(cases[k].x);
+            prior.odom_from_base.y = EK_R(cases[k].y);
+            points[2] = EK_R(cases[k].u); /* the second point */
+            points[3] = EK_R(cases[k].v);
+            const int outside = fabs(cases[k].x) > 1e6;
+            CHECK(ek_frontend_update(&frontend, points, 2u, &prior, &estimate) == (keyframe || outside ? cases[k].status : EK_OK));
+        }
+    }
+}
+
 /* Odometry that leads out of the world or overflows is refused, with and without a match; so is a map at its very end. */
 static void odometry_out_of_the_world_is_refused(ek_arena *arena, const ek_frontend_parameters *parameters)
 {
@@ -247,6 +310,37 @@ static void a_refused_scan_leaves_the_part_of_the_lasting_map(ek_arena *arena, e
     CHECK(poses[0].x == poses[1].x && poses[0].y == poses[1].y && poses[0].theta == poses[1].theta);
 }
 
+/* A map of which another part was taken goes back to the one before: along x, along y, and not where it was to be taken
+ * again in any case. A part is taken again from a tenth of the radius on. */
+static void a_lasting_map_returns_to_its_part(void)
+{
+    static const double moves[][2] = {{0.31, 0.0}, {0.0, -0.31}, {0.22, 0.22}, {0.2, -0.2}, {0.0, 0.0}};
+    ek_lasting_map map;
+    ek_arena measured = ek_arena_make(NULL, 0u);
+    CHECK(ek_lasting_map_init(&map, &measured, 100u, EK_R(0.1), EK_R(3.0), 8u, 0u) == EK_OK);
+    ek_arena arena = memory_of(measured.used);
+    CHECK(ek_lasting_map_init(&map, &arena, 100u, EK_R(0.1), EK_R(3.0), 8u, 0u) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    const ek_real four[] = {EK_R(3.05), EK_R(0.0), EK_R(0.0), EK_R(-3.05), EK_R(1.0), EK_R(1.0), EK_R(-1.0), EK_R(-1.0)};
+    for (size_t k = 0; k < 5u; k++) {
+        for (int changed = 0; changed < 2; changed++) {
+            ek_lasting_map_clear(&map);
+            ek_lasting_map_add(&map, four, 4u, ORIGIN);
+            CHECK(ek_lasting_map_near(&map, EK_R(0.0), EK_R(0.0)) == EK_OK && map.around.count == 2u && !map.changed);
+            const uint32_t version = map.around.version;
+            CHECK(ek_lasting_map_near(&map, EK_R(moves[k][0]), EK_R(moves[k][1])) == EK_OK);
+            const int taken = k < 3u;
+            CHECK(map.around.count == (taken ? 3u : 2u) && map.around.version == version + (uint32_t)taken);
+            CHECK_NEAR(map.centre_x, taken ? moves[k][0] : 0.0, 1e-7);
+            CHECK(ek_lasting_map_return(&map, EK_R(0.0), EK_R(0.0), changed) == EK_OK && map.changed == changed);
+            CHECK(map.around.version == version + (taken ? changed ? 1u : 2u : 0u));
+            CHECK(map.around.count == (changed && taken ? 3u : 2u));
+            CHECK_NEAR(map.centre_x, 0.0, 0.0);
+            CHECK_NEAR(map.centre_y, 0.0, 0.0);
+        }
+    }
+    free(arena.memory);
+}
+
 /* A keyframe takes the voxels that are left; the others are counted. */
 static void a_full_lasting_map_counts_what_it_leaves_out(ek_arena *arena, ek_frontend_parameters parameters)
 {
@@ -302,7 +396,10 @@ int main(void)
     the_oldest_keyframe_leaves_a_full_map(&arena, parameters);
     too_few_pairs_keep_the_guess(&arena, parameters);
     odometry_out_of_the_world_is_refused(&arena, &parameters);
+    keyframes_leave_in_the_order_they_came(&arena, parameters);
+    the_points_of_a_keyframe_stay_in_the_world(&arena, parameters);
     free(arena.memory);
+    a_lasting_map_returns_to_its_part();
     parameters = lasting_lines(parameters);
     ek_frontend_parameters larger = parameters; /* the keyframes of the same lines */
     larger.map_voxel = EK_R(0.0);

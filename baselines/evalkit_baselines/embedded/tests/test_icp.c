@@ -134,6 +134,41 @@ static void of_rivals_the_closest_counts(void)
     CHECK_NEAR(match.error, 0.1, TOLERANCE);
 }
 
+/* Hot loops run over a multiple of eight points: the others neither count nor cost a search, whatever was there before. */
+static void padding_takes_no_part(void)
+{
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    ek_icp_parameters parameters = ek_icp_default();
+    parameters.one_to_one = 0;
+    parameters.max_iterations = 1;
+    parameters.error = EK_ERROR_MEAN_SQUARED;
+    parameters.error_before = 1;
+    build_room();
+    CHECK(ek_index_build(&reference, room, POINTS) == EK_OK);
+    for (size_t count = 3; count < 20u; count++) {
+        ek_match match;
+        double sum = 0.0;
+        for (size_t k = 0; k < count; k++) { /* beside every tenth point of the room, the first one farthest */
+            const double off = 0.02 / (1.0 + (double)k);
+            moved[2u * k] = room[20u * k] + EK_R(off);
+            moved[2u * k + 1u] = room[20u * k + 1u];
+        }
+        CHECK(ek_icp_register(&icp, &reference, room, POINTS, identity, &parameters, NULL, NULL, &match) == EK_OK);
+        CHECK(match.queries == POINTS);
+        CHECK(ek_icp_register(&icp, &reference, moved, count, identity, &parameters, NULL, NULL, &match) == EK_OK);
+        CHECK(match.inliers == (int32_t)count && match.queries == count);
+        for (size_t k = 0; k < count; k++) {
+            double least = 1e9;
+            for (size_t j = 0; j < POINTS; j++) {
+                const double dx = (double)(moved[2u * k] - room[2u * j]), dy = (double)(moved[2u * k + 1u] - room[2u * j + 1u]);
+                least = dx * dx + dy * dy < least ? dx * dx + dy * dy : least;
+            }
+            sum += least;
+        }
+        CHECK_NEAR(match.error, sqrt(sum / (double)count), 1e-5);
+    }
+}
+
 static void too_few_pairs_give_the_guess(void)
 {
     const ek_pose guess = {EK_R(100.0), EK_R(0.0), EK_R(1.0)};
@@ -190,6 +225,7 @@ int main(void)
     a_trace_sees_every_step(1, EK_ERROR_MEAN);
     a_trace_sees_every_step(0, EK_ERROR_RMSE);
     a_trace_sees_every_step(1, EK_ERROR_MEAN_SQUARED);
+    padding_takes_no_part();
     of_rivals_the_closest_counts();
     too_few_pairs_give_the_guess();
     a_limit_beyond_all_is_no_limit();

@@ -478,6 +478,21 @@ static void of_calls(void)
         CHECK(ek_index_update(&updater, &index, 2u, xy, 2u) == EK_NOT_FINITE && index.count == 2u);
         xy[2 + axis] = EK_R(2.0);
     }
+    for (int k = 0; k < 4; k++) { /* the edge of the world belongs to it */
+        const ek_real edge = k % 2 ? EK_R(1e6) : EK_R(-1e6);
+        const ek_pose at = {k < 2 ? edge : EK_R(0.0), k < 2 ? EK_R(0.0) : edge, EK_R(0.0)};
+        xy[0] = at.x;
+        xy[1] = at.y;
+        CHECK(ek_icp_register(&matcher, &index, xy, 2u, at, &icp, NULL, NULL, &match) == EK_OK);
+        CHECK(ek_index_build(&index, xy, 2u) == EK_OK && ek_index_update(&updater, &index, 2u, xy, 2u) == EK_OK);
+        ek_pose_graph_reset(&graph);
+        const ek_sym3 any = {EK_R(1.0), EK_R(0.0), EK_R(0.0), EK_R(1.0), EK_R(0.0), EK_R(1.0)};
+        CHECK(ek_pose_graph_add(&graph, ORIGIN, &any) == EK_OK && ek_pose_graph_add(&graph, at, &any) == EK_OK);
+        ek_pose_graph_reset(&graph);
+    }
+    xy[0] = EK_R(0.0);
+    xy[1] = EK_R(1.0);
+    CHECK(ek_index_build(&index, xy, 2u) == EK_OK);
     matcher.targets = 1u; /* an index of two points */
     CHECK(ek_icp_register(&matcher, &index, xy, 2u, ORIGIN, &icp, NULL, NULL, &match) == EK_OUT_OF_RANGE);
     matcher.targets = 2u;
@@ -609,14 +624,12 @@ static void of_memory(void)
     static ek_voxel_map map;
     static ek_grid cells;
     unsigned char *const bytes = memory_of(4096u).memory;
-    memset(bytes, 0xA5, 4096u);
     ek_arena empty = ek_arena_make(NULL, 4096u), shifted = ek_arena_make(bytes + 1, 4095u);
     ek_arena little[4];
     for (size_t k = 0; k < 4u; k++) {
         little[k] = ek_arena_make(bytes, EK_ALIGNMENT);
     }
     CHECK(ek_arena_check(&empty) == EK_TOO_LITTLE_MEMORY && ek_arena_check(&shifted) == EK_TOO_LITTLE_MEMORY);
-    CHECK(ek_arena_alloc(&little[0], 5u, 0u) == bytes && little[0].used == 0u);
     grid = ek_grid_default();
     CHECK(ek_index_init(&index, &little[0], ROOM, ROOM) == EK_OK && ek_scan_init(&projected, &little[1], ROOM) == EK_OK);
     CHECK(ek_voxel_map_init(&map, &little[2], ROOM, EK_R(0.1), 1u) == EK_OK && ek_grid_init(&cells, &little[3], &grid) == EK_OK);
@@ -626,6 +639,8 @@ static void of_memory(void)
     for (size_t k = 0; k < 4096u; k++) {
         CHECK(bytes[k] == 0xA5u);
     }
+    little[0] = ek_arena_make(bytes, EK_ALIGNMENT);
+    CHECK(ek_arena_alloc(&little[0], 5u, 0u) == bytes && little[0].used == EK_ARENA_GAP);
     free(bytes);
 }
 

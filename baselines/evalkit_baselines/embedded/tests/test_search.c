@@ -1,6 +1,7 @@
 /* Thinning, the score grid and branch and bound, each against a plain computation. */
+#include "src/search.c"
+
 #include "check.h"
-#include "ek/search.h"
 
 #define CAPACITY 512u
 #define CELLS ((size_t)192 * 192)
@@ -159,6 +160,88 @@ static void the_best_score_is_that_of_an_exhaustive_search(uint64_t *seed)
     CHECK(ek_search_work(&search, &all) && !search.found);
 }
 
+/* Angles from the middle to both sides, one more on the lower side of an even number; the nearest motion of a block; cells
+ * cut at the border and at what 32 bits hold. */
+static void parts_of_a_search_are_those_of_a_hand_calculation(void)
+{
+    static const int32_t odd[] = {0, 1, -1, 2, -2}, even[] = {0, 1, -1, 2, -2, -3};
+    for (uint32_t k = 0; k < 6u; k++) {
+        search.angles = 5u;
+        search.lowest = -2;
+        CHECK(k == 5u || angle_number(&search, k) == odd[k]);
+        search.angles = 6u;
+        search.lowest = -3;
+        CHECK(angle_number(&search, k) == even[k]);
+    }
+    static const struct {
+        int32_t low;
+        uint32_t level;
+        double offset;
+    } blocks[] = {{3, 0u, 3.0}, {-3, 0u, 3.0}, {0, 0u, 0.0}, {-3, 2u, 0.0}, {-4, 2u, 1.0}, {-9, 3u, 2.0}, {1, 3u, 1.0}};
+    for (size_t k = 0; k < sizeof blocks / sizeof *blocks; k++) {
+        CHECK_NEAR(nearest_offset(blocks[k].low, blocks[k].level), blocks[k].offset, 0.0);
+    }
+    CHECK(clamp(-1, 5) == 0 && clamp(0, 5) == 0 && clamp(4, 5) == 4 && clamp(5, 5) == 5 && clamp(6, 5) == 5);
+    CHECK(half_cells(EK_R(0.5), EK_R(0.25)) == 2 && half_cells(EK_R(0.49), EK_R(0.25)) == 1);
+    CHECK(half_cells(EK_R(31.75), EK_R(0.25)) == 127 && half_cells(EK_R(99.0), EK_R(0.25)) == 127);
+    CHECK(to_cell(EK_R(-0.5)) == -1 && to_cell(EK_R(2.5)) == 2);
+    CHECK(to_cell(EK_R(-1e10)) == -1073741824 && to_cell(EK_R(1e10)) == 1073741824);
+}
+
+/* Blocks are expanded from the highest bound on; of equal ones the one that came first. Motions with a bound not above
+ * the best score are not looked at. */
+static void the_best_block_lies_on_top(void)
+{
+    const ek_real xy[] = {EK_R(0.05), EK_R(0.05), EK_R(1.05), EK_R(0.05)}, point[] = {EK_R(0.05), EK_R(0.05)};
+    const ek_search_window around = {{EK_R(0.0), EK_R(0.0), EK_R(0.0)}, EK_R(1.2), EK_R(0.2), EK_R(0.0)};
+    const ek_search_prior none = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    ek_score_grid_draw(&grid, &thinner, xy, 2u, EK_R(CELL), EK_R(0.0), EK_R(0.0), means, &work);
+    CHECK(ek_search_begin(&search, &grid, point, 1u, &around, &none, EK_R(0.01)) == EK_OK);
+    search.offset = EK_R(0.0);
+    turn_points(&search);
+    static const int32_t motions[] = {1, 0, 9, 10, 2, 5};
+    static const int32_t sorted[] = {2, 9, 1, 10, 0}; /* scores exp(-2), exp(-1/2) twice, 1 twice; 5 cells off: none */
+    for (size_t k = 0; k < 6u; k++) {
+        push(&search, 0u, motions[k], 0, 0u);
+    }
+    CHECK(search.waiting == 5u && search.evaluated == 6u);
+    for (size_t k = 0; k < 5u; k++) {
+        CHECK(search.stack[k].x == sorted[k]);
+    }
+    push(&search, 5u, 0, 1, 0u); /* above the others, whatever its bound */
+    push(&search, 5u, 1, 1, 0u);
+    CHECK(search.waiting == 7u && search.stack[6].y == 1 && search.stack[6].x == 0 && search.stack[5].x == 1);
+    search.score = search.stack[0].bound;
+    push(&search, 0u, 2, 0, 0u); /* as good as the best score, not better */
+    CHECK(search.waiting == 7u);
+}
+
+/* A window turned away from the truth by 0.2 rad: the heading is found, and the motion has the score that it is said to. */
+static void a_turned_window_finds_the_heading(uint64_t *seed)
+{
+    const ek_pose origin = {EK_R(0.0), EK_R(0.0), EK_R(0.0)}, there = {EK_R(2.5), EK_R(1.9), EK_R(0.4)};
+    const ek_search_prior none = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    const size_t count = room(target, origin, seed);
+    ek_work all = ek_work_make(INT64_MAX);
+    ek_score_grid_draw(&grid, &thinner, target, count, EK_R(CELL), EK_R(2.0), EK_R(2.0), means, &work);
+    for (uint32_t level = 1; level < EK_SCORE_LEVELS; level++) {
+        ek_score_grid_raise(&grid, level, &work);
+    }
+    room(source, there, seed);
+    for (int side = -1; side < 2; side += 2) {
+        ek_search_window window = {there, EK_R(0.3), EK_R(0.3), EK_R(0.25)};
+        window.centre.theta += EK_R(0.2 * side);
+        CHECK(ek_search_begin(&search, &grid, source, 120u, &window, &none, EK_R(0.1)) == EK_OK);
+        CHECK(ek_search_work(&search, &all) && search.found);
+        CHECK_NEAR(search.best.theta, 0.4, 0.03);
+        const ek_real score = search.score;
+        const ek_search_window found = {search.best, EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+        CHECK(ek_search_begin(&search, &grid, source, 120u, &found, &none, EK_R(0.1)) == EK_OK && search.angles == 1u);
+        CHECK(ek_search_work(&search, &all) && search.found);
+        CHECK_NEAR(search.score, score, 0.01); /* points at the border of a cell may be rounded to the next */
+    }
+}
+
 /* A single point at 1.1 m turns in 70 steps, one more to the right than to the left: the farthest is found too. */
 static void an_even_number_of_headings_is_searched_completely(void)
 {
@@ -252,6 +335,9 @@ int main(void)
     an_even_number_of_headings_is_searched_completely();
     far_points_are_left_out_and_far_cells_are_sorted();
     of_equal_scores_the_first_is_found();
+    parts_of_a_search_are_those_of_a_hand_calculation();
+    the_best_block_lies_on_top();
+    a_turned_window_finds_the_heading(&seed);
     CHECK(ek_thinner_init(&thinner, &measured, 0u) == EK_OUT_OF_RANGE);
     CHECK(ek_score_grid_init(&grid, &measured, 100u) == EK_OUT_OF_RANGE);
     free(taken.memory);

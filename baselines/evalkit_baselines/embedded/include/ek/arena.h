@@ -14,6 +14,12 @@ extern "C" {
 #define EK_ALIGNMENT 16u
 #define EK_ARENA_MAX (SIZE_MAX / 2u) /* bytes */
 
+#ifdef EK_GUARDED /* under AddressSanitizer: the gap behind each block is poisoned */
+#define EK_ARENA_GAP EK_ALIGNMENT
+#else
+#define EK_ARENA_GAP 0u
+#endif
+
 typedef struct {
     unsigned char *memory; /* NULL: only count bytes */
     size_t bytes;          /* size of memory */

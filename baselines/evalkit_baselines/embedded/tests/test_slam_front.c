@@ -1,0 +1,166 @@
+/* Parts of the front end of the SLAM, each by hand: samples of a scan, further tries, the scale of the wheels. */
+#include "src/slam_front.c"
+
+#include "ek/normals.h"
+#include "line.h"
+
+#define POINTS 60u
+
+/* Points around the robot: on a circle of 5 m, bulged so that no turn maps it onto itself. */
+static ek_pose outline_at(size_t k)
+{
+    const double angle = 2.0 * (double)EK_PI * (double)k / (double)POINTS, range = 5.0 + 2.0 * cos(angle) + sin(2.0 * angle);
+    return pose_of(range * cos(angle), range * sin(angle), 0.0);
+}
+
+/* The scan of the outline from a pose; the index of the map holds the outline. */
+static void see_outline(ek_pose from)
+{
+    ek_real target[2u * POINTS];
+    for (size_t k = 0; k < POINTS; k++) {
+        const ek_pose seen = ek_se2_between(from, outline_at(k));
+        target[2u * k] = outline_at(k).x;
+        target[2u * k + 1u] = outline_at(k).y;
+        slam.scan.hits[2u * k] = seen.x;
+        slam.scan.hits[2u * k + 1u] = seen.y;
+    }
+    slam.scan.count = POINTS;
+    CHECK(ek_index_build(&slam.map_index, target, POINTS) == EK_OK);
+    CHECK(ek_normals_defer(&slam.map_index, 8u, slam.map_normals) == EK_OK);
+}
+
+/* Without pairs each try stays where it began: the heading with most points on the target is taken, of 12 and 24 degrees
+ * to either side, and none that is farther off. */
+static void the_heading_with_most_points_is_taken(void)
+{
+    static const double turns_deg[] = {0.0, -12.0, 12.0, -24.0, 24.0, 90.0};
+    ek_arena arena = line_of(1u);
+    ek_icp_parameters narrow = slam.parameters.matcher;
+    narrow.max_correspondence = EK_R(1e-9);
+    narrow.min_pairs = 1000;
+    for (size_t k = 0; k < 6u; k++) {
+        const ek_pose guess = pose_of(0.3, -0.2, 0.4);
+        const ek_pose truth = ek_se2_compose(guess, pose_of(0.0, 0.0, turns_deg[k] * (double)EK_PI / 180.0));
+        see_outline(truth);
+        const ek_pose found = try_headings(&slam, &slam.map_index, guess, narrow);
+        const ek_pose expected = k < 5u ? truth : guess;
+        CHECK_NEAR(found.x, 0.3, 1e-6);
+        CHECK_NEAR(found.y, -0.2, 1e-6);
+        CHECK(k == 5u || EK_FABS(found.theta - expected.theta) < EK_R(1e-5));
+        CHECK(count_near(&slam.map_index, slam.scan.hits, POINTS, truth) == POINTS);
+        CHECK(count_near(&slam.map_index, slam.scan.hits, POINTS, pose_of(50.0, 50.0, 0.0)) == 0u);
+    }
+    free(arena.memory);
+}
+
+/* A point within 15 cm of the target is near it, whatever its direction. */
+static void points_within_15_cm_are_near(void)
+{
+    static const double off[][3] = {{0.14, 0.0, 1}, {0.0, -0.14, 1}, {0.16, 0.0, 0}, {0.0, 0.16, 0}, {0.11, 0.11, 0}, {0.1, 0.1, 1}};
+    const ek_real target[] = {EK_R(3.0), EK_R(4.0), EK_R(9.0), EK_R(9.0)};
+    ek_arena arena = line_of(1u);
+    CHECK(ek_index_build(&slam.map_index, target, 2u) == EK_OK);
+    for (size_t k = 0; k < 6u; k++) {
+        const ek_pose pose = pose_of(1.0, -2.0, 0.7), at = pose_of(3.0 + off[k][0], 4.0 + off[k][1], 0.0);
+        const ek_pose seen = ek_se2_between(pose, at);
+        const ek_real point[] = {seen.x, seen.y};
+        CHECK(count_near(&slam.map_index, point, 1u, pose) == (size_t)off[k][2]);
+    }
+    free(arena.memory);
+}
+
+static void a_try_ends_near_its_guess(void)
+{
+    static const double cases[][4] = {{0.5, 0.0, 0.0, 1},  {0.0, -0.5, 0.0, 1}, {0.501, 0.0, 0.0, 0},  {0.36, 0.36, 0.0, 0},
+                                      {0.0, 0.0, 35.9, 1}, {0.0, 0.0, 36.1, 0}, {0.0, 0.0, -36.1, 0}, {0.35, 0.35, -35.9, 1}};
+    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+        const ek_pose by = pose_of(cases[k][0], cases[k][1], cases[k][2] * (double)EK_PI / 180.0);
+        CHECK(is_close(ORIGIN, by) == (int)cases[k][3]);
+        CHECK(is_close(ek_se2_inverse(by), ORIGIN) == (int)cases[k][3]);
+    }
+}
+
+/* Every n-th point, so that at least 20 are left and fewer than 40. */
+static void a_part_of_a_scan_is_taken_evenly(void)
+{
+    static const size_t counts[] = {0u, 1u, 19u, 20u, 39u, 40u, 41u, 59u, 60u}, taken[] = {0u, 1u, 19u, 20u, 39u, 20u, 21u, 30u, 20u};
+    ek_arena arena = line_of(1u);
+    for (size_t k = 0; k < sizeof counts / sizeof *counts; k++) {
+        const size_t every = counts[k] < 40u ? 1u : counts[k] / 20u;
+        for (size_t i = 0; i < counts[k]; i++) {
+            slam.scan.hits[2u * i] = EK_R(i);
+            slam.scan.hits[2u * i + 1u] = EK_R(-3.0 * (double)i);
+        }
+        slam.scan.count = counts[k];
+        CHECK(take_part(&slam, 20u) == taken[k]);
+        for (size_t i = 0; i < taken[k]; i++) {
+            CHECK_NEAR(slam.moved[2u * i], (double)(i * every), 0.0);
+            CHECK_NEAR(slam.moved[2u * i + 1u], -3.0 * (double)(i * every), 0.0);
+        }
+    }
+    ek_icp_parameters parameters = ek_icp_default();
+    for (int32_t most = 39; most < 42; most++) {
+        parameters.max_iterations = 40;
+        limit_iterations(&parameters, most);
+        CHECK(parameters.max_iterations == (most < 40 ? most : 40));
+    }
+    free(arena.memory);
+}
+
+/* A match is tried again with fewer than 80 % of the points in pairs. */
+static void a_poor_match_is_tried_again(void)
+{
+    ek_arena arena = line_of(1u);
+    ek_match match;
+    for (size_t off = 12; off < 14u; off++) { /* 48 of 60 are 80 % */
+        see_outline(ORIGIN);
+        for (size_t i = 0; i < off; i++) {
+            slam.scan.hits[2u * i] += EK_R(30.0);
+        }
+        slam.tried = 0;
+        slam.usual_error = EK_R(0.0);
+        CHECK(ek_slam_match(&slam, &slam.map_index, ORIGIN, &match) == EK_OK);
+        CHECK(match.inliers == (int32_t)(POINTS - off) && slam.tried == (off == 13u));
+    }
+    free(arena.memory);
+}
+
+/* The motion of the wheels is compared along its own direction, and not across it, where a step is at least 0.1 m long and
+ * differs by at most a tenth. */
+static void steps_count_along_the_motion_of_the_wheels(void)
+{
+    static const struct {
+        double x, y, wheels, along;
+        int counts;
+    } cases[] = {{0.6, 0.8, 1.0, 1.0, 1},     {0.5, 0.8, 1.0, 0.94, 1},   {-0.2, 1.4, 1.0, 1.0, 1},  {0.6, 0.66, 1.0, 0.888, 0},
+                 {0.6, 0.69, 1.0, 0.912, 1},  {0.66, 0.87, 1.0, 1.092, 1}, {0.66, 0.89, 1.0, 1.108, 0},
+                 {0.06, 0.08, 0.1001, 0.1, 1}, {0.06, 0.08, 0.0999, 0.1, 0}};
+    ek_arena arena = line_of(1u);
+    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+        slam.wheels.has_last = slam.wheels.has_keyframe = slam.wheels.seen = 1;
+        slam.wheels.matched = slam.wheels.driven = EK_R(5.0);
+        slam.wheels.keyframe = pose_of(3.0, 4.0, 0.5);
+        slam.wheels.now = ek_se2_compose(slam.wheels.keyframe, pose_of(0.6 * cases[k].wheels, 0.8 * cases[k].wheels, 0.3));
+        ek_slam_observe_wheels(&slam, pose_of(cases[k].x, cases[k].y, 0.1), &CLOSED, 1);
+        CHECK_NEAR(slam.wheels.matched, 5.0 + (cases[k].counts ? cases[k].along : 0.0), 1e-5);
+        CHECK_NEAR(slam.wheels.driven, 5.0 + (cases[k].counts ? cases[k].wheels : 0.0), 1e-5);
+        CHECK_NEAR(slam.wheels.keyframe.x, slam.wheels.now.x, 0.0);
+    }
+    const ek_openness seen = {EK_R(1.0), EK_R(0.0), EK_R(0.0651)}, open = {EK_R(1.0), EK_R(0.0), EK_R(0.0649)};
+    ek_slam_observe_wheels(&slam, ORIGIN, &seen, 1);
+    CHECK(slam.wheels.seen);
+    ek_slam_observe_wheels(&slam, ORIGIN, &open, 1);
+    CHECK(!slam.wheels.seen);
+    free(arena.memory);
+}
+
+int main(void)
+{
+    the_heading_with_most_points_is_taken();
+    points_within_15_cm_are_near();
+    a_try_ends_near_its_guess();
+    a_part_of_a_scan_is_taken_evenly();
+    a_poor_match_is_tried_again();
+    steps_count_along_the_motion_of_the_wheels();
+    return verdict();
+}
