@@ -1,6 +1,7 @@
 #include "ek/grid.h"
 #include "ek/polygon.h"
 #include "ek/tally.h"
+#include "ek/wide.h"
 
 #include <string.h>
 
@@ -71,6 +72,7 @@ ek_status ek_grid_init(ek_grid *grid, ek_arena *arena, const ek_grid_parameters 
     }
     memset(grid, 0, sizeof *grid);
     grid->parameters = *parameters;
+    grid->wide = ek_is_wide();
     grid->window.lines = window_side(parameters);
     grid->window.words = grid->window.lines / WORD;
     const size_t bits = (size_t)grid->window.lines * grid->window.words;
@@ -81,7 +83,7 @@ ek_status ek_grid_init(ek_grid *grid, ek_arena *arena, const ek_grid_parameters 
     grid->window.outline =
         parameters->polygon ? (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t)) : grid->window.across;
     if (arena->memory && ek_arena_check(arena) == EK_OK) {
-        memset(grid->window.outline, 0, bits * sizeof(uint32_t));
+        ek_window_init(&grid->window);
         ek_grid_clear(grid);
     }
     return EK_OK;
@@ -148,7 +150,7 @@ static void centre_window(ek_grid *grid, int32_t column, int32_t row)
 }
 
 /* Add half a word of marks to 16 cells. Without a branch, so that compilers vectorise it. */
-static void add_half(int16_t *EK_RESTRICT cells, uint32_t freed, uint32_t hit, const int16_t odds[4])
+EK_LOOP void add_half(int16_t *EK_RESTRICT cells, uint32_t freed, uint32_t hit, const int16_t odds[4])
 {
     static const uint16_t bit[16] = {1,      2,      4,      8,      0x10,   0x20,   0x40,   0x80,
                                      0x100u, 0x200u, 0x400u, 0x800u, 0x1000u, 0x2000u, 0x4000u, 0x8000u};
@@ -166,7 +168,7 @@ static void add_half(int16_t *EK_RESTRICT cells, uint32_t freed, uint32_t hit, c
 }
 
 /* Add l_free to 32 cells. */
-static void free_word(int16_t *EK_RESTRICT cells, int16_t l_free, int16_t l_min)
+EK_LOOP void free_word(int16_t *EK_RESTRICT cells, int16_t l_free, int16_t l_min)
 {
     for (int k = 0; k < 32; k++) {
         const int16_t old = cells[k], sum = (int16_t)((old == EK_UNKNOWN ? 0 : old) + l_free);
@@ -174,31 +176,53 @@ static void free_word(int16_t *EK_RESTRICT cells, int16_t l_free, int16_t l_min)
     }
 }
 
-static uint32_t count_bits(uint32_t word)
+EK_LOOP uint32_t count_bits(uint32_t word)
 {
     word -= (word >> 1) & 0x55555555u;
     word = (word & 0x33333333u) + ((word >> 2) & 0x33333333u);
     return (((word + (word >> 4)) & 0x0F0F0F0Fu) * 0x01010101u) >> 24;
 }
 
-/* Add the marks of 32 x 32 cells of the window to the map. */
-static void add_block(ek_grid *grid, uint32_t row, uint32_t word, int16_t *cells, const int16_t odds[4])
+/* Add 32 words of marks, one of each row, to the map; the words lie `stride` apart. Returns the number of cells touched. */
+EK_LOOP uint32_t add_words(int16_t *cells, size_t columns, const uint32_t *crossed, size_t stride, const uint32_t *ends,
+                           size_t words, const int16_t odds[4])
 {
-    uint32_t crossed[WORD];
-    ek_window_read_block(&grid->window, row, word, crossed);
-    for (uint32_t k = 0; k < WORD; k++, cells += grid->parameters.columns) {
-        const size_t at = (size_t)(row + k) * grid->window.words + word;
-        const uint32_t hit = grid->window.ends[at], freed = crossed[k] & ~hit;
+    uint32_t touched = 0u;
+    for (uint32_t k = 0; k < WORD; k++, cells += columns, crossed += stride, ends += words) {
+        const uint32_t hit = *ends, freed = *crossed & ~hit;
         EK_COUNT(EK_FILLED, (freed | hit) != 0u);
         if (freed == UINT32_MAX) {
             free_word(cells, odds[0], odds[2]);
-            grid->touched_cells += WORD;
+            touched += WORD;
         } else if (freed | hit) {
             add_half(cells, freed & 0xFFFFu, hit & 0xFFFFu, odds);
             add_half(cells + 16, freed >> 16, hit >> 16, odds);
-            grid->touched_cells += count_bits(freed | hit);
+            touched += count_bits(freed | hit);
         }
     }
+    return touched;
+}
+
+EK_WIDE static uint32_t add_words_wide(int16_t *cells, size_t columns, const uint32_t *crossed, size_t stride,
+                                       const uint32_t *ends, size_t words, const int16_t odds[4])
+{
+    return add_words(cells, columns, crossed, stride, ends, words, odds);
+}
+
+/* Add the marks of 32 x 32 cells of the window to the map. */
+static void add_block(ek_grid *grid, uint32_t row, uint32_t word, int16_t *cells, const int16_t odds[4])
+{
+    const ek_window *const window = &grid->window;
+    const size_t columns = grid->parameters.columns, words = window->words, at = (size_t)row * words + word;
+    const int steep = word * WORD <= window->steep_right && window->steep_left <= word * WORD + (WORD - 1u);
+    uint32_t block[WORD];
+    if (steep) {
+        ek_window_read_block(window, row, word, block);
+    }
+    const uint32_t *const crossed = steep ? block : window->across + at, *const ends = window->ends + at;
+    grid->touched_cells += EK_IF_WIDE(grid->wide)
+                               ? add_words_wide(cells, columns, crossed, steep ? 1u : words, ends, words, odds)
+                               : add_words(cells, columns, crossed, steep ? 1u : words, ends, words, odds);
 }
 
 static int16_t to_thousandths(ek_real odds)
@@ -212,13 +236,14 @@ static void apply_window(ek_grid *grid)
     const ek_grid_parameters *const p = &grid->parameters;
     const int16_t odds[4] = {to_thousandths(p->l_free), to_thousandths(p->l_occ), to_thousandths(p->l_min),
                              to_thousandths(p->l_max)};
-    EK_COUNT(EK_WORDS, (size_t)grid->window.lines * grid->window.words);
-    for (uint32_t row = 0; row < grid->window.lines; row += WORD) {
+    const ek_marks marks = grid->window.marks;
+    for (uint32_t row = marks.bottom / WORD * WORD; row <= marks.top; row += WORD) {
         const int64_t to_row = (int64_t)grid->window_bottom + row - grid->bottom;
         if (to_row < 0 || to_row >= (int64_t)p->rows) {
             continue;
         }
-        for (uint32_t word = 0; word < grid->window.words; word++) {
+        for (uint32_t word = marks.left / WORD; word <= marks.right / WORD; word++) {
+            EK_COUNT(EK_WORDS, WORD);
             const int64_t to_column = (int64_t)grid->window_left + word * WORD - grid->left;
             if (to_column >= 0 && to_column < (int64_t)p->columns) {
                 add_block(grid, row, word, grid->cells + (size_t)to_row * p->columns + (size_t)to_column, odds);

@@ -65,15 +65,17 @@ static void add_edge(outline *line, ek_real x, ek_real y)
     }
 }
 
-/* Mark the cells inside the outline, an odd number of edges from the left, and begin a new one. */
+/* Mark the cells inside the outline, an odd number of edges from the left, and begin a new one. An edge ends the cells
+ * before its own, and may lie one cell beyond all marks. */
 static void fill(outline *line)
 {
     ek_window *const window = line->window;
+    const uint32_t last = window->marks.right / WORD + 1u, words = last < window->words ? last + 1u : window->words;
     add_edge(line, EK_R(0.0), EK_R(0.0));
     for (int32_t row = line->low; row <= line->high; row++) {
         uint32_t *const edges = window->outline + (size_t)row * window->words;
         uint32_t *const across = window->across + (size_t)row * window->words, carry = 0u;
-        for (uint32_t word = 0; word < window->words; word++) {
+        for (uint32_t word = window->marks.left / WORD; word < words; word++) {
             uint32_t bits = edges[word];
             bits ^= bits << 1;
             bits ^= bits << 2;
@@ -146,6 +148,7 @@ static ek_real find_direction(const ek_window *window, const ek_view *view, cons
 
 static void mark_hit(ek_window *window, const beam_end *end)
 {
+    ek_marks_extend(&window->marks, end->column, end->row);
     window->ends[(size_t)end->row * window->words + end->column / WORD] |= (uint32_t)1 << (end->column % WORD);
 }
 
@@ -155,6 +158,7 @@ uint32_t ek_window_fill_outline(ek_window *window, const ek_view *view, const ek
     outline line = {window, view, find_direction(window, view, points, count), EK_R(0.0), EK_R(0.0), EK_R(0.0),
                     (int32_t)window->lines, -1};
     const ek_real narrowest = EK_COS(widest_gap);
+    ek_marks_extend(&window->marks, (uint32_t)(int32_t)view->start_x, (uint32_t)(int32_t)view->start_y);
     beam_end first = {0}, last = {0}, next;
     uint32_t left_out = 0u;
     size_t first_beam = count, last_beam = count;

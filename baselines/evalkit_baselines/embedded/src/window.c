@@ -5,12 +5,38 @@
 
 #define WORD EK_WORD
 
-void ek_window_clear(ek_window *window)
+static void forget_marks(ek_window *window)
+{
+    const ek_marks none = {UINT32_MAX, 0u, UINT32_MAX, 0u};
+    window->marks = none;
+    window->steep_left = UINT32_MAX;
+    window->steep_right = 0u;
+}
+
+void ek_window_init(ek_window *window)
 {
     const size_t bytes = (size_t)window->lines * window->words * sizeof(uint32_t);
     memset(window->across, 0, bytes);
     memset(window->along, 0, bytes);
     memset(window->ends, 0, bytes);
+    memset(window->outline, 0, bytes);
+    forget_marks(window);
+}
+
+/* Clear the lines `first` to `last`. */
+static void clear_lines(const ek_window *window, uint32_t *bits, uint32_t first, uint32_t last)
+{
+    if (first <= last) {
+        memset(bits + (size_t)first * window->words, 0, (size_t)(last - first + 1u) * window->words * sizeof *bits);
+    }
+}
+
+void ek_window_clear(ek_window *window)
+{
+    clear_lines(window, window->across, window->marks.bottom, window->marks.top);
+    clear_lines(window, window->ends, window->marks.bottom, window->marks.top);
+    clear_lines(window, window->along, window->steep_left, window->steep_right);
+    forget_marks(window);
 }
 
 /* Set the bits [from, to] of a line. */
@@ -66,6 +92,7 @@ uint32_t ek_window_mark_beams(ek_window *window, const ek_view *view, const ek_r
     uint32_t left_out = 0u;
     const ek_real limit = (ek_real)window->lines;
     const int32_t column = (int32_t)view->start_x, row = (int32_t)view->start_y;
+    ek_marks marks = window->marks;
     EK_COUNT(EK_STEPS, count);
     for (size_t i = 0; i < count; i++) {
         const ek_real u = points[2u * i], v = points[2u * i + 1u];
@@ -77,15 +104,23 @@ uint32_t ek_window_mark_beams(ek_window *window, const ek_view *view, const ek_r
         const ek_extent columns = {view->start_x, x, column, (int32_t)x}, rows = {view->start_y, y, row, (int32_t)y};
         const int32_t wide = columns.last > column ? columns.last - column : column - columns.last;
         const int32_t high = rows.last > row ? rows.last - row : row - rows.last;
+        const uint32_t left = (uint32_t)(columns.last < column ? columns.last : column), right = left + (uint32_t)wide;
+        ek_marks_extend(&marks, (uint32_t)columns.last, (uint32_t)rows.last);
         if (wide >= high) {
             mark_beam(window->across, window->words, rows, columns);
         } else {
+            window->steep_left = left < window->steep_left ? left : window->steep_left;
+            window->steep_right = right > window->steep_right ? right : window->steep_right;
             mark_beam(window->along, window->words, columns, rows);
         }
         if (hits) {
             window->ends[(size_t)rows.last * window->words + (size_t)columns.last / WORD] |=
                 (uint32_t)1 << ((uint32_t)columns.last % WORD);
         }
+    }
+    if (left_out < count) {
+        ek_marks_extend(&marks, (uint32_t)column, (uint32_t)row);
+        window->marks = marks;
     }
     return left_out;
 }

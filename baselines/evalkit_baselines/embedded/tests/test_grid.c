@@ -162,7 +162,7 @@ static void a_fixed_map_takes_its_own_cells_from_every_side(void)
 static void a_block_is_read_from_its_own_rows(void)
 {
     uint32_t across[128], along[128], crossed[33];
-    ek_window window = {64u, 2u, across, along, NULL, NULL};
+    ek_window window = {64u, 2u, across, along, NULL, NULL, {0u, 0u, 0u, 0u}, 0u, 0u};
     memset(across, 0, sizeof across);
     memset(along, 0, sizeof along);
     memset(crossed, 0, sizeof crossed);
@@ -173,6 +173,59 @@ static void a_block_is_read_from_its_own_rows(void)
     ek_window_read_block(&window, 0u, 0u, crossed);
     for (size_t k = 0; k < 33u; k++) {
         CHECK(crossed[k] == (k == 9u ? 1u << 7 : k == 5u ? 1u << 3 : 0u));
+    }
+}
+
+/* The marks of a scan lie in the cells that it says, and none is left after they are cleared. */
+static void marks_lie_between_the_start_and_the_ends(void)
+{
+    uint32_t bits[4][64u * 2u];
+    ek_window window = {64u, 2u, bits[0], bits[1], bits[2], bits[3], {0u, 0u, 0u, 0u}, 0u, 0u};
+    const ek_view view = {EK_R(1.0), EK_R(0.0), EK_R(0.0), EK_R(0.0), EK_R(40.5), EK_R(20.5)};
+    const ek_real flat[] = {EK_R(50.5), EK_R(17.5)}, steep[] = {EK_R(35.5), EK_R(30.5)}, outside[] = {EK_R(64.5), EK_R(1.5)};
+    ek_window_init(&window);
+    CHECK(window.marks.left > window.marks.right && window.steep_left > window.steep_right);
+    CHECK(ek_window_mark_beams(&window, &view, outside, 1u, 1) == 1u && window.marks.left > window.marks.right);
+    CHECK(ek_window_mark_beams(&window, &view, flat, 1u, 1) == 0u && window.steep_left > window.steep_right);
+    CHECK(window.marks.left == 40u && window.marks.right == 50u && window.marks.bottom == 17u && window.marks.top == 20u);
+    CHECK(ek_window_mark_beams(&window, &view, steep, 1u, 1) == 0u);
+    CHECK(window.steep_left == 35u && window.steep_right == 40u);
+    CHECK(window.marks.left == 35u && window.marks.right == 50u && window.marks.bottom == 17u && window.marks.top == 30u);
+    ek_window_clear(&window);
+    CHECK(window.marks.left > window.marks.right && window.steep_left > window.steep_right);
+    for (size_t k = 0; k < 4u * 128u; k++) {
+        CHECK(bits[k / 128u][k % 128u] == 0u);
+    }
+}
+
+/* The loops for AVX2 and those for every processor draw the same map; scans of several sizes take turns. */
+static void both_copies_of_the_loops_draw_the_same(ek_grid_parameters parameters)
+{
+    static ek_grid drawn[2];
+    uint64_t seed = 11u;
+    for (int polygon = 0; polygon < 2; polygon++) {
+        parameters.polygon = polygon;
+        ek_arena arena = memory_of(800000u);
+        for (int wide = 0; wide < 2; wide++) {
+            CHECK(ek_grid_init(&drawn[wide], &arena, &parameters) == EK_OK && ek_arena_check(&arena) == EK_OK);
+            drawn[wide].wide &= wide;
+        }
+        for (int k = 0; k < 40; k++) {
+            ek_real hits[2u * 60u];
+            const double size = (double)uniform(&seed, 2.0, 45.0);
+            const ek_pose pose = {uniform(&seed, -60.0, 60.0), uniform(&seed, -60.0, 60.0), uniform(&seed, -3.0, 3.0)};
+            for (size_t j = 0; j < 60u; j++) {
+                const double range = size * (double)uniform(&seed, j % 7u ? 0.8 : 0.2, 1.0), angle = 0.1 * (double)j;
+                hits[2u * j] = EK_R(range * cos(angle));
+                hits[2u * j + 1u] = EK_R(range * sin(angle));
+            }
+            for (int wide = 0; wide < 2; wide++) {
+                CHECK(ek_grid_add_scan(&drawn[wide], pose, EK_R(0), EK_R(0), hits, 60u, NULL, 0u) == EK_OK);
+            }
+            CHECK(drawn[0].touched_cells == drawn[1].touched_cells && drawn[0].touched_cells > 10u);
+        }
+        CHECK(memcmp(drawn[0].cells, drawn[1].cells, (size_t)256u * 256u * sizeof(int16_t)) == 0);
+        free(arena.memory);
     }
 }
 
@@ -216,6 +269,8 @@ int main(void)
     a_rolling_map_keeps_what_stays_inside();
     a_fixed_map_takes_its_own_cells_from_every_side();
     a_block_is_read_from_its_own_rows();
+    marks_lie_between_the_start_and_the_ends();
+    both_copies_of_the_loops_draw_the_same(parameters);
     bad_input_is_named();
     free(arena.memory);
     return verdict();

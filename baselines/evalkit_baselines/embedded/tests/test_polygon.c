@@ -164,12 +164,12 @@ static void the_first_cells_of_the_window_are_marked(void)
     static const double places[][2] = {{-31.5, 0.5}, {-32.0, -20.5}, {0.5, -31.5}, {20.5, -32.0},
                                        {31.5, 0.5},  {32.0, 20.5},   {0.5, 31.5},  {-20.5, 32.0}};
     uint32_t bits[4][128];
-    ek_window window = {64u, 2u, bits[0], bits[1], bits[2], bits[3]};
+    ek_window window = {64u, 2u, bits[0], bits[1], bits[2], bits[3], {0u, 0u, 0u, 0u}, 0u, 0u};
     const ek_view view = {EK_R(1.0), EK_R(0.0), EK_R(32.0), EK_R(32.0), EK_R(32.0), EK_R(32.0)};
     for (size_t k = 0; k < 8u; k++) {
         const ek_real end[] = {EK_R(places[k][0]), EK_R(places[k][1])};
         const int outside = places[k][0] >= 32.0 || places[k][1] >= 32.0;
-        memset(bits, 0, sizeof bits);
+        ek_window_init(&window);
         CHECK(ek_window_fill_outline(&window, &view, end, 1u, EK_R(0.05)) == (uint32_t)outside);
         const uint32_t column = (uint32_t)(places[k][0] + 32.0), row = (uint32_t)(places[k][1] + 32.0);
         CHECK(outside || bits[2][2u * row + column / 32u] == (uint32_t)1 << column % 32u);

@@ -11,6 +11,11 @@ extern "C" {
 
 #define EK_WORD 32u /* bits */
 
+/* Cells, both ends included; none if left > right. */
+typedef struct {
+    uint32_t left, right, bottom, top;
+} ek_marks;
+
 /* A square of cells. The bits of a line are packed into words, lowest cell first. */
 typedef struct {
     uint32_t lines;   /* side in cells; a multiple of EK_WORD */
@@ -19,6 +24,8 @@ typedef struct {
     uint32_t *along;  /* column by column: crossed by steep beams */
     uint32_t *ends;   /* row by row: hit */
     uint32_t *outline; /* working memory of ek_window_fill_outline (polygon.h) */
+    ek_marks marks;    /* contains all marks */
+    uint32_t steep_left, steep_right; /* columns that contain all marks of `along`; none if the first is larger */
 } ek_window;
 
 /* Transform from points (u, v) to cells of the window: (c u - s v + x, s u + c v + y). Beams start at (start_x,
@@ -28,12 +35,25 @@ typedef struct {
     ek_real start_x, start_y;
 } ek_view;
 
+#define ek_window_init EK_NAME(window_init)
 #define ek_window_clear EK_NAME(window_clear)
 #define ek_window_mark_beams EK_NAME(window_mark_beams)
 #define ek_window_read_block EK_NAME(window_read_block)
 
+/* Clear all of the memory of a window. */
+void ek_window_init(ek_window *window);
+
 /* Clear every mark. */
 void ek_window_clear(ek_window *window);
+
+/* Extend the cells that contain all marks by one cell. */
+static inline void ek_marks_extend(ek_marks *marks, uint32_t column, uint32_t row)
+{
+    marks->left = column < marks->left ? column : marks->left;
+    marks->right = column > marks->right ? column : marks->right;
+    marks->bottom = row < marks->bottom ? row : marks->bottom;
+    marks->top = row > marks->top ? row : marks->top;
+}
 
 /* Mark the cells that the beams to count points (pairs u v) cross, first and last cell included; if `hits` is not 0
  * also mark the end cells as hit. The start must lie inside the window. Returns the number of beams that end outside
