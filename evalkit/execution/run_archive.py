@@ -1,15 +1,28 @@
-"""Pack a stored run into bytes and unpack it, for results from a machine without a shared folder."""
+"""Pack a stored run into bytes and unpack it, for results from a machine without a shared folder.
+
+Only files that evalkit itself writes travel: what a back end leaves in the folder of its run stays where it is.
+"""
 
 from __future__ import annotations
 
 import io
+import os
+import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 
 from evalkit.core.errors import StoreError
+from evalkit.execution.run_process import OUTCOME, REQUEST, STARTED
+from evalkit.execution.subprocesses import OUTPUT
+from evalkit.io import untrusted_io
 from evalkit.io.output_files import REMEDY
-from evalkit.results.store import RESULT, SCORES, Store
+from evalkit.results.final_files import CLOSURES, FINAL
+from evalkit.results.store import ERRORS, FINAL_ERRORS, FIT, GRID, RESULT, SCORES, STEPS, Store
+
+FILES = (REQUEST, STARTED, OUTCOME, OUTPUT, STEPS, FINAL, CLOSURES, GRID, ERRORS, FINAL_ERRORS, FIT, SCORES, RESULT)
+"""Names of the files in the folder of a run that travel."""
 
 WRITTEN_LAST = (SCORES, RESULT)
 """Files that are unpacked after all others, in this order, because they vouch for them."""
@@ -19,12 +32,20 @@ MAX_OUTPUT_BYTES = 2**20
 
 
 def pack_run(store: Store, key: str) -> bytes:
-    """All files of a stored run as a zip archive."""
+    """The files of a stored run as a zip archive; without links and files above ``untrusted_io.MAX_BYTES``."""
     body = io.BytesIO()
     with ZipFile(body, "w", ZIP_DEFLATED, compresslevel=1) as archive:
         for name, path in _list_files(store, key):
-            archive.writestr(name, path.read_bytes()[-MAX_OUTPUT_BYTES if name == "run/output.txt" else 0 :])
+            with suppress(OSError, ValueError):  # not written, or a back end has put something else in its place
+                archive.writestr(name, _read_end(path) if path.name == OUTPUT else untrusted_io.read_bytes(path))
     return body.getvalue()
+
+
+def _read_end(path: Path) -> bytes:
+    """The last ``MAX_OUTPUT_BYTES`` of a file; raises OSError for a link."""
+    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW), "rb") as file:  # noqa: PTH123 - a descriptor
+        file.seek(max(file.seek(0, os.SEEK_END) - MAX_OUTPUT_BYTES, 0))
+        return file.read(MAX_OUTPUT_BYTES)
 
 
 def unpack_run(store: Store, key: str, content: bytes) -> None:
@@ -36,8 +57,9 @@ def unpack_run(store: Store, key: str, content: bytes) -> None:
             names = [name for name in archive.namelist() if name.partition("/")[0] in folders]
             for name in sorted(names, key=_order_for_unpacking):
                 folder, _, file = name.partition("/")
-                store.write(folders[folder] / Path(file).name, archive.read(name))
-    except BadZipFile as error:
+                with archive.open(name) as packed:
+                    store.write(folders[folder] / Path(file).name, packed.read(untrusted_io.MAX_BYTES))
+    except (BadZipFile, zlib.error, EOFError, RuntimeError) as error:
         raise StoreError(
             str(store.run_folder(key)), f"the archive sent by the worker is damaged ({error})", REMEDY
         ) from error
@@ -50,12 +72,12 @@ def _order_for_unpacking(name: str) -> int:
 
 
 def _list_files(store: Store, key: str) -> Iterator[tuple[str, Path]]:
+    """Where the files of a run may lie, by their names in the archive."""
     for name, folder in _list_folders(store, key).items():
-        if folder.is_dir():
-            stem = "" if name == "run" else f"{key}."
-            yield from (
-                (f"{name}/{p.name}", p) for p in sorted(folder.iterdir()) if p.is_file() and p.name.startswith(stem)
-            )
+        if name == "run":
+            yield from ((f"{name}/{file}", folder / file) for file in FILES)
+        elif folder.is_dir():
+            yield from ((f"{name}/{p.name}", p) for p in sorted(folder.iterdir()) if p.name.startswith(f"{key}."))
 
 
 def _list_folders(store: Store, key: str) -> dict[str, Path]:

@@ -1,6 +1,7 @@
 """Run archives: an unpacked run is unchanged, and no archive can write outside its run."""
 
 import io
+import os
 from zipfile import ZipFile
 
 import numpy as np
@@ -47,6 +48,30 @@ def test_an_unpacked_run_is_unchanged_except_for_the_start_of_its_output(saved_r
     assert len(arrived[output]) == run_archive.MAX_OUTPUT_BYTES
     assert arrived.pop(output).endswith(b"last words")
     assert {path: content for path, content in sent.items() if path != output} == arrived
+
+
+def test_what_a_back_end_leaves_in_its_folder_stays_there(saved_run, tmp_path):
+    """Among it a link to a file of the user, and files of more bytes than there is memory."""
+    secret = tmp_path / "secret"
+    secret.write_text("of the user")
+    folder = saved_run.run_folder(KEY)
+    (folder / "grid.npz").unlink()
+    (folder / "grid.npz").symlink_to(secret)
+    (folder / "link").symlink_to(secret)
+    os.mkfifo(folder / "started.json")
+    for name in ("junk", "outcome.json"):
+        with (folder / name).open("wb") as file:
+            file.truncate(2**40)
+    with (folder / "output.txt").open("r+b") as file:
+        file.truncate(2**40)
+        file.seek(0, os.SEEK_END)
+        file.write(b"last words")
+    other = Store(tmp_path / "other")
+    run_archive.unpack_run(other, KEY, run_archive.pack_run(saved_run, KEY))
+    arrived = {path.name: path.read_bytes() for path in other.run_folder(KEY).iterdir()}
+    assert arrived.keys() == {"result.json", "steps.bin", "scores.json", "errors.npy", "output.txt"}
+    assert len(arrived["output.txt"]) == run_archive.MAX_OUTPUT_BYTES
+    assert arrived["output.txt"].endswith(b"last words")
 
 
 def test_an_archive_writes_nothing_outside_its_run(tmp_path):
