@@ -260,6 +260,25 @@ static void slices_change_no_bit_and_stay_within_their_work(uint64_t *seed)
     CHECK_NEAR(moved.theta, tail.theta, 50.0 * TOLERANCE);
 }
 
+/* Operations of a run of one iteration over 9 poses and 3 loops: 12 a step or loop, 12 a block of the first column, 3 more
+ * for each column further, one a row of either substitution. */
+static void the_work_of_a_run_is_that_of_a_hand_calculation(void)
+{
+    const ek_solver_settings one = {1, EK_R(0.0), EK_R(0.0)};
+    ek_work work = ek_work_make(INT64_MAX);
+    ek_pose_graph_reset(&graph);
+    for (size_t k = 0; k < 9u; k++) {
+        CHECK(ek_pose_graph_add(&graph, pose_of(1.0, 0.0, 0.1), &UNIT) == EK_OK);
+    }
+    for (uint32_t l = 0; l < 3u; l++) {
+        const ek_loop_edge loop = loop_of(l, 8u, pose_of(5.0, 1.0, 0.5), &UNIT);
+        CHECK(ek_pose_graph_close(&graph, &loop) == EK_OK);
+    }
+    CHECK(ek_pose_graph_begin(&graph, &one, 1) == EK_OK && ek_pose_graph_work(&graph, &work));
+    const uint64_t chain = 8u * 12u, loops = 3u * 12u + 1u, blocks = 12u + (12u + 15u) + (12u + 15u + 18u), rows = 1u + 2u + 3u;
+    CHECK(work.done == 2u * (chain + loops) + blocks + 2u * rows + (9u + 3u) + chain);
+}
+
 static void a_false_loop_loses_its_weight(uint64_t *seed)
 {
     const ek_solver_settings settings = {30, EK_R(1e-9), EK_R(10.0)};
@@ -382,6 +401,7 @@ int main(void)
     loops_that_cannot_be_told_apart_are_singular();
     only_positive_definite_matrices_have_an_inverse();
     matrices_are_those_of_hand_calculations();
+    the_work_of_a_run_is_that_of_a_hand_calculation();
     a_false_loop_loses_its_weight(&seed);
     bad_input_is_named_and_changes_nothing();
     free(arena.memory);

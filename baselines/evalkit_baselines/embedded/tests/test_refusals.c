@@ -432,6 +432,11 @@ static void of_capacities(void)
     CHECK(ek_voxel_map_init(NULL, &none, 1u, EK_R(0.1), 1u) == EK_NULL_POINTER);
     CHECK(ek_voxel_map_init(&map, NULL, 1u, EK_R(0.1), 1u) == EK_NULL_POINTER);
     CHECK(ek_voxel_map_init(&map, &none, 1u, EK_R(0.1), 0u) == EK_OUT_OF_RANGE);
+    CHECK(ek_voxel_map_init(&map, &none, (size_t)1 << 26, EK_R(0.01), 1u) == EK_OK);
+    CHECK(ek_voxel_map_init(&map, &none, ((size_t)1 << 26) + 1u, EK_R(0.01), 1u) == EK_OUT_OF_RANGE);
+    CHECK(ek_lasting_map_init(&lasting, &none, 1u, EK_R(0.1), EK_R(1e6), 1u, 0u) == EK_OK);
+    CHECK(ek_lasting_map_init(&lasting, &none, 1u, EK_R(0.1), EK_R(1.1e6), 1u, 0u) == EK_OUT_OF_RANGE);
+    CHECK(ek_lasting_map_init(&lasting, &none, 1u, EK_R(0.1), EK_R(0.0), 1u, 0u) == EK_OUT_OF_RANGE);
 }
 
 static void of_calls(void)
@@ -518,6 +523,7 @@ static void of_calls(void)
     CHECK(ek_search_begin(&search, &cells, xy, 2u, &window, NULL, EK_R(0.5)) == EK_NULL_POINTER);
     CHECK(ek_search_begin(&search, &cells, xy, 0u, &window, &prior, EK_R(0.5)) == EK_NO_POINTS);
     CHECK(ek_search_begin(&search, &cells, xy, 3u, &window, &prior, EK_R(0.5)) == EK_TOO_MANY_POINTS);
+    CHECK(ek_search_begin(&search, &cells, xy, 2u, &window, &prior, EK_R(0.5)) == EK_OK);
 
     ek_sym3 unit = {EK_R(1.0), EK_R(0.0), EK_R(0.0), EK_R(1.0), EK_R(0.0), EK_R(1.0)};
     ek_solver_settings settings = {1, EK_R(0.0), EK_R(0.0)};
