@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHON
 unexport PYTHONDONTWRITEBYTECODE  # each run starts processes; without bytecode every one compiles evalkit again
 
-.PHONY: help install report report-quick system test test-all check bench faults soak mutation coverage core-coverage planted paper paper-quick metric-validation calibrate tune schema docs fuzz clean distclean
+.PHONY: help install report report-quick system test test-all check bench faults soak mutation coverage core-coverage planted paper paper-quick metric-validation calibrate map-fit tune schema docs fuzz clean distclean
 
 help:  ## print this list
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -83,6 +83,9 @@ metric-validation: $(VENV)/evalkit  ## measure how map metrics follow the true e
 
 calibrate: $(VENV)/evalkit  ## measure how honest intervals and verdicts are: reports/build/calibration/index.html
 	$(BIN)/python -m evalkit.commands.calibration reports/calibration.toml
+
+map-fit: $(VENV)/evalkit  ## learn how likely a position in a known map is wrong by its fit: reports/build/map-fit/map-fit.md
+	$(BIN)/python -m evalkit.commands.map_fit reports/map-fit.toml
 
 tune: $(VENV)/evalkit  ## tune back ends with equal budgets: reports/build/tune/index.html
 	$(BIN)/evalkit tune reports/tune.toml --out reports/build/tune

@@ -18,6 +18,7 @@ from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
+from evalkit.metrics.fit_calibration import WRONG_M, describe_calibration, load_calibration
 from evalkit.metrics.neighbourhoods import build_kd_tree
 from evalkit.metrics.table import NO_KNOWN_MAP, Evidence, MatchedPoses, cached, make_metrics, make_score
 from evalkit.metrics.trajectory import compute_errors_m, rms
@@ -94,9 +95,10 @@ def _find_normals(walls: cKDTree, rows: Ints) -> Floats:
 
 @cached
 def compute_fit(evidence: Evidence) -> Floats | None:
-    """Return for each measured scan (K, 3): predicted error (m), true error (m), share of points on walls.
+    """Return for each measured scan (K, 4): predicted and true error (m), share of points on walls, doubt.
 
-    nan where unknown. None without a known map or poses.
+    The doubt is the probability that the position is wrong (``fit_calibration``). nan where unknown. None without a
+    known map or poses.
     """
     known, mapped = evidence.known_map, evidence.mapped
     if known is None or not mapped:
@@ -110,9 +112,11 @@ def compute_fit(evidence: Evidence) -> Floats | None:
     rows = []
     for index in np.unique(np.linspace(0, len(mapped) - 1, min(MAX_SCANS, len(mapped))).astype(int)).tolist():
         scan, map_from_sensor = mapped[index]
-        predicted, share = measure_fit(se2.transform(map_from_sensor, scan.points()), walls, known.resolution_m)
-        rows.append((predicted, by_stamp.get(scan.stamp_ns, np.nan), share))
-    return np.array(rows).reshape(-1, 3)
+        points = se2.transform(map_from_sensor, scan.points())
+        predicted, share = measure_fit(points, walls, known.resolution_m)
+        doubt = load_calibration().predict(predicted, len(points), known.resolution_m)
+        rows.append((predicted, by_stamp.get(scan.stamp_ns, np.nan), share, float(doubt)))
+    return np.array(rows).reshape(-1, 4)
 
 
 def _with_fit(measure: Callable[[Floats], Score]) -> Callable[[Evidence], Score]:
@@ -144,6 +148,16 @@ def _score_within(fit: Floats) -> Score:
     return make_score(100.0 * np.mean(known[:, 1] <= WITHIN * known[:, 0]), len(known))
 
 
+def _score_wrong(fit: Floats) -> Score:
+    doubt = fit[np.isfinite(fit[:, 3]), 3]
+    return make_score(100.0 * np.mean(doubt), len(doubt)) if len(doubt) else Score(None, len(fit), _OUTSIDE)
+
+
+def _score_truly_wrong(fit: Floats) -> Score:
+    true = fit[np.isfinite(fit[:, 1]), 1]
+    return make_score(100.0 * np.mean(true > WRONG_M), len(true)) if len(true) else Score(None, reason=_NO_TRUTH)
+
+
 def _score_start(measure: Callable[[Evidence], float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         start = evidence.run.start
@@ -157,6 +171,8 @@ def _score_start(measure: Callable[[Evidence], float]) -> Callable[[Evidence], S
 _NO_SCANS = "no scan has a pose in the map"
 _NO_FIT = "no scan fits the map"
 _NO_ERRORS = "no scan that fits has a true position in the map"
+_NO_TRUTH = "no scan has a true position in the map"
+_OUTSIDE = "outside the range of the calibration: the map's cells, or too few points in the scans"
 _GIVEN = "the start was given"
 
 
@@ -170,9 +186,13 @@ METRICS = make_metrics(
         "map_misfit_percent": _with_fit(lambda fit: make_score(100.0 * np.mean(np.isnan(fit[:, 0])), len(fit))),
         "map_fit_ratio": _with_fit(_score_ratio),
         "map_fit_within_percent": _with_fit(_score_within),
+        "map_wrong_percent": _with_fit(_score_wrong),
+        "map_truly_wrong_percent": _with_fit(_score_truly_wrong),
     },
     NEAR_M=NEAR_M,
     MAX_SCANS=MAX_SCANS,
     WITHIN=WITHIN,
     MIN_SHARE=100.0 * MIN_SHARE,
+    WRONG_CM=100.0 * WRONG_M,
+    CALIBRATION=describe_calibration(),
 )

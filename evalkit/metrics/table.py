@@ -133,11 +133,11 @@ class Metric:
 
 
 def make_metrics(
-    family: str, functions: Mapping[str, Callable[[Evidence], Score]], **constants: float
+    family: str, functions: Mapping[str, Callable[[Evidence], Score]], **constants: float | str
 ) -> tuple[Metric, ...]:
     """Return the metrics of a family in the order of ``functions``, with their cards from ``cards/FAMILY.toml``.
 
-    ``functions``: by the name of the metric. ``constants``: numbers that the texts of the cards name in braces. Raises
+    ``functions``: by the name of the metric. ``constants``: numbers and texts that the cards name in braces. Raises
     KeyError for a metric without a card or a card without a function.
     """
     content: dict[str, dict[str, Any]] = tomllib.loads(

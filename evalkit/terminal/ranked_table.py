@@ -13,6 +13,7 @@ from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import format_amount, format_milliseconds
+from evalkit.terminal.map_fit import describe_map_fit
 from evalkit.terminal.options import table_width
 
 MAX_LINES = 10
@@ -66,6 +67,8 @@ def print_answer(console: Console, analysis: Analysis) -> None:
         for line in format_rows(head, rows, table_width(console)):
             console.print(line, highlight=False)
         console.print()
+    for text in describe_map_fit(analysis):
+        _print(console, text)
     for pill in answer.pills:
         if pill.tone == "warn":
             _print(console, pill.text, "yellow")

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from evalkit.cli import app
 from evalkit.core.run_result import STEP
-from evalkit.metrics import validated
+from evalkit.metrics import fit_calibration, validated
 from evalkit.plugins.specs import Published
 from evalkit.report import results_json
 from evalkit.report.analysis.analysis import analyse
@@ -176,10 +176,11 @@ def test_map_and_errors_have_the_documented_form(small):
     assert np.load(path.with_name("errors.npy")).shape == (len(np.fromfile(path.with_name("steps.bin"), STEP)),)
 
 
-def test_the_shipped_measurement_has_the_keys_of_the_page():
-    content = json.loads((Path(validated.__file__).parent / validated.FILE).read_text(encoding="utf-8"))
-    line = next(line for line in PAGE.splitlines() if line.startswith("| `validated.json`"))
-    assert set(re.findall(r"`(\w+)`", line.split(" | ")[2])) == set(content)
+def test_the_shipped_measurements_have_the_keys_of_the_page():
+    for file in (validated.FILE, fit_calibration.FILE):
+        content = json.loads((Path(validated.__file__).parent / file).read_text(encoding="utf-8"))
+        line = next(line for line in PAGE.splitlines() if line.startswith(f"| `{file}`"))
+        assert set(re.findall(r"`(\w+)`", line.split(" | ")[2])) == set(content)
     acceptance = json.loads(
         (Path(validated.__file__).parents[1] / "commands/validate/acceptance.schema.json").read_bytes()
     )

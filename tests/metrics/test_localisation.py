@@ -1,6 +1,7 @@
 """The fit of a scan to a known map: the predicted error is the planted one, a bare corridor fixes nothing along it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import localisation
+from evalkit.metrics.fit_calibration import load_calibration
 from evalkit.metrics.localisation import OPEN_M, _score_predicted, _score_ratio, _score_within, measure_fit
 from evalkit.metrics.neighbourhoods import build_kd_tree
 from evalkit.metrics.table import Evidence
@@ -122,8 +124,14 @@ def test_along_a_corridor_of_one_wall_position_is_open_to_a_metre_and_heading_to
     assert predicted == pytest.approx(OPEN_M, rel=0.01)
 
 
-def scores(off, count=5, placed=True, matched_in_map=True, start_searched=True):
-    """Score a run that stands in the room, ``off`` (m) beside its true place, with a scan a pose."""
+def scores(*args, **kwargs):
+    """Score the run of ``in_room``."""
+    evidence = in_room(*args, **kwargs)
+    return {metric.name: metric.compute(evidence) for metric in localisation.METRICS}
+
+
+def in_room(off, count=5, placed=True, matched_in_map=True, start_searched=True):
+    """Return a run that stands in the room, ``off`` (m) beside its true place, with a scan a pose."""
     stamps = np.arange(count) * 100_000_000
     steps = np.zeros(count, STEP)
     steps["stamp_ns"] = stamps
@@ -134,8 +142,7 @@ def scores(off, count=5, placed=True, matched_in_map=True, start_searched=True):
     ranges, angles = np.hypot(*ROOM.T), np.arctan2(ROOM[:, 1], ROOM[:, 0])
     scans = tuple((Scan(int(stamp), ranges, angles, 0.0, 20.0), np.array([*off, 0.0])) for stamp in stamps)
     known = KnownMap(ROOM, CELL_M, "room")
-    evidence = Evidence(run, Truth("exact", truth), matched, mapped=scans if placed else (), known_map=known)
-    return {metric.name: metric.compute(evidence) for metric in localisation.METRICS}
+    return Evidence(run, Truth("exact", truth), matched, mapped=scans if placed else (), known_map=known)
 
 
 def test_a_run_beside_its_place_in_the_map_is_predicted_to_be_there():
@@ -145,10 +152,16 @@ def test_a_run_beside_its_place_in_the_map_is_predicted_to_be_there():
     assert found["map_fit_within_percent"] == Score(100.0, 5)
     assert found["map_misfit_percent"] == Score(0.0, 5)
     assert found["map_fit_percent"] == Score(100.0, 5)
+    doubt = 100.0 * load_calibration().predict(found["map_fit_m"].value, len(ROOM), CELL_M)
+    assert found["map_wrong_percent"].value == pytest.approx(float(doubt))
+    assert found["map_truly_wrong_percent"].support == 5
     assert (found["localised_after_s"], found["localised_after_scans"]) == (Score(0.2, 3), Score(3.0, 3))
     away = scores((0.8, 0.9))
     assert (away["map_misfit_percent"], away["map_fit_m"].reason) == (Score(100.0, 5), "no scan fits the map")
     assert away["map_fit_percent"].value < 50.0
+    assert away["map_wrong_percent"].value == pytest.approx(100.0 * load_calibration().misfit)
+    assert away["map_truly_wrong_percent"] == Score(100.0, 5)
+    assert scores((0.05, 0.0))["map_truly_wrong_percent"] == Score(0.0, 5)
     assert [scores((0.1, 0.0), count)["map_misfit_percent"].support for count in (1, 100, 101)] == [1, 100, 100]
 
 
@@ -158,10 +171,19 @@ def test_without_scans_a_truth_in_the_map_or_a_search_there_is_a_reason():
     aligned = scores((0.1, 0.0), matched_in_map=False)
     assert aligned["map_fit_m"].value == pytest.approx(0.1, abs=0.006)
     assert aligned["map_fit_ratio"].reason == "no scan that fits has a true position in the map"
+    assert aligned["map_truly_wrong_percent"].reason == "no scan has a true position in the map"
     assert scores((0.1, 0.0), start_searched=False)["localised_after_s"].reason == "the start was given"
     bare = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("none"))
     reasons = {metric.compute(bare).reason for metric in localisation.METRICS}
     assert reasons == {"no known map"}
+
+
+def test_a_map_of_larger_cells_than_the_calibration_knows_has_no_probability():
+    (metric,) = (one for one in localisation.METRICS if one.name == "map_wrong_percent")
+    coarse = 2.0 * load_calibration().cells_m[1]
+    found = metric.compute(replace(in_room((0.1, 0.0)), known_map=KnownMap(ROOM, coarse, "room")))
+    assert (found.value, found.support) == (None, 5)
+    assert found.reason in metric.no_value
 
 
 def test_the_cards_state_the_limits_of_the_fit():
@@ -169,3 +191,4 @@ def test_the_cards_state_the_limits_of_the_fit():
     assert "within 0.2 m of an occupied cell" in cards["map_fit_percent"].definition
     assert "fewer than 50 % of the points" in cards["map_misfit_percent"].definition
     assert "at most 1.73 times" in cards["map_fit_within_percent"].definition
+    assert "more than 10 cm off" in cards["map_wrong_percent"].definition

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from evalkit.core.se2 import Floats
+from evalkit.metrics.fit_calibration import WRONG_M, describe_calibration
 from evalkit.metrics.localisation import WITHIN
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.sequence import SequenceAnalysis
@@ -23,12 +24,16 @@ from evalkit.report.html.report_tables import (
     score_cell,
 )
 
-COLUMNS = ("map_fit_m", "map_fit_ratio", "map_fit_within_percent", "map_fit_percent", "map_misfit_percent")
+COLUMNS = (
+    "map_wrong_percent", "map_truly_wrong_percent", "map_fit_m", "map_fit_ratio", "map_fit_within_percent",
+    "map_fit_percent", "map_misfit_percent",
+)  # fmt: skip
 """Metrics of the table after the error, in order; those without a value are left out."""
 
 NOTE = (
     "Every method starts at the same place of the known map, and nothing is aligned. The pose error by map fit needs "
-    "no ground truth: it is what the scans say about the pose. A ratio of 1 and 95 % within mean that it is calibrated."
+    "no ground truth: what the scans say about the pose. A ratio of 1 and 95 % within mean that it is calibrated. "
+    f"Wrong by map fit: the probability that the position is more than {100.0 * WRONG_M:g} cm off, by the same fit."
 )
 
 
@@ -57,7 +62,7 @@ def build_known_map(
         Column("Track"), *(metric_column(one.metric) for one in shown),
     ]  # fmt: skip
     blocks: list[Block] = [
-        Heading("In the known map", f"{anchor}-known-map"), Text(NOTE, "note"),
+        Heading("In the known map", f"{anchor}-known-map"), Text(f"{NOTE} {describe_calibration()}", "note"),
         Table(columns, rows, label=f"In the known map, {sequence.label}"),
     ]  # fmt: skip
     pairs = {label: known for label, record in first.items() if len(known := _known(record.scores.fit))}

@@ -1,0 +1,1 @@
+"""Calibrate the fit of a scan to a known map against the true error of the position."""

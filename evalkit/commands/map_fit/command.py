@@ -1,0 +1,96 @@
+"""Learn how likely a position in a known map is wrong from the fit of its scan, and check it on other worlds.
+
+Run it as ``python -m evalkit.commands.map_fit reports/map-fit.toml``.
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from evalkit.config.experiment import Experiment, load_experiment
+from evalkit.core.errors import BadExperiment
+from evalkit.execution import environment
+from evalkit.io.output_files import write_texts
+from evalkit.plugins import registry
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import Json, Out, err, out
+
+if TYPE_CHECKING:
+    from evalkit.commands.map_fit.reliability import Drive
+
+app = typer.Typer(help="Calibrate the fit to a known map.", no_args_is_help=True, add_completion=False)
+
+MIN_WORLDS = 3
+"""Each world is predicted from the others: with fewer these say too little."""
+
+
+@app.command()
+def calibrate(
+    file: Annotated[Path, typer.Argument(help="Experiment with trackers and simulated worlds (TOML).")],
+    folder: Out = None,
+    jobs: options.Jobs = None,
+    as_json: Json = False,
+) -> None:
+    """Track a robot through simulated drives with faults, and learn how likely a position is wrong from the fit.
+
+    The probabilities of each world are checked with what the other worlds taught.
+    """
+    from evalkit.commands.map_fit import reliability  # noqa: PLC0415 - loads NumPy
+    from evalkit.commands.metric_validation.command import format_json  # noqa: PLC0415 - as above
+
+    experiment = load_experiment(file)
+    folder = folder or Path("reports") / "build" / "map-fit"
+    drives = _drive_all(experiment, folder, jobs)
+    content = {
+        "command": shlex.join(["python", "-m", "evalkit.commands.map_fit", *sys.argv[1:]]),
+        "created": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "versions": environment.versions(("evalkit", "numpy", "scipy")),
+        **reliability.summarize(drives),
+    }
+    texts = {
+        "fit_calibration.json": format_json(content) + "\n",
+        "map-fit.md": reliability.format_markdown(content),
+    }
+    write_texts(folder, texts)
+    if as_json:
+        options.print_json(content)
+    else:
+        out.print(texts["map-fit.md"], markup=False, highlight=False)
+
+
+def _drive_all(experiment: Experiment, folder: Path, jobs: int | None) -> list[Drive]:
+    """Make every drive: each world and seed with each tracker and fault."""
+    from evalkit.commands.map_fit.drives import FAULTS, measure_drive  # noqa: PLC0415 - loads NumPy
+    from evalkit.commands.map_fit.reliability import Drive  # noqa: PLC0415 - as above
+    from evalkit.execution.task import make_task  # noqa: PLC0415 - as above
+    from evalkit.execution.task_runner import run_tasks  # noqa: PLC0415 - as above
+    from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - as above
+
+    worlds = {sequence.dataset for sequence in experiment.sequences}
+    if len(worlds) < MIN_WORLDS:
+        what = f"has {len(worlds)} worlds; each is checked with what the others taught: name {MIN_WORLDS} or more"
+        raise BadExperiment(experiment.name, "sequence", what)
+    tasks = {}
+    for sequence in experiment.sequences:
+        if None in sequence.seeds:
+            raise BadExperiment(experiment.name, sequence.label, "is a recording; name simulated worlds")
+        for method in experiment.methods:
+            for fault in FAULTS:
+                for seed in sequence.seeds:
+                    task = make_task(
+                        f"{sequence.label} {method.label} {fault} {seed}", measure_drive, sequence.dataset,
+                        sequence.parameters_with_seed(seed), method.backend, dict(method.parameters), fault, seed or 0,
+                    )  # fmt: skip
+                    plug_ins = (("datasets", sequence.dataset), ("backends", method.backend))
+                    modules = [registry.plug_in_of(kind, name).module for kind, name in plug_ins]
+                    tasks[sequence.dataset, method.label, fault, seed, sequence.label] = task.depending_on(*modules)
+    at_once = jobs or environment.physical_cores()
+    with progress.announce_kept(err, "finished drives"), progress.show_tasks(err, len(tasks), at_once) as done:
+        results = run_tasks(TaskStore(folder / "results"), list(tasks.values()), at_once, done)
+    return [Drive(world, method, fault, results[task.name]) for (world, method, fault, *_), task in tasks.items()]
