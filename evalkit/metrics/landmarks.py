@@ -53,18 +53,16 @@ def signed_offsets(mapped: PlacedScans, true: OccupancyGrid, within_m: float = B
 
     Hits without a wall within ``within_m`` are omitted.
     """
-    walls = true.centres(true.occupied())
-    offsets = [np.zeros(0)]
-    if not len(walls):
-        return offsets[0]
-    tree, thin = build_kd_tree(walls), max(sum(int(scan.hits.sum()) for scan, _ in mapped) // MAX_HITS, 1)
-    for scan, world_from_sensor in mapped:
-        points = se2.transform(world_from_sensor, scan.points())[::thin]
-        apart, nearest = map(np.asarray, tree.query(points, distance_upper_bound=within_m))
-        near = np.isfinite(apart)
-        from_wall, beams = points[near] - walls[nearest[near]], points[near] - world_from_sensor[:2]
-        offsets.append(np.copysign(apart[near], np.sum(from_wall * beams, axis=1)))
-    return np.concatenate(offsets)
+    walls, thin = true.centres(true.occupied()), max(sum(int(scan.hits.sum()) for scan, _ in mapped) // MAX_HITS, 1)
+    if not len(walls) or not mapped:
+        return np.zeros(0)
+    scans = [se2.transform(world_from_sensor, scan.points())[::thin] for scan, world_from_sensor in mapped]
+    points = np.concatenate(scans)
+    sensors = np.repeat([world_from_sensor[:2] for _, world_from_sensor in mapped], list(map(len, scans)), axis=0)
+    apart, nearest = map(np.asarray, build_kd_tree(walls).query(points, distance_upper_bound=within_m))
+    near = np.isfinite(apart)
+    from_wall, beams = points[near] - walls[nearest[near]], points[near] - sensors[near]
+    return np.asarray(np.copysign(apart[near], np.sum(from_wall * beams, axis=1)))
 
 
 def _score_corners(evidence: Evidence) -> Score:

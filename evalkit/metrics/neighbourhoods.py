@@ -65,7 +65,8 @@ def build_kd_tree(points: Floats) -> cKDTree:
 
 def thin_evenly(points: Floats, max_rows: int) -> Floats:
     """Return at most ``max_rows`` of the rows (N, ...), evenly spaced, including the first and the last."""
-    return np.asarray(points[np.unique(np.linspace(0, len(points) - 1, min(max_rows, len(points))).astype(int))])
+    rows = np.linspace(0, len(points) - 1, min(max_rows, len(points))).astype(int)
+    return np.asarray(points[rows[np.diff(rows, prepend=-1) > 0]])  # np.unique takes a hundred times as long
 
 
 def _sum_moments(points: Floats, middles: Floats, radius_m: float) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,7 +49,7 @@ _REACH = round((FARTHEST_M + 0.1) / BIN_M)
 """Bins on each side of a piece of wall."""
 
 _BLOCK = 64
-"""Stretches of wall whose hits are in memory at once."""
+"""Pieces of wall whose neighbours, or stretches whose hits, are in memory at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,16 +146,21 @@ def _choose_spaced(pieces: WallPieces) -> Ints:
     if len(pieces) == 0:
         return np.zeros(0, dtype=np.int64)
     reach = float(np.hypot(ALONG_M, FARTHEST_M))
-    around = build_kd_tree(pieces.middles).query_ball_point(pieces.middles, reach)
+    around = [np.asarray(near) for near in build_kd_tree(pieces.middles).query_ball_point(pieces.middles, reach)]
     along = np.stack([np.cos(pieces.direction), np.sin(pieces.direction)], axis=1)
     free, kept = np.ones(len(pieces), np.bool_), []
-    for index, neighbours in enumerate(around):
-        if free[index]:
-            kept.append(index)
-            near = np.asarray(neighbours)
-            beside = np.abs((pieces.middles[near] - pieces.middles[index]) @ along[index]) <= ALONG_M
-            turned = np.abs((pieces.direction[near] - pieces.direction[index] + np.pi / 2.0) % np.pi - np.pi / 2.0)
-            free[near[beside & (turned <= ORTHOGONAL_RAD)]] = False
+    for begin in range(0, len(pieces), _BLOCK):
+        block = around[begin : begin + _BLOCK]
+        piece, near = np.repeat(np.arange(begin, begin + len(block)), list(map(len, block))), np.concatenate(block)
+        beside = np.abs(np.sum((pieces.middles[near] - pieces.middles[piece]) * along[piece], axis=1)) <= ALONG_M
+        turned = np.abs((pieces.direction[near] - pieces.direction[piece] + np.pi / 2.0) % np.pi - np.pi / 2.0)
+        alike = beside & (turned <= ORTHOGONAL_RAD)
+        piece, near = piece[alike], near[alike]
+        ends = np.searchsorted(piece, np.arange(begin, begin + len(block) + 1))
+        for index, (first, last) in enumerate(pairwise(ends), begin):
+            if free[index]:
+                kept.append(index)
+                free[near[first:last]] = False
     return np.array(kept, dtype=np.int64)
 
 
