@@ -48,7 +48,12 @@ class EmbeddedSlamSettings(LoopSettings):
     drift_m: float = parameter(0.02, "m", "1 sigma of the matched position after one metre", low=1e-4)
     drift_deg: float = parameter(0.3, "deg", "1 sigma of the matched heading after one metre", low=1e-3)
     work: int = parameter(
-        200_000, "", "operations a scan for loops, optimisation and map; 0: no limit", low=0, high=1 << 62
+        200_000,
+        "",
+        "operations for loops, optimisation and map in a scan every 0.1 s or faster; more in proportion in "
+        "slower ones, up to 20 times; 0: no limit",
+        low=0,
+        high=1 << 62,
     )
     beams: int = parameter(4096, "", "largest number of beams of a scan", low=1, high=1 << 20)
     keyframes: int = parameter(4000, "", "room for keyframes; then no loop is closed any more", low=2, high=1 << 20)

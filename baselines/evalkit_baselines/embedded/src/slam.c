@@ -8,6 +8,8 @@
 #define MAX_CELLS ((size_t)1 << 18)
 #define MAX_VOXEL_POINTS 20u
 #define RECENTRE EK_R(0.1)      /* share of the map's radius that the robot moves before its part is taken again */
+#define PERIOD_MS 100           /* of the scans that `work` is meant for: a slower lidar leaves more time for loops */
+#define MAX_PERIOD_MS 2000
 #define NEAR_LIMIT (EK_R(0.25) * EK_MAX_COORDINATE)
 
 ek_slam_parameters ek_slam_default(void)
@@ -218,6 +220,17 @@ static int is_near(ek_pose pose)
     return ek_se2_is_finite(pose) && EK_FABS(pose.x) <= NEAR_LIMIT && EK_FABS(pose.y) <= NEAR_LIMIT;
 }
 
+int64_t ek_slam_allowed_work(const ek_slam *slam)
+{
+    const int64_t work = slam->parameters.work, last = slam->motion.step_ns, before = slam->motion.two_steps_ns - last;
+    const int64_t interval_ms = (last < before ? last : before) / 1000000;
+    const int64_t longest = interval_ms < MAX_PERIOD_MS ? interval_ms : MAX_PERIOD_MS;
+    if (work == 0 || work > INT64_MAX / MAX_PERIOD_MS) {
+        return INT64_MAX;
+    }
+    return longest > PERIOD_MS ? work * longest / PERIOD_MS : work;
+}
+
 /* Keep the scan: as the one before, and as a keyframe if the base has moved enough or the track was lost. */
 static ek_status keep(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_slam_estimate *estimate, ek_work *work)
 {
@@ -238,7 +251,7 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, int has_odometry, ek
     const int measured = slam->motion.has_last_odometry && prior->has_odometry;
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, ek_motion_predict(&slam->motion, prior));
     ek_motion_store(&slam->motion, prior, pose);
-    ek_work task = ek_work_make(p->work ? p->work : INT64_MAX);
+    ek_work task = ek_work_make(ek_slam_allowed_work(slam));
     if (status == EK_OK && (keyframe || estimate->lost)) {
         const ek_step_kind kind = !estimate->lost ? EK_STEP_MATCHED : measured ? EK_STEP_MEASURED : EK_STEP_UNKNOWN;
         status = ek_slam_insert(slam, pose, kind, kind == EK_STEP_MEASURED ? predicted : pose, &task);

@@ -14,6 +14,7 @@
 #define ek_slam_track EK_NAME(slam_track)
 #define ek_slam_draw EK_NAME(slam_draw)
 #define ek_slam_redraw EK_NAME(slam_redraw)
+#define ek_slam_allowed_work EK_NAME(slam_allowed_work)
 #define ek_slam_insert EK_NAME(slam_insert)
 #define ek_slam_solve EK_NAME(slam_solve)
 #define ek_slam_next_run EK_NAME(slam_next_run)
@@ -51,6 +52,9 @@ void ek_slam_draw(ek_slam *slam, uint32_t map, const ek_real *xy, size_t count, 
 
 /* Begin to draw the map anew, with `next_odom_from_start`. */
 void ek_slam_redraw(ek_slam *slam);
+
+/* Operations of the newest scan, in proportion to the shorter of the last two intervals: one gap does not delay a scan. */
+int64_t ek_slam_allowed_work(const ek_slam *slam);
 
 /* Make the projected scan a keyframe; `graph_pose`: where the graph has it, in the same frame, which after a lost track is
  * not where it matched. */

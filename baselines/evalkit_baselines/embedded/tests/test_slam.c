@@ -132,6 +132,25 @@ static uint64_t drive(int64_t work, double tolerance)
     return most;
 }
 
+/* A slow lidar leaves more time for loops; a single gap does not. */
+static void work_is_in_proportion_to_the_time_between_scans(void)
+{
+    static const struct {
+        int64_t work, last_ms, before_ms, allowed;
+    } cases[] = {
+        {200000, 0, 0, 200000},       {200000, 25, 25, 200000},      {200000, 100, 100, 200000},
+        {200000, 125, 125, 250000},   {200000, 180, 2000, 360000},   {200000, 2000, 100, 200000},
+        {200000, 2000, 2000, 4000000}, {200000, 60000, 60000, 4000000}, {1, 1990, 3000, 19},
+        {0, 100, 100, INT64_MAX},     {INT64_MAX, 2000, 2000, INT64_MAX},
+    };
+    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+        slam.parameters.work = cases[k].work;
+        slam.motion.step_ns = cases[k].last_ms * 1000000;
+        slam.motion.two_steps_ns = slam.motion.step_ns + cases[k].before_ms * 1000000;
+        CHECK(ek_slam_allowed_work(&slam) == cases[k].allowed);
+    }
+}
+
 static void refused_scans_change_nothing(void)
 {
     const ek_slam_parameters parameters = parameters_of(0);
@@ -1009,8 +1028,9 @@ int main(void)
     a_large_scan_is_matched_whole_after_a_part_of_it();
     sweeps_beyond_the_world_are_refused();
     drive(0, 0.03);
-    const uint64_t most = drive(100000, 0.03);
-    CHECK(most < 100000u + 160u * 4000u); /* the largest part: the normals of a target of less than 4,000 points */
+    work_is_in_proportion_to_the_time_between_scans();
+    const uint64_t most = drive(100000, 0.03); /* every 0.2 s: twice the work */
+    CHECK(most < 200000u + 160u * 4000u); /* the largest part: the normals of a target of less than 4,000 points */
     free(lasting.memory);
     return verdict();
 }
