@@ -10,9 +10,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
-from numpy.typing import NDArray
-
 from evalkit.config.experiment import Limits
 from evalkit.core.errors import MachineFault, plain
 from evalkit.core.map_start import MapStart
@@ -24,7 +21,7 @@ from evalkit.execution.worker import MACHINE_FAULT_CODE, Request
 from evalkit.io import untrusted_io
 from evalkit.io.output_files import as_store_error, write_text
 from evalkit.results.final_files import CLOSURES, FINAL, parse_final
-from evalkit.results.store import STEPS, whole_records
+from evalkit.results.store import STEPS, count_sound, whole_records
 
 REQUEST, STARTED, OUTCOME = "request.json", "started.json", "outcome.json"
 
@@ -132,7 +129,7 @@ class _Supervision:
         if cause not in REPORTED or (cause != Cause.COMPLETED and not reason):
             ending = ending or _ending_without_outcome(self._child, self._folder)
         cause, reason = ending or (Cause(cause), plain(reason))
-        sound = _count_sound(steps)
+        sound = count_sound(steps)
         if sound < len(steps):
             cause, reason = Cause.NO_OUTCOME, f"{STEPS} is damaged after {sound} answers: something else wrote to it"
             steps = steps[:sound]
@@ -189,13 +186,6 @@ def _is_sound(name: str, value: object) -> bool:
     if name == "notes" and isinstance(value, dict):
         return all(key.isprintable() and type(count) is int for key, count in value.items())
     return True
-
-
-def _count_sound(steps: NDArray[np.void]) -> int:
-    """The number of records at the beginning whose stamps increase and whose poses are finite."""
-    wrong = ~(np.isfinite(steps["x"]) & np.isfinite(steps["y"]) & np.isfinite(steps["theta"]))
-    wrong[1:] |= steps["stamp_ns"][1:] <= steps["stamp_ns"][:-1]
-    return int(wrong.argmax()) if wrong.any() else len(steps)
 
 
 def _ending_without_outcome(child: ChildProcess, folder: Path) -> Ending:

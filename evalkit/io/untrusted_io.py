@@ -93,3 +93,11 @@ def parse_array(content: bytes) -> NDArray[Any]:
         raise ValueError(f"{len(content) - header.end()} bytes for an array {shape} of {dtype}")
     values = np.frombuffer(content, dtype, offset=header.end())
     return values.reshape(shape, order="F" if header[2] == b"True" else "C")
+
+
+def parse_floats(content: bytes, dimensions: int) -> NDArray[np.float64]:
+    """As ``parse_array``; raises ValueError too where it holds no 64-bit floats, or has other dimensions."""
+    values = parse_array(content)
+    if values.dtype != np.float64 or values.ndim != dimensions:
+        raise ValueError(f"found {values.dtype} {values.shape}, expected float64 of {dimensions} dimensions")
+    return values

@@ -25,7 +25,7 @@ from evalkit.plugins.parameters import EXCERPT, NUISANCE
 from evalkit.results.results_schema import check_schema
 from evalkit.results.run_record import RunRecord
 from evalkit.results.seal import check_seal, read_sealed, read_vouched
-from evalkit.results.store import ERRORS, RESULT, SCORES, STEPS, Store, whole_records
+from evalkit.results.store import ERRORS, RESULT, SCORES, STEPS, Store, count_sound, whole_records
 
 REPETITION = ("seed", NUISANCE, EXCERPT)
 """Parameters of a sequence that belong to one repetition."""
@@ -155,6 +155,10 @@ def load_run(folder: Path, entry: Mapping[str, Any], truth: Truth) -> RunRecord:
             "its alignment and map are missing" if answered == expected else f"{answered} of {expected} poses{damage}"
         )
         raise StoreError(str(store.run_folder(entry["key"])), f"incomplete: {missing}", "write the report again")
+    for errors in (scores.errors_m, scores.final.errors_m if scores.final else None):
+        if errors is not None and len(errors) != answered:
+            what = f"{len(errors)} errors of {answered} poses"
+            raise StoreError(str(store.run_folder(entry["key"])), what, "write the report again")
     parameters = {name: value for name, value in entry["dataset_parameters"].items() if name not in REPETITION}
     method = Method(entry["method"], entry["backend"], entry["backend_parameters"])
     given = entry["dataset_parameters"]
@@ -250,10 +254,10 @@ def _load_errors(own: Path) -> tuple[Ints, Floats]:
     try:
         result, scores = read_sealed(own / RESULT), read_sealed(own / SCORES)
         steps = whole_records(read_vouched(own / STEPS, result))
-        errors = untrusted_io.parse_array(read_vouched(own / ERRORS, scores))
+        errors = untrusted_io.parse_floats(read_vouched(own / ERRORS, scores), 1)
     except (OSError, ValueError):  # the score remains, without an interval
         return np.zeros(0, dtype=np.int64), np.zeros(0)
-    if len(steps) != len(errors):
+    if len(steps) != len(errors) or count_sound(steps) < len(steps):
         return np.zeros(0, dtype=np.int64), np.zeros(0)
     known = np.isfinite(errors)
     return steps["stamp_ns"][known], errors[known]

@@ -192,6 +192,8 @@ class Store:
         if values["start"] is not None:
             values["start"] = MapStart.of(values["start"])
         steps = whole_records(read_vouched(folder / STEPS, record))
+        if (sound := count_sound(steps)) < len(steps):
+            raise ValueError(f"{STEPS}: the stamp of record {sound} is not after the last one, or its pose not finite")
         if FINAL in record[FILES]:
             files = {name: read_vouched(folder / name, record) for name in (FINAL, CLOSURES)}
             values["final"], values["loop_closures"] = parse_final(files, steps["stamp_ns"])
@@ -251,10 +253,10 @@ class Store:
                 Pose.of(content["world_from_start"]),
                 content["alignment"],
                 _parse_grid(files[GRID]) if GRID in files else None,
-                untrusted_io.parse_array(files[ERRORS]) if ERRORS in files else None,
+                untrusted_io.parse_floats(files[ERRORS], 1) if ERRORS in files else None,
                 _parse_lost(content) if content["lost_at_s"] is not None else None,
                 _parse_alignment(content, files) if content["final_world_from_start"] is not None else None,
-                untrusted_io.parse_array(files[FIT]) if FIT in files else None,
+                untrusted_io.parse_floats(files[FIT], 2) if FIT in files else None,
             )
         except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError):
             return None
@@ -286,6 +288,13 @@ def whole_records(content: bytes) -> NDArray[np.void]:
     return np.frombuffer(content[: len(content) // STEP.itemsize * STEP.itemsize], dtype=STEP)
 
 
+def count_sound(steps: NDArray[np.void]) -> int:
+    """The number of records at the beginning whose stamps increase and whose poses are finite."""
+    wrong = ~(np.isfinite(steps["x"]) & np.isfinite(steps["y"]) & np.isfinite(steps["theta"]))
+    wrong[1:] |= steps["stamp_ns"][1:] <= steps["stamp_ns"][:-1]
+    return int(wrong.argmax()) if wrong.any() else len(steps)
+
+
 def hash_answers(result: RunResult) -> str:
     """SHA-256 of the stamps and poses of a run: equal hashes mean that two runs agree to the last bit."""
     hashed = hashlib.sha256(result.steps["stamp_ns"].astype("<i8").tobytes())
@@ -299,7 +308,7 @@ def _parse_lost(content: dict[str, Any]) -> LostTrack:
 
 
 def _parse_alignment(content: dict[str, Any], files: dict[str, bytes]) -> FinalAlignment:
-    errors = untrusted_io.parse_array(files[FINAL_ERRORS]) if FINAL_ERRORS in files else None
+    errors = untrusted_io.parse_floats(files[FINAL_ERRORS], 1) if FINAL_ERRORS in files else None
     return FinalAlignment(Pose.of(content["final_world_from_start"]), content["final_alignment"], errors)
 
 

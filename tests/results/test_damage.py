@@ -14,6 +14,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunConditions, RunResult, Score, Scores
 from evalkit.core.trajectory import Trajectory
 from evalkit.results.final_files import CLOSURES, FINAL, format_final, parse_final
+from evalkit.results.reader import load_stored_results
 from evalkit.results.seal import check_seal, seal
 from evalkit.results.store import ERRORS, GRID, RESULT, SCORES, STEPS, Store
 
@@ -95,6 +96,44 @@ def test_a_damaged_file_of_corrected_poses_is_named(stored, name):
     assert stored.load_result(KEY) is None
     with pytest.raises(ValueError, match=f"{name} is damaged: its content does not agree with its checksum"):
         stored.read_result(KEY)
+
+
+def _set(name, at, value):
+    def change(steps):
+        steps[name][at] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change", [_set("x", 7, np.nan), _set("theta", 0, np.inf), _set("stamp_ns", 9, 800_000_000), _set("y", 19, -np.inf)]
+)
+def test_steps_that_no_run_writes_are_refused_although_their_checksum_is_right(stored, change):
+    """Of a folder from somebody who made the checksums again."""
+    folder = stored.run_folder(KEY)
+    steps = np.fromfile(folder / STEPS, STEP)
+    change(steps)
+    (folder / STEPS).write_bytes(steps.tobytes())
+    seal_again(folder, RESULT, (STEPS, FINAL, CLOSURES))
+    with pytest.raises(ValueError, match=r"steps.bin: the stamp of record \d+ is not after"):
+        stored.read_result(KEY)
+    assert stored.load_result(KEY) is None
+
+
+@pytest.mark.parametrize("values", [np.array(["a"] * 20), np.zeros((20, 2)), np.zeros(20, dtype=np.int64)])
+def test_errors_of_another_type_are_refused_although_their_checksum_is_right(stored, values):
+    folder = stored.run_folder(KEY)
+    np.save(folder / ERRORS, values)
+    seal_again(folder, SCORES, (GRID, ERRORS))
+    assert stored.load_scores(KEY) is None
+    assert [run.errors_m.size for run in load_stored_results(stored.folder).runs.values()] == [0]
+
+
+def seal_again(folder, name, files):
+    content = json.loads((folder / name).read_text(encoding="utf-8"))
+    values = {key: value for key, value in content.items() if key not in ("sha256", "files")}
+    text = seal(values, {file: (folder / file).read_bytes() for file in files})
+    (folder / name).write_text(text, encoding="utf-8")
 
 
 def test_a_seal_is_of_the_values_and_not_of_their_order_or_spaces():
