@@ -81,6 +81,7 @@ class ChildProcess:
         )  # fmt: skip
         self._started_at = self._searched_at = time.monotonic()
         self._members: list[psutil.Process] = []
+        self._seen: set[psutil.Process] = set()  # members that live, also where their supervisor does not
         self._cpu_s, self._waited_s, self._last_line = 0.0, 0.0, ""
 
     def __enter__(self) -> ChildProcess:
@@ -117,6 +118,7 @@ class ChildProcess:
             self._searched_at = time.monotonic()
             with contextlib.suppress(psutil.Error):  # ended meanwhile
                 self._members = psutil.Process(self._process.pid).children(recursive=True)
+                self._seen = {member for member in self._seen if member.is_running()} | set(self._members)
         memory, cpu_s, waited_s = 0, 0.0, 0.0
         for member in self._members:
             with contextlib.suppress(psutil.Error):  # ended meanwhile
@@ -141,6 +143,10 @@ class ChildProcess:
         with contextlib.suppress(ProcessLookupError, PermissionError):  # none left, which macOS calls not permitted
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+        for member in self._seen:  # of a supervisor that foreign code has killed
+            with contextlib.suppress(psutil.Error):
+                for one in (*member.children(recursive=True), member):
+                    one.kill()
         _kill_marked(self._folder)
 
     def _truncate_output(self) -> None:

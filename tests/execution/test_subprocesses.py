@@ -115,6 +115,42 @@ def test_a_process_that_polls_only_after_its_parent_was_killed_terminates_too(tm
             os.kill(orphan, signal.SIGKILL)
 
 
+ESCAPE = """
+import os, signal, sys, time
+from pathlib import Path
+supervisor = os.getppid()
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        Path(sys.argv[1], "escaped").write_text(str(os.getpid()))
+        os.execve("/bin/sleep", ["sleep", "600"], {})
+    os._exit(0)
+os.wait()
+time.sleep(2.0)  # several searches for descendants
+os.kill(supervisor, signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere orphans are found by their environment only")
+def test_a_process_that_left_everything_terminates_although_its_supervisor_was_killed(tmp_path, monkeypatch):
+    """It has another session, another parent and no environment, and evalkit's own process above it is gone."""
+    (tmp_path / "escape.py").write_text(ESCAPE)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with subprocesses.ChildProcess("escape", tmp_path) as child:
+        for _ in child.watch():
+            pass
+    assert child.returncode == -signal.SIGKILL
+    escaped = int((tmp_path / "escaped").read_text())
+    try:
+        until = time.monotonic() + 10.0
+        while _lives(escaped) and time.monotonic() < until:
+            time.sleep(0.02)
+        assert not _lives(escaped)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(escaped, signal.SIGKILL)
+
+
 def _lives(number):
     try:
         return psutil.Process(number).status() != psutil.STATUS_ZOMBIE
