@@ -72,7 +72,6 @@ ek_status ek_grid_init(ek_grid *grid, ek_arena *arena, const ek_grid_parameters 
     }
     memset(grid, 0, sizeof *grid);
     grid->parameters = *parameters;
-    grid->wide = ek_is_wide();
     grid->window.lines = window_side(parameters);
     grid->window.words = grid->window.lines / WORD;
     const size_t bits = (size_t)grid->window.lines * grid->window.words;
@@ -220,7 +219,7 @@ static void add_block(ek_grid *grid, uint32_t row, uint32_t word, int16_t *cells
         ek_window_read_block(window, row, word, block);
     }
     const uint32_t *const crossed = steep ? block : window->across + at, *const ends = window->ends + at;
-    grid->touched_cells += EK_IF_WIDE(grid->wide)
+    grid->touched_cells += EK_IF_WIDE(window->wide)
                                ? add_words_wide(cells, columns, crossed, steep ? 1u : words, ends, words, odds)
                                : add_words(cells, columns, crossed, steep ? 1u : words, ends, words, odds);
 }

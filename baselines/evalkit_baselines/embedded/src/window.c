@@ -1,9 +1,12 @@
 #include "ek/window.h"
 #include "ek/tally.h"
+#include "ek/wide.h"
 
 #include <string.h>
 
 #define WORD EK_WORD
+#define SHORT 16 /* lines; those of shorter beams are marked one by one */
+#define STRIP 64 /* lines of a beam that are marked together */
 
 static void forget_marks(ek_window *window)
 {
@@ -21,6 +24,7 @@ void ek_window_init(ek_window *window)
     memset(window->ends, 0, bytes);
     memset(window->outline, 0, bytes);
     forget_marks(window);
+    window->wide = ek_is_wide();
 }
 
 /* Clear the lines `first` to `last`. */
@@ -58,32 +62,102 @@ typedef struct {
     int32_t first, last; /* cells of both ends */
 } ek_extent;
 
-/* Mark all cells of a beam that crosses no more lines of the slow axis than of the fast axis; `bits` holds one line
- * along the fast axis for each cell of the slow axis. A beam exactly through a corner goes diagonally. */
-static void mark_beam(uint32_t *bits, uint32_t words, ek_extent slow, ek_extent fast)
+/* A beam in cells: line k of the slow axis is left at ((k - behind) slope + start), a number of cells from the start. */
+typedef struct {
+    int32_t lines, cells;   /* of the slow and the fast axis between both ends */
+    ek_real behind, slope, start;
+    int32_t first, sign;    /* cell of the start on the fast axis, and the direction of the beam along it: 1 or -1 */
+    ptrdiff_t line, stride; /* words to the line of the start, and to the next one */
+} ek_course;
+
+/* The course of a beam that crosses no more lines of the slow axis than of the fast axis. */
+static inline ek_course plot_course(uint32_t words, ek_extent slow, ek_extent fast)
 {
-    const int32_t lines = slow.last > slow.first ? slow.last - slow.first : slow.first - slow.last;
-    const int32_t cells = fast.last > fast.first ? fast.last - fast.first : fast.first - fast.last;
-    const int up = slow.last > slow.first, right = fast.last >= fast.first;
-    const ek_real reach = EK_FABS(slow.to - slow.from);
-    const ek_real slope = lines ? EK_FABS(fast.to - fast.from) / reach : EK_R(0.0);
+    const int up = slow.last > slow.first;
+    ek_course course;
+    course.lines = up ? slow.last - slow.first : slow.first - slow.last;
+    course.cells = fast.last > fast.first ? fast.last - fast.first : fast.first - fast.last;
+    course.slope = course.lines ? EK_FABS(fast.to - fast.from) / EK_FABS(slow.to - slow.from) : EK_R(0.0);
     /* 0 to 1, from the cell edge behind the start; either direction is valid for an axis that the beam does not cross
      */
-    const ek_real behind = up ? slow.from - (ek_real)slow.first : (ek_real)(slow.first + 1) - slow.from;
-    const int forward = fast.to >= fast.from;
-    const ek_real start = forward ? fast.from - (ek_real)fast.first : (ek_real)(fast.first + 1) - fast.from;
-    const ptrdiff_t stride = up ? (ptrdiff_t)words : -(ptrdiff_t)words;
-    ptrdiff_t line = (ptrdiff_t)slow.first * (ptrdiff_t)words;
+    course.behind = up ? slow.from - (ek_real)slow.first : (ek_real)(slow.first + 1) - slow.from;
+    course.start = fast.to >= fast.from ? fast.from - (ek_real)fast.first : (ek_real)(fast.first + 1) - fast.from;
+    course.first = fast.first;
+    course.sign = fast.last >= fast.first ? 1 : -1;
+    course.stride = up ? (ptrdiff_t)words : -(ptrdiff_t)words;
+    course.line = (ptrdiff_t)slow.first * (ptrdiff_t)words;
+    return course;
+}
+
+/* Mark all cells of a beam that crosses no more lines of the slow axis than of the fast axis; `bits` holds one line
+ * along the fast axis for each cell of the slow axis. A beam exactly through a corner goes diagonally. */
+static void mark_beam(uint32_t *bits, const ek_course *beam)
+{
+    ptrdiff_t line = beam->line;
     int32_t entry = 0;
-    for (int32_t k = 1; k <= lines + 1; k++, line += stride) {
-        const ek_real at = ((ek_real)k - behind) * slope + start;
+    for (int32_t k = 1; k <= beam->lines + 1; k++, line += beam->stride) {
+        const ek_real at = ((ek_real)k - beam->behind) * beam->slope + beam->start;
         const int32_t next =
-            at < (ek_real)cells ? (int32_t)at : cells; /* rounding must not extend a beam past its end */
+            at < (ek_real)beam->cells ? (int32_t)at : beam->cells; /* rounding must not extend a beam past its end */
         int32_t leave = next - ((ek_real)next == at ? 1 : 0);
-        leave = k > lines ? cells : leave < entry ? entry : leave;
-        mark(bits + line, (uint32_t)(right ? fast.first + entry : fast.first - leave),
-             (uint32_t)(right ? fast.first + leave : fast.first - entry));
+        leave = k > beam->lines ? beam->cells : leave < entry ? entry : leave;
+        const int32_t from = beam->first + beam->sign * entry, to = beam->first + beam->sign * leave;
+        mark(bits + line, (uint32_t)(beam->sign > 0 ? from : to), (uint32_t)(beam->sign > 0 ? to : from));
         entry = next;
+    }
+}
+
+/* As mark_beam, with the same numbers: first the cells and masks of a strip of lines, in loops that compilers vectorise,
+ * then the words. */
+EK_WIDE static void mark_beam_wide(uint32_t *bits, const ek_course *beam)
+{
+    const ek_real behind = beam->behind, slope = beam->slope, start = beam->start, end = (ek_real)beam->cells;
+    const int32_t cells = beam->cells, first = beam->first, sign = beam->sign;
+    int32_t next[STRIP + 1], leave[STRIP];
+    uint32_t word[STRIP], last[STRIP], low[STRIP], high[STRIP];
+    ptrdiff_t at_line = beam->line;
+    next[0] = 0;
+    for (int32_t begin = 1; begin <= beam->lines + 1; begin += STRIP) {
+        const int32_t rest = beam->lines + 2 - begin, count = rest < STRIP ? rest : STRIP;
+        const int32_t full = (count + 7) / 8 * 8; /* some lines beyond the end, which are not marked */
+        for (int32_t i = 0; i < full; i++) {
+            const ek_real at = ((ek_real)(begin + i) - behind) * slope + start, within = at < end ? at : end;
+            const int32_t cell = (int32_t)within, exact = (ek_real)cell == at;
+            next[i + 1] = cell;
+            leave[i] = cell - exact;
+        }
+        leave[count - 1] = rest <= STRIP ? cells : leave[count - 1];
+        for (int32_t i = 0; i < full; i++) {
+            const int32_t entry = next[i], out = leave[i] > entry ? leave[i] : entry;
+            const int32_t a = first + sign * entry, b = first + sign * out;
+            const uint32_t from = (uint32_t)(a < b ? a : b), to = (uint32_t)(a < b ? b : a);
+            const uint32_t above = UINT32_MAX << (from & 31u), below = UINT32_MAX >> (31u - (to & 31u));
+            const uint32_t apart = 0u - (uint32_t)(from / WORD != to / WORD);
+            word[i] = from / WORD;
+            last[i] = to / WORD;
+            low[i] = above & (below | apart);
+            high[i] = below & (above | apart);
+        }
+        for (int32_t i = 0; i < count; i++, at_line += beam->stride) {
+            uint32_t *const line = bits + at_line;
+            line[word[i]] |= low[i];
+            line[last[i]] |= high[i];
+            EK_COUNT(EK_STEPS, 1u + last[i] - word[i]);
+            for (uint32_t k = word[i] + 1u; k < last[i]; k++) {
+                line[k] = UINT32_MAX;
+            }
+        }
+        next[0] = next[count];
+    }
+}
+/* Mark all cells of a beam. */
+static inline void draw_beam(const ek_window *window, uint32_t *bits, ek_extent slow, ek_extent fast)
+{
+    const ek_course beam = plot_course(window->words, slow, fast);
+    if (EK_IF_WIDE(window->wide) && beam.lines >= SHORT) {
+        mark_beam_wide(bits, &beam);
+    } else {
+        mark_beam(bits, &beam);
     }
 }
 
@@ -107,11 +181,11 @@ uint32_t ek_window_mark_beams(ek_window *window, const ek_view *view, const ek_r
         const uint32_t left = (uint32_t)(columns.last < column ? columns.last : column), right = left + (uint32_t)wide;
         ek_marks_extend(&marks, (uint32_t)columns.last, (uint32_t)rows.last);
         if (wide >= high) {
-            mark_beam(window->across, window->words, rows, columns);
+            draw_beam(window, window->across, rows, columns);
         } else {
             window->steep_left = left < window->steep_left ? left : window->steep_left;
             window->steep_right = right > window->steep_right ? right : window->steep_right;
-            mark_beam(window->along, window->words, columns, rows);
+            draw_beam(window, window->along, columns, rows);
         }
         if (hits) {
             window->ends[(size_t)rows.last * window->words + (size_t)columns.last / WORD] |=

@@ -162,7 +162,7 @@ static void a_fixed_map_takes_its_own_cells_from_every_side(void)
 static void a_block_is_read_from_its_own_rows(void)
 {
     uint32_t across[128], along[128], crossed[33];
-    ek_window window = {64u, 2u, across, along, NULL, NULL, {0u, 0u, 0u, 0u}, 0u, 0u};
+    ek_window window = {64u, 2u, across, along, NULL, NULL, {0u, 0u, 0u, 0u}, 0u, 0u, 0};
     memset(across, 0, sizeof across);
     memset(along, 0, sizeof along);
     memset(crossed, 0, sizeof crossed);
@@ -180,7 +180,7 @@ static void a_block_is_read_from_its_own_rows(void)
 static void marks_lie_between_the_start_and_the_ends(void)
 {
     uint32_t bits[4][64u * 2u];
-    ek_window window = {64u, 2u, bits[0], bits[1], bits[2], bits[3], {0u, 0u, 0u, 0u}, 0u, 0u};
+    ek_window window = {64u, 2u, bits[0], bits[1], bits[2], bits[3], {0u, 0u, 0u, 0u}, 0u, 0u, 0};
     const ek_view view = {EK_R(1.0), EK_R(0.0), EK_R(0.0), EK_R(0.0), EK_R(40.5), EK_R(20.5)};
     const ek_real flat[] = {EK_R(50.5), EK_R(17.5)}, steep[] = {EK_R(35.5), EK_R(30.5)}, outside[] = {EK_R(64.5), EK_R(1.5)};
     ek_window_init(&window);
@@ -203,29 +203,63 @@ static void both_copies_of_the_loops_draw_the_same(ek_grid_parameters parameters
 {
     static ek_grid drawn[2];
     uint64_t seed = 11u;
+    parameters.range_max = EK_R(110.0);
     for (int polygon = 0; polygon < 2; polygon++) {
         parameters.polygon = polygon;
-        ek_arena arena = memory_of(800000u);
+        ek_arena arena = memory_of(900000u);
         for (int wide = 0; wide < 2; wide++) {
             CHECK(ek_grid_init(&drawn[wide], &arena, &parameters) == EK_OK && ek_arena_check(&arena) == EK_OK);
-            drawn[wide].wide &= wide;
+            drawn[wide].window.wide &= wide;
         }
         for (int k = 0; k < 40; k++) {
             ek_real hits[2u * 60u];
-            const double size = (double)uniform(&seed, 2.0, 45.0);
-            const ek_pose pose = {uniform(&seed, -60.0, 60.0), uniform(&seed, -60.0, 60.0), uniform(&seed, -3.0, 3.0)};
+            const double size = (double)uniform(&seed, 2.0, 105.0);
+            const int even = k % 4 == 0; /* from the middle of a cell to that of another: through many corners */
+            const ek_pose middle = {EK_R(0.5), EK_R(0.5), EK_R(0.0)};
+            const ek_pose anywhere = {uniform(&seed, -60.0, 60.0), uniform(&seed, -60.0, 60.0), uniform(&seed, -3.0, 3.0)};
             for (size_t j = 0; j < 60u; j++) {
                 const double range = size * (double)uniform(&seed, j % 7u ? 0.8 : 0.2, 1.0), angle = 0.1 * (double)j;
-                hits[2u * j] = EK_R(range * cos(angle));
-                hits[2u * j + 1u] = EK_R(range * sin(angle));
+                hits[2u * j] = even ? EK_FLOOR(EK_R(range * cos(angle))) : EK_R(range * cos(angle));
+                hits[2u * j + 1u] = even && j % 3u ? EK_FLOOR(EK_R(range * sin(angle))) : EK_R(range * sin(angle));
+                hits[2u * j + 1u] = even && j % 3u == 0u ? hits[2u * j] : hits[2u * j + 1u]; /* diagonal */
             }
             for (int wide = 0; wide < 2; wide++) {
-                CHECK(ek_grid_add_scan(&drawn[wide], pose, EK_R(0), EK_R(0), hits, 60u, NULL, 0u) == EK_OK);
+                CHECK(ek_grid_add_scan(&drawn[wide], even ? middle : anywhere, EK_R(0), EK_R(0), hits, 60u, NULL, 0u) == EK_OK);
             }
-            CHECK(drawn[0].touched_cells == drawn[1].touched_cells && drawn[0].touched_cells > 10u);
+            CHECK(drawn[0].touched_cells == drawn[1].touched_cells && drawn[0].touched_cells > 0u);
         }
         CHECK(memcmp(drawn[0].cells, drawn[1].cells, (size_t)256u * 256u * sizeof(int16_t)) == 0);
         free(arena.memory);
+    }
+}
+
+/* Beams across 590 cells and 16 to 128 lines: some lines fill whole words. Their number is one of each line and each
+ * column that is crossed, without the corners; both copies of the loops mark the same. */
+static void long_beams_fill_whole_words(void)
+{
+    enum { SIDE = 1216, ALL = SIDE * SIDE / 32 };
+    static uint32_t bits[2][3][ALL];
+    const ek_view view = {EK_R(1.0), EK_R(0.0), EK_R(0.0), EK_R(0.0), EK_R(600.25), EK_R(600.25)};
+    const int lines[] = {16, 62, 63, 64, 127, 128};
+    for (size_t k = 0; k < 6u * 8u; k++) {
+        const double along = k & 1u ? 590.0 : -590.0, aside = k & 2u ? lines[k / 8u] : -lines[k / 8u];
+        const double x = 600.25 + (k & 4u ? along : aside), y = 600.25 + (k & 4u ? aside : along);
+        const ek_real end[] = {EK_R(x), EK_R(y)};
+        size_t marked[2] = {0u, 0u};
+        for (int wide = 0; wide < 2; wide++) {
+            ek_window window = {SIDE, SIDE / 32, bits[wide][0], bits[wide][1], bits[wide][2], bits[wide][2],
+                                {0u, 0u, 0u, 0u}, 0u, 0u, 0};
+            ek_window_init(&window);
+            window.wide &= wide;
+            CHECK(ek_window_mark_beams(&window, &view, end, 1u, 0) == 0u);
+            for (size_t word = 0; word < ALL; word++) {
+                for (uint32_t left = bits[wide][k & 4u ? 0 : 1][word]; left; left &= left - 1u) {
+                    marked[wide]++;
+                }
+            }
+        }
+        CHECK(memcmp(bits[0], bits[1], sizeof bits[0]) == 0);
+        CHECK(marked[0] <= 591u + (size_t)lines[k / 8u] && marked[0] > 590u && marked[1] == marked[0]);
     }
 }
 
@@ -271,6 +305,7 @@ int main(void)
     a_block_is_read_from_its_own_rows();
     marks_lie_between_the_start_and_the_ends();
     both_copies_of_the_loops_draw_the_same(parameters);
+    long_beams_fill_whole_words();
     bad_input_is_named();
     free(arena.memory);
     return verdict();

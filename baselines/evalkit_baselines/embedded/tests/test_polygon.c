@@ -164,7 +164,7 @@ static void the_first_cells_of_the_window_are_marked(void)
     static const double places[][2] = {{-31.5, 0.5}, {-32.0, -20.5}, {0.5, -31.5}, {20.5, -32.0},
                                        {31.5, 0.5},  {32.0, 20.5},   {0.5, 31.5},  {-20.5, 32.0}};
     uint32_t bits[4][128];
-    ek_window window = {64u, 2u, bits[0], bits[1], bits[2], bits[3], {0u, 0u, 0u, 0u}, 0u, 0u};
+    ek_window window = {64u, 2u, bits[0], bits[1], bits[2], bits[3], {0u, 0u, 0u, 0u}, 0u, 0u, 0};
     const ek_view view = {EK_R(1.0), EK_R(0.0), EK_R(32.0), EK_R(32.0), EK_R(32.0), EK_R(32.0)};
     for (size_t k = 0; k < 8u; k++) {
         const ek_real end[] = {EK_R(places[k][0]), EK_R(places[k][1])};

@@ -39,7 +39,6 @@ typedef struct {
     int32_t window_left, window_bottom;
     uint32_t ignored_beams; /* beams of the last scan that end outside the window */
     uint32_t touched_cells; /* cells of the map that the last scan changed */
-    int wide;               /* 1: the processor has AVX2 (wide.h) */
 } ek_grid;
 
 #define ek_grid_default EK_NAME(grid_default)
