@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 CORE = Path(__file__).resolve().parent.parent.parent / "baselines" / "evalkit_baselines" / "embedded"
-LIBRARIES = {"double": "ek64", "single": "ek32"}
+BUILDS = {"double": ("ek64", False), "single": ("ek32", True)}
+"""The library of a precision, and whether the names of its tests end in -float."""
 
 
 @dataclass
@@ -57,8 +58,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as place:
         build = Path(place)
         run_tests(build)
-        for precision, library in LIBRARIES.items():
-            files = read_coverage(build, library)
+        for precision, (library, single) in BUILDS.items():
+            files = read_coverage(build / "CMakeFiles", library, single)
             lines, branches = print_table(precision, files, given.list)
             low |= lines < given.least_lines or branches < given.least_branches
     return int(low)
@@ -79,9 +80,12 @@ def run_tests(build: Path) -> None:
             raise SystemExit(done.stdout + done.stderr)
 
 
-def read_coverage(build: Path, library: str) -> dict[str, FileCoverage]:
-    """What the tests reached of each file below src, by its name."""
-    counters = sorted((build / "CMakeFiles" / f"{library}.dir" / "src").glob("*.gcda"))
+def read_coverage(targets: Path, library: str, single: bool) -> dict[str, FileCoverage]:
+    """What the tests reached of each file below src, by its name: in the library or in a test that includes it."""
+    counters = sorted((targets / f"{library}.dir").rglob("*.gcda"))
+    for test in sorted(targets.glob("test_*.dir")):
+        if test.stem.endswith("-float") == single:
+            counters += sorted(test.rglob("*.gcda"))
     command = ["gcov", "--json-format", "--stdout", "--branch-probabilities", *map(str, counters)]
     found: dict[str, FileCoverage] = {}
     for document in subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines():
@@ -93,10 +97,15 @@ def read_coverage(build: Path, library: str) -> dict[str, FileCoverage]:
 
 
 def _add(coverage: FileCoverage, lines: list[dict[str, Any]]) -> None:
+    """Add the counts of one object."""
+    branches: dict[int, list[int]] = {}
     for line in lines:
         number = line["line_number"]
         coverage.lines[number] = coverage.lines.get(number, 0) + line["count"]
-        coverage.branches.setdefault(number, []).extend(branch["count"] for branch in line["branches"])
+        branches.setdefault(number, []).extend(branch["count"] for branch in line["branches"])
+    for number, counts in branches.items():
+        before = coverage.branches.get(number, [0] * len(counts))
+        coverage.branches[number] = [one + other for one, other in zip(before, counts, strict=True)]
 
 
 def print_table(precision: str, files: dict[str, FileCoverage], missing: bool) -> tuple[float, float]:
