@@ -177,7 +177,7 @@ def soil_lidar(drive: KnownDrive, rng: np.random.Generator) -> KnownDrive:
     middle, half = rng.uniform(-math.pi, math.pi), math.radians(rng.uniform(15.0, 75.0))
 
     def look(frame: Frame) -> Frame:
-        dirty = np.abs(se2.wrap(frame.scan.angles - middle)) < half
+        dirty = frame.scan.hits & (np.abs(se2.wrap(frame.scan.angles - middle)) < half)
         ranges = np.where(dirty, rng.uniform(0.2, 0.6, len(dirty)), frame.scan.ranges)
         return replace(frame, scan=replace(frame.scan, ranges=ranges))
 
