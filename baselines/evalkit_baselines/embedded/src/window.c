@@ -91,18 +91,18 @@ static inline ek_course plot_course(uint32_t words, ek_extent slow, ek_extent fa
 
 /* Mark all cells of a beam that crosses no more lines of the slow axis than of the fast axis; `bits` holds one line
  * along the fast axis for each cell of the slow axis. A beam exactly through a corner goes diagonally. */
-static void mark_beam(uint32_t *bits, const ek_course *beam)
+static void mark_beam(uint32_t *bits, const ek_course beam)
 {
-    ptrdiff_t line = beam->line;
+    ptrdiff_t line = beam.line;
     int32_t entry = 0;
-    for (int32_t k = 1; k <= beam->lines + 1; k++, line += beam->stride) {
-        const ek_real at = ((ek_real)k - beam->behind) * beam->slope + beam->start;
+    for (int32_t k = 1; k <= beam.lines + 1; k++, line += beam.stride) {
+        const ek_real at = ((ek_real)k - beam.behind) * beam.slope + beam.start;
         const int32_t next =
-            at < (ek_real)beam->cells ? (int32_t)at : beam->cells; /* rounding must not extend a beam past its end */
+            at < (ek_real)beam.cells ? (int32_t)at : beam.cells; /* rounding must not extend a beam past its end */
         int32_t leave = next - ((ek_real)next == at ? 1 : 0);
-        leave = k > beam->lines ? beam->cells : leave < entry ? entry : leave;
-        const int32_t from = beam->first + beam->sign * entry, to = beam->first + beam->sign * leave;
-        mark(bits + line, (uint32_t)(beam->sign > 0 ? from : to), (uint32_t)(beam->sign > 0 ? to : from));
+        leave = k > beam.lines ? beam.cells : leave < entry ? entry : leave;
+        const int32_t from = beam.first + beam.sign * entry, to = beam.first + beam.sign * leave;
+        mark(bits + line, (uint32_t)(beam.sign > 0 ? from : to), (uint32_t)(beam.sign > 0 ? to : from));
         entry = next;
     }
 }
@@ -157,7 +157,7 @@ static inline void draw_beam(const ek_window *window, uint32_t *bits, ek_extent 
     if (EK_IF_WIDE(window->wide) && beam.lines >= SHORT) {
         mark_beam_wide(bits, &beam);
     } else {
-        mark_beam(bits, &beam);
+        mark_beam(bits, beam);
     }
 }
 

@@ -2,7 +2,7 @@
  *
  * Both give the same bits: the sums of a loop run in EK_LANES lanes (real.h), no operation is reordered, and AVX2 has no
  * fused multiply-add. A loop is an EK_LOOP function; EK_WIDE marks the copy that is called where EK_IF_WIDE(ek_is_wide())
- * is 1.
+ * is 1. On aarch64 the copy for every processor uses NEON, which all of them have.
  */
 #ifndef EK_WIDE_H
 #define EK_WIDE_H
