@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
+import stat
 import tempfile
 import threading
 import uuid
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from multiprocessing import current_process, util
@@ -205,7 +206,9 @@ def _scoring_pool(_scoring_code: str) -> WorkerPool:
 def _lock_core() -> Iterator[int | None]:
     """A core that no other worker on this host uses, locked in the block; None where all are in use."""
     folder = Path(tempfile.gettempdir()) / f"evalkit-cores-{os.getuid() if hasattr(os, 'getuid') else 0}"
-    folder.mkdir(exist_ok=True)
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    _require_own(folder)
     for core in environment.cores():
         lock = FileLock(folder / str(core))
         try:
@@ -218,6 +221,15 @@ def _lock_core() -> Iterator[int | None]:
             lock.release()
         return
     yield None
+
+
+def _require_own(folder: Path) -> None:
+    """Raise StoreError for a folder in which another user may have put links to files of this one."""
+    state = folder.lstat()
+    owner = os.getuid() if hasattr(os, "getuid") else state.st_uid
+    if not stat.S_ISDIR(state.st_mode) or state.st_uid != owner or state.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        what = "it is a link, or another user's, or others can write to it"
+        raise StoreError(str(folder), what, "remove it, or set TMPDIR to a folder of your own")
 
 
 def _cores(jobs: int) -> SimpleQueue[int | None]:

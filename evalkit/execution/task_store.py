@@ -46,7 +46,7 @@ class TaskStore:
 def read_result(path: Path) -> Result | None:
     """The result in a file, None if there is none that can be read."""
     try:
-        arrays = untrusted_io.read_arrays(path)
+        arrays = untrusted_io.read_arrays(io.BytesIO(untrusted_io.read_bytes(path)))
         content = untrusted_io.parse_json(str(arrays.pop("json")))
     except (OSError, ValueError, KeyError):
         return None

@@ -13,9 +13,9 @@ import psutil
 import pytest
 
 from evalkit.config.experiment import experiment_from_tables
-from evalkit.core.errors import NotInstalled
+from evalkit.core.errors import NotInstalled, StoreError
 from evalkit.core.run_result import STEP
-from evalkit.execution import dask_cluster, environment
+from evalkit.execution import dask_cluster, environment, executors
 from evalkit.execution.dask_cluster import Cluster, NoCluster
 from evalkit.execution.executors import DaskExecutor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
@@ -280,3 +280,21 @@ def wait_for(true, seconds=30.0):
     while not true() and time.monotonic() < end:
         time.sleep(0.1)
     return true()
+
+
+@pytest.mark.parametrize("kind", ["link", "dangling", "writable"])
+def test_no_core_is_locked_in_a_folder_that_others_can_fill_with_links(tmp_path, monkeypatch, kind):
+    """They would lead to files of this user, which a lock opens for writing."""
+    monkeypatch.setattr(executors.tempfile, "gettempdir", lambda: str(tmp_path))
+    with executors._lock_core() as core:
+        assert core is None or core in environment.cores()
+    place = tmp_path / f"evalkit-cores-{os.getuid()}"
+    assert place.stat().st_mode & 0o777 == 0o700
+    place.rename(tmp_path / "theirs")
+    if kind == "writable":
+        place.mkdir()
+        place.chmod(0o777)
+    else:
+        place.symlink_to(tmp_path / ("theirs" if kind == "link" else "nothing"))
+    with pytest.raises(StoreError, match="set TMPDIR to a folder of your own"), executors._lock_core():
+        pytest.fail("a core was locked")

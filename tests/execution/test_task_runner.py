@@ -111,6 +111,18 @@ def test_a_damaged_result_is_computed_again(squares, tmp_path):
     assert run_tasks(store, [task])["n"]["square"] == 25
 
 
+def test_a_pipe_or_a_link_in_place_of_a_result_is_none(squares, tmp_path):
+    """A pipe would block, and a link lead out of a folder from somebody else."""
+    store, task = TaskStore(tmp_path), squares("n", "square", number=5)
+    run_tasks(store, [task])
+    store.path(task).rename(tmp_path / "elsewhere")
+    store.path(task).symlink_to(tmp_path / "elsewhere")
+    assert store.load(task) is None
+    store.path(task).unlink()
+    os.mkfifo(store.path(task))
+    assert store.load(task) is None
+
+
 def test_a_task_that_raises_is_reported_and_does_not_stop_others(squares, tmp_path):
     tasks = [squares("bad", "refuse", why="no such wall"), squares("good", "square", number=2)]
     with pytest.raises(TasksFailed, match="bad failed: ValueError: no such wall"):
