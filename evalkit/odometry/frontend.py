@@ -152,6 +152,12 @@ class FrontEnd:
 
     def update(self, frame: Frame) -> OdometryEstimate:
         """Register a scan with the previous one, then with the local map; the settings can switch off either stage."""
+        estimate, source = self.match(frame)
+        self.keep(frame, source, estimate.pose)
+        return estimate
+
+    def match(self, frame: Frame) -> tuple[OdometryEstimate, Cloud]:
+        """Return what ``update`` returns and the points that were registered; nothing is kept."""
         start_from_last, last_from_base = self._motion.predict(frame)
         source = self._source(frame)
         stages: dict[Stage, _StageAnswer] = {}
@@ -167,13 +173,23 @@ class FrontEnd:
                 local_map = self._local_map.cloud(start_from_base)
                 stages["s2m"] = self._register("s2m", local_map, source, start_from_base)
                 start_from_base = stages["s2m"].pose
-        self._keep(source, start_from_base, frame.base_from_sensor)
-        self._motion.store(frame, start_from_base)
         estimates: dict[Stage, StageEstimate] = {name: stage.estimate for name, stage in stages.items()}
         accepted = any(stage.accepted for stage in estimates.values()) if estimates else None
-        return OdometryEstimate(
-            start_from_base, estimates, accepted, sum((stage.cost for stage in stages.values()), NO_COST)
-        )
+        cost = sum((stage.cost for stage in stages.values()), NO_COST)
+        return OdometryEstimate(start_from_base, estimates, accepted, cost), source
+
+    def keep(self, frame: Frame, source: Cloud, start_from_base: Pose) -> None:
+        """Go on from a scan at a pose: the next one is matched with it, and a keyframe enters the local map."""
+        if self._last is None or self._is_keyframe(start_from_base):
+            self._local_map.add(source.points, start_from_base, frame.base_from_sensor)
+            self._start_from_keyframe = start_from_base
+        self._last = source
+        self._motion.store(frame, start_from_base)
+
+    def set_aside(self, frame: Frame, start_from_base: Pose) -> None:
+        """Go on from the pose of a scan alone: nothing is matched with its points."""
+        self._last = Cloud(np.zeros((0, 2)), "base")
+        self._motion.store(frame, start_from_base)
 
     def predict(self, frame: Frame) -> Pose:
         """Return the pose ``start_from_base`` that the motion prior predicts for the next scan."""
@@ -197,12 +213,6 @@ class FrontEnd:
         accepted = match.inliers >= self._settings.min_inliers
         estimate = StageEstimate(accepted, bool(match.converged), match.iterations, match.error, match.inliers)
         return _StageAnswer(match.target_from_source if accepted else guess, estimate, match.cost)
-
-    def _keep(self, source: Cloud, start_from_base: Pose, base_from_sensor: Pose) -> None:
-        if self._last is None or self._is_keyframe(start_from_base):
-            self._local_map.add(source.points, start_from_base, base_from_sensor)
-            self._start_from_keyframe = start_from_base
-        self._last = source
 
     def _is_keyframe(self, start_from_base: Pose) -> bool:
         if self._settings.local_map in EVERY_SCAN:

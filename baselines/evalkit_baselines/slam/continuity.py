@@ -35,6 +35,7 @@ class Continuity:
     def __init__(self) -> None:
         self._before: Floats | None = None
         self._sensor = Pose()
+        self._now: tuple[Floats, Pose] | None = None
 
     def is_lost(
         self, points: Floats, odom_from_base: Pose, base_from_sensor: Pose, has_odometry: bool, local_map: Floats
@@ -43,16 +44,14 @@ class Continuity:
 
         Points that the scan before could not see do not count. With too few others, the odometry is believed; without
         odometry the track is lost, and the map does not help: after a gap an equal place is near enough for a match.
-        With odometry the scan before alone may be the wrong one.
+        With odometry the scan before alone may be the wrong one. The scan is compared with the next one after ``keep``.
         """
         from scipy.spatial import cKDTree  # noqa: PLC0415 - specs are listed without SciPy
 
         moved = odom_from_base.transform(voxel_means(points, _VOXEL_M))
-        if len(moved) < MIN_POINTS:
-            return False
+        self._now = None if len(moved) < MIN_POINTS else (moved, odom_from_base @ base_from_sensor)
         before, sensor = self._before, self._sensor
-        self._before, self._sensor = moved, odom_from_base @ base_from_sensor
-        if before is None:
+        if self._now is None or before is None:
             return False
         seen = moved[_could_see(sensor.inverse().transform(before), sensor.inverse().transform(moved))]
         if len(seen) < MIN_POINTS:
@@ -64,6 +63,11 @@ class Continuity:
             return bool(on_before.mean() < MIN_SHARE)
         distance, _ = cKDTree(local_map).query(seen, distance_upper_bound=NEAR_M)
         return float((on_before | np.isfinite(np.asarray(distance))).mean()) < MIN_SHARE
+
+    def keep(self) -> None:
+        """Compare the next scans with the last one, if it had enough points."""
+        if self._now is not None:
+            self._before, self._sensor = self._now
 
 
 def _could_see(before: Floats, now: Floats) -> Bools:

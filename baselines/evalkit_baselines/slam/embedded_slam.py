@@ -86,7 +86,7 @@ class _Flag(IntFlag):
     ACCEPTED, UNCONFIRMED, FOUND_AGAIN, WITHDRAWN, NO_ROOM = 1, 2, 4, 8, 16
 
 
-_LOST, _CORRECTED = 1, 2
+_UNMATCHED, _CORRECTED = 1, 2
 
 
 class EmbeddedSlam:
@@ -153,7 +153,7 @@ class EmbeddedSlam:
                 name: make_stage_estimate(*answer) for name, answer in answers.items() if answer[0] != NOT_RUN
             }
             accepted = any(stage.accepted for stage in stages.values()) if stages else None
-            accepted = False if flags & _LOST else accepted
+            accepted = False if flags & _UNMATCHED else accepted
         corrected = bool(flags & _CORRECTED)
         return OdometryEstimate(Pose(*online), stages, accepted, Cost(conversion.cpu_ns), corrected)
 

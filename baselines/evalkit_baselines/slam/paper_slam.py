@@ -45,6 +45,10 @@ _AGREE_M, _AGREE_RAD = 0.2, math.radians(2.0)
 _CORRECTED_M, _CORRECTED_RAD = 0.01, math.radians(0.5)
 """An earlier pose that moves by more was corrected, see ``OdometryEstimate.corrected``."""
 
+PATIENCE_NS = 2_000_000_000
+"""With wheel odometry, scans that fit nowhere are set aside until so long after the last one that did: a bump, or
+people around the robot. Without it no prediction holds so long."""
+
 
 @dataclass(frozen=True)
 class SlamSettings(LoopSettings):
@@ -108,13 +112,15 @@ class PaperSlam:
         self._scale = OdometryScale()
         self._doubt = MatchDoubt()
         self._wheels: Pose | None = None  # raw odometry at the last keyframe
+        self._fitted_ns: int | None = None  # stamp of the last scan that fitted
 
     def update(self, frame: Frame) -> OdometryEstimate:
         """Match one scan; a new keyframe may close a loop, which corrects this pose and all earlier ones.
 
-        Where the scan does not lie on the one before, the track is lost: the answer is not accepted, and the map begins
+        A scan that lies neither on the one before nor on the map is set aside where there is wheel odometry: that gives
+        its pose, and nothing is matched with it. After a while, or without odometry, the track is lost: the map begins
         anew until a loop closure connects it with the old one. In between, the pose is that of the wheel odometry,
-        which the graph doubts. Raises ValueError where time does not advance.
+        which the graph doubts. Neither answer is accepted. Raises ValueError where time does not advance.
         """
         if self._stamps_ns and frame.scan.stamp_ns <= self._stamps_ns[-1]:
             found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {self._stamps_ns[-1]} ns"
@@ -125,19 +131,32 @@ class PaperSlam:
         frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         self._tries.begin_scan(self._doubt.usual_m)
-        estimate = self._front.update(frame)
+        estimate, source = self._front.match(frame)
         match = estimate.stages.get("s2m")
-        if match is not None and match.accepted:
-            self._doubt.observe(predicted if measured else None, estimate.pose, match, int(frame.scan.hits.sum()))
         points = frame.points_in_base(frame.start_from_end)
-        lost = self._is_lost(frame, points, estimate.pose)
+        near = self._map.cloud(estimate.pose).points
+        lost = self._is_lost(frame, points, estimate.pose, near)
+        moved, voxel_m = estimate.pose.transform(source.points), self._settings.map_voxel_m
+        match = match if match is not None and match.accepted else None
+        fits = not lost and not (match is not None and self._doubt.fits_nowhere(match, moved, near, voxel_m))
+        if fits or self._fitted_ns is None:
+            self._fitted_ns = frame.scan.stamp_ns
+        if not fits and measured and frame.scan.stamp_ns - self._fitted_ns <= PATIENCE_NS:
+            self._front.set_aside(frame, predicted)
+            return self._answer(frame, replace(estimate, pose=predicted, accepted=False))
+        self._front.keep(frame, source, estimate.pose)
+        self._continuity.keep()
+        if match is not None:
+            self._doubt.observe(predicted if measured else None, estimate.pose, match, int(frame.scan.hits.sum()))
         new = self._map.take() or (NewKeyframe(points, estimate.pose) if lost else None)
         if new is not None:
             new = NewKeyframe(voxel_means(new.points, _STORED_VOXEL_M), new.odom_from_base)
             kind = Step.MATCHED if not lost else Step.MEASURED if measured else Step.UNKNOWN
             self._insert(frame.scan.stamp_ns, new, wheels, kind, predicted if kind is Step.MEASURED else estimate.pose)
-        if lost:
-            estimate = replace(estimate, accepted=False)
+        return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
+
+    def _answer(self, frame: Frame, estimate: OdometryEstimate) -> OdometryEstimate:
+        """Note the pose of a scan in the frame of the front end, and return it in that of the corrected poses."""
         self._stamps_ns.append(frame.scan.stamp_ns)
         self._odom_from_base.append(estimate.pose.row)
         self._keyframe_of.append(len(self._keyframes) - 1)
@@ -166,8 +185,8 @@ class PaperSlam:
         """Return all candidates so far."""
         return tuple(recorded.closure for recorded in self._candidates)
 
-    def _is_lost(self, frame: Frame, points: Floats, odom_from_base: Pose) -> bool:
-        has_odometry, near = frame.odom_from_base is not None, self._map.cloud(odom_from_base).points
+    def _is_lost(self, frame: Frame, points: Floats, odom_from_base: Pose, near: Floats) -> bool:
+        has_odometry = frame.odom_from_base is not None
         return self._continuity.is_lost(points, odom_from_base, frame.base_from_sensor, has_odometry, near)
 
     def _insert(self, stamp_ns: int, new: NewKeyframe, wheels: Pose | None, kind: Step, odom_from_base: Pose) -> None:

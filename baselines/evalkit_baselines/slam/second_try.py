@@ -77,7 +77,8 @@ class SecondTry:
         """Return the motion ``target_from_source``."""
         first = self.wide.register(target, source, guess)
         poor_m = min(POOR_M, UNUSUAL * self._usual_m) if self._usual_m > 0.0 else POOR_M
-        if self._tried or (not first.error > poor_m and first.inliers >= MIN_SHARE * len(source)):
+        fits = not first.error > poor_m and first.inliers >= MIN_SHARE * len(source)
+        if self._tried or fits or not len(target):
             return first
         self._tried = True
         second = self.narrow.register(target, source, self._best_start(target, take_part(source, TRIED_POINTS), guess))

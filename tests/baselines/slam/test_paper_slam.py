@@ -57,6 +57,15 @@ def make_frames(world, poses, drift=0.0, seed=0):
         yield Frame(scan, Pose(), Pose.of(odom), Pose())
 
 
+def cover(frames, rows, measured=True):
+    """The frames with all beams of some rows ended by people around the robot; without odometry unless ``measured``."""
+    rng = np.random.default_rng(3)
+    for row, frame in enumerate(frames):
+        ranges = rng.uniform(0.3, 1.0, len(BEAMS)) if row in rows else frame.scan.ranges
+        odom = frame.odom_from_base if measured else None
+        yield replace(frame, scan=replace(frame.scan, ranges=ranges), odom_from_base=odom)
+
+
 def run(frames, **parameters):
     slam = paper_slam.make(**parameters)
     online = np.array([slam.update(frame).pose.row for frame in frames])
@@ -130,9 +139,31 @@ def test_a_kidnapped_robot_is_reported_and_found_again_by_a_loop_closure():
     assert all(estimate.accepted is not False for estimate in estimates[: len(drive)])
     assert estimates[len(drive)].accepted is False
     assert estimates[len(drive)].pose.row == pytest.approx(estimates[len(drive) - 1].pose.row)  # the wheels go on
+    aside = np.zeros(len(true), dtype=bool)
+    aside[len(drive) : len(drive) + 10] = True  # 2 s: somebody may only stand around the robot
+    assert [estimate.accepted is False for estimate in estimates] == [
+        *aside[: len(drive) + 10], True, *aside[len(drive) + 11 :]
+    ]  # fmt: skip
     found = [loop for loop in slam.loop_closures() if loop.accepted and "lost track" in loop.reason]
     assert found
-    assert errors_m(slam.trajectory().poses, true).max() < 0.1
+    assert errors_m(slam.trajectory().poses, true)[~aside].max() < 0.1
+
+
+def test_a_lidar_that_is_covered_for_a_moment_keeps_its_track_by_the_wheels_and_draws_no_map():
+    true, covered = ring_drive(0.5)[:32], range(15, 24)
+    slam = paper_slam.make()
+    estimates = [slam.update(frame) for frame in cover(make_frames(RING, true), covered)]
+    assert [row for row, estimate in enumerate(estimates) if estimate.accepted is False] == list(covered)
+    assert max(slam._keyframes.sections) == 0
+    assert not set(slam._keyframes.stamps_ns) & {row * STEP_NS for row in covered}
+    assert errors_m(slam.trajectory().poses, true).max() < 0.05
+
+
+def test_a_lidar_that_is_covered_for_longer_has_lost_its_track():
+    slam = paper_slam.make()
+    estimates = [slam.update(frame) for frame in cover(make_frames(RING, ring_drive(0.5)[:30]), range(15, 30))]
+    assert slam._keyframes.sections.count(0) == slam._keyframes.stamps_ns.index(25 * STEP_NS)  # 2 s after scan 14
+    assert all(estimate.accepted is False for estimate in estimates[15:26])
 
 
 def test_a_gap_of_a_minute_in_which_the_robot_leaves_is_a_lost_track():

@@ -83,6 +83,16 @@ def test_only_the_first_poor_answer_of_a_scan_is_tried_again():
     assert (len(brief.calls), len(narrow.calls)) == (2 * 5, 2)
 
 
+def test_nothing_is_tried_again_against_no_points_and_the_try_is_kept_for_the_map():
+    narrow, brief = Answer(Pose(), 0.01), Answer(Pose(), 0.01)
+    tries = SecondTry(Answer(Pose(), np.nan, 0), narrow, brief)
+    tries.begin_scan(0.0)
+    tries.register(Cloud(np.zeros((0, 2))), CORNER, Pose())
+    assert not brief.calls
+    tries.register(CORNER, CORNER, Pose())
+    assert len(brief.calls) == 5
+
+
 @pytest.mark.parametrize(
     ("points", "enough", "left"), [(3, 100, 3), (199, 100, 199), (200, 100, 100), (1000, 300, 334)]
 )

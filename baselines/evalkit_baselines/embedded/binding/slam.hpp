@@ -13,7 +13,7 @@ namespace EK_NAME(binding) {
 // A candidate: later and earlier keyframe, motion, outcome, its numbers, flags (accepted, unconfirmed, found again,
 // withdrawn, no room), section.
 using Record = std::tuple<uint32_t, uint32_t, Row, int, double, double, uint32_t, uint32_t>;
-// Pose online, in the continuous frame; both stages; has stages, lost, corrected, full; keyframe; operations.
+// Pose online, in the continuous frame; both stages; flags (lost or set aside, corrected, full); keyframe; operations.
 using SlamAnswer = std::tuple<Row, Row, Stage, Stage, uint32_t, uint32_t, uint64_t>;
 
 class Slam {
@@ -68,7 +68,7 @@ public:
         const auto outcome = [&](int32_t accepted) {
             return !now.has_stages ? EK_STAGE_SKIPPED : accepted ? EK_STAGE_ACCEPTED : EK_STAGE_GUESS_KEPT;
         };
-        const uint32_t flags = uint32_t(now.lost) | uint32_t(now.corrected) << 1 | uint32_t(now.full) << 2;
+        const uint32_t flags = uint32_t(now.lost || now.set_aside) | uint32_t(now.corrected) << 1 | uint32_t(now.full) << 2;
         return {row_of(now.start_from_base), row_of(now.odom_from_base),
                 stage_of(now.scan_to_scan, outcome(now.scan_to_scan_accepted)),
                 stage_of(now.scan_to_map, outcome(now.scan_to_map_accepted)), flags, now.keyframe, now.work};

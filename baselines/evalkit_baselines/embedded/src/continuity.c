@@ -115,26 +115,13 @@ static ek_real share_on_scan(const ek_continuity *continuity, size_t seen, const
     return (ek_real)on / (ek_real)asked;
 }
 
-/* Keep the scan as the one before. */
-static void store(ek_continuity *continuity, size_t count, ek_pose odom_from_base, ek_pose base_from_sensor)
-{
-    const ek_pose sensor_from_base = ek_se2_inverse(base_from_sensor);
-    continuity->sensor = ek_se2_compose(odom_from_base, base_from_sensor);
-    continuity->started = ek_index_build(&continuity->before, continuity->moved, count) == EK_OK;
-    transform(sensor_from_base, continuity->thinned, count, continuity->thinned);
-    for (size_t i = 0; i < count; i++) {
-        const ek_real x = continuity->thinned[2u * i], y = continuity->thinned[2u * i + 1u];
-        continuity->ray[i].bearing = EK_ATAN2(y, x);
-        continuity->ray[i].range = EK_SQRT(x * x + y * y);
-    }
-    continuity->rays = count;
-    sort_rays(continuity);
-}
-
 int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const ek_real *xy, size_t count,
                           ek_pose odom_from_base, ek_pose base_from_sensor, int has_odometry, const ek_index *map, ek_work *work)
 {
     const size_t cells = ek_thin(thinner, xy, count, VOXEL, continuity->thinned, work);
+    continuity->now = cells < MIN_POINTS ? 0u : cells;
+    continuity->now_odom_from_base = odom_from_base;
+    continuity->now_base_from_sensor = base_from_sensor;
     if (cells < MIN_POINTS) {
         return 0;
     }
@@ -145,7 +132,26 @@ int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const 
         lost = seen < MIN_POINTS ? !has_odometry : share_on_scan(continuity, seen, NULL) < MIN_SHARE;
         lost = lost && seen >= MIN_POINTS && has_odometry ? share_on_scan(continuity, seen, map) < MIN_SHARE : lost;
     }
-    store(continuity, cells, odom_from_base, base_from_sensor);
     ek_work_spend(work, POINT_WORK * (uint64_t)cells);
     return lost;
+}
+
+void ek_continuity_keep(ek_continuity *continuity)
+{
+    const ek_pose sensor_from_base = ek_se2_inverse(continuity->now_base_from_sensor);
+    const size_t count = continuity->now;
+    if (count == 0u) {
+        return;
+    }
+    continuity->sensor = ek_se2_compose(continuity->now_odom_from_base, continuity->now_base_from_sensor);
+    continuity->started = ek_index_build(&continuity->before, continuity->moved, count) == EK_OK;
+    transform(sensor_from_base, continuity->thinned, count, continuity->thinned);
+    for (size_t i = 0; i < count; i++) {
+        const ek_real x = continuity->thinned[2u * i], y = continuity->thinned[2u * i + 1u];
+        continuity->ray[i].bearing = EK_ATAN2(y, x);
+        continuity->ray[i].range = EK_SQRT(x * x + y * y);
+    }
+    continuity->rays = count;
+    continuity->now = 0u;
+    sort_rays(continuity);
 }

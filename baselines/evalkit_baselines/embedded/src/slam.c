@@ -10,6 +10,7 @@
 #define RECENTRE EK_R(0.1)      /* share of the map's radius that the robot moves before its part is taken again */
 #define PERIOD_MS 100           /* of the scans that `work` is meant for: a slower lidar leaves more time for loops */
 #define MAX_PERIOD_MS 2000
+#define PATIENCE_NS 2000000000u /* scans that fit nowhere are set aside until so long after the last one that did */
 #define NEAR_LIMIT (EK_R(0.25) * EK_MAX_COORDINATE)
 
 ek_slam_parameters ek_slam_default(void)
@@ -171,7 +172,6 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     if (!slam->motion.started) {
         return EK_OK;
     }
-    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, last_from_base);
     slam->tried = 0;
     const ek_openness open =
         ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
@@ -183,10 +183,6 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     }
     if (status == EK_OK) {
         status = run_stage(slam, &slam->map_index, &open, &pose, &estimate->scan_to_map, &estimate->scan_to_map_accepted);
-    }
-    if (estimate->scan_to_map_accepted) {
-        const int measured = slam->motion.has_last_odometry && prior->has_odometry;
-        ek_slam_doubt(slam, measured ? &predicted : NULL, pose, &estimate->scan_to_map);
     }
     estimate->has_stages = 1;
     estimate->odom_from_base = pose;
@@ -231,34 +227,56 @@ int64_t ek_slam_allowed_work(const ek_slam *slam)
     return longest > PERIOD_MS ? work * longest / PERIOD_MS : work;
 }
 
+/* Whether the scan fits, is set aside, or the track is lost. */
+static void judge(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_slam_estimate *estimate, ek_work *work)
+{
+    const ek_pose pose = estimate->odom_from_base;
+    const int lost =
+        ek_continuity_is_lost(&slam->continuity, &slam->thinner, slam->scan.hits, slam->scan.count, pose,
+                              slam->parameters.scan.base_from_sensor, has_odometry, &slam->map_index, work);
+    const int fits = !lost && !(estimate->scan_to_map_accepted && ek_slam_fits_nowhere(slam, pose, &estimate->scan_to_map));
+    if (fits || !slam->motion.started) {
+        slam->fitted_ns = prior->stamp_ns;
+    }
+    const uint64_t since = (uint64_t)prior->stamp_ns - (uint64_t)slam->fitted_ns;
+    const int measured = slam->motion.has_last_odometry && prior->has_odometry;
+    estimate->set_aside = !fits && measured && since <= PATIENCE_NS;
+    estimate->lost = lost && !estimate->set_aside;
+}
+
 /* Keep the scan: as the one before, and as a keyframe if the base has moved enough or the track was lost. */
-static ek_status keep(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_slam_estimate *estimate, ek_work *work)
+static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, const ek_slam_estimate *estimate, ek_work *task)
 {
     const ek_slam_parameters *const p = &slam->parameters;
     const ek_pose pose = estimate->odom_from_base, moved = ek_se2_between(slam->odom_from_front, pose);
     const int far = moved.x * moved.x + moved.y * moved.y >= p->keyframe_distance * p->keyframe_distance;
     const int keyframe = !slam->has_keyframe || far || EK_FABS(moved.theta) >= p->keyframe_angle;
-    ek_status status = take_map(slam, pose, work);
-    estimate->lost = ek_continuity_is_lost(&slam->continuity, &slam->thinner, slam->scan.hits, slam->scan.count, pose,
-                                           p->scan.base_from_sensor, has_odometry, &slam->map_index, work);
+    const int measured = slam->motion.has_last_odometry && prior->has_odometry;
+    ek_continuity_keep(&slam->continuity);
+    if (estimate->scan_to_map_accepted) {
+        ek_slam_doubt(slam, measured ? &predicted : NULL, pose, &estimate->scan_to_map);
+    }
     if (keyframe) {
         slam->odom_from_front = pose;
         slam->has_keyframe = 1;
     }
-    if (status == EK_OK) {
-        status = index_lines(&slam->last, slam->last_normals, slam->scan.hits, slam->scan.count);
-    }
-    const int measured = slam->motion.has_last_odometry && prior->has_odometry;
-    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, ek_motion_predict(&slam->motion, prior));
+    const ek_status status = index_lines(&slam->last, slam->last_normals, slam->scan.hits, slam->scan.count);
     ek_motion_store(&slam->motion, prior, pose);
-    ek_work task = ek_work_make(ek_slam_allowed_work(slam));
+    *task = ek_work_make(ek_slam_allowed_work(slam));
     if (status == EK_OK && (keyframe || estimate->lost)) {
         const ek_step_kind kind = !estimate->lost ? EK_STEP_MATCHED : measured ? EK_STEP_MEASURED : EK_STEP_UNKNOWN;
-        status = ek_slam_insert(slam, pose, kind, kind == EK_STEP_MEASURED ? predicted : pose, &task);
+        return ek_slam_insert(slam, pose, kind, kind == EK_STEP_MEASURED ? predicted : pose, task);
     }
-    ek_slam_work(slam, &task);
-    estimate->work = task.done;
     return status;
+}
+
+/* Go on from the pose by the wheels alone. */
+static ek_status set_aside(ek_slam *slam, const ek_prior *prior, ek_pose predicted, ek_slam_estimate *estimate, ek_work *task)
+{
+    estimate->odom_from_base = predicted;
+    ek_motion_store(&slam->motion, prior, predicted);
+    *task = ek_work_make(ek_slam_allowed_work(slam));
+    return index_lines(&slam->last, slam->last_normals, slam->scan.hits, 0u);
 }
 
 ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate *estimate)
@@ -288,11 +306,20 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     slam->corrected = 0;
     slam->gated = sweep->has_odometry;
     status = ek_slam_track(slam, &prior, estimate, &work);
-    if (status != EK_OK || !is_near(estimate->odom_from_base)) {
+    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, ek_motion_predict(&slam->motion, &prior));
+    if (status != EK_OK || !is_near(estimate->odom_from_base) || !is_near(predicted)) {
         return status == EK_OK ? EK_OUT_OF_RANGE : status;
     }
     slam->wheels = wheels;
-    status = keep(slam, &prior, sweep->has_odometry, estimate, &work);
+    ek_work task = ek_work_make(0);
+    status = take_map(slam, estimate->odom_from_base, &work);
+    judge(slam, &prior, sweep->has_odometry, estimate, &work);
+    if (status == EK_OK) {
+        status = estimate->set_aside ? set_aside(slam, &prior, predicted, estimate, &task)
+                                     : keep(slam, &prior, predicted, estimate, &task);
+    }
+    ek_slam_work(slam, &task);
+    estimate->work = task.done;
     estimate->start_from_base = ek_se2_compose(ek_se2_inverse(slam->odom_from_start), estimate->odom_from_base);
     estimate->corrected = slam->corrected;
     estimate->full = slam->full;

@@ -217,7 +217,7 @@ static void a_carried_robot_finds_its_place(void)
     for (size_t k = 0; k < 200u; k++) {
         const size_t at = k < 120u ? k : k - 100u;
         const ek_slam_estimate estimate = step_without_odometry(k, at, &seed);
-        CHECK(estimate.lost == (k == 120u));
+        CHECK(estimate.lost == (k == 120u) && !estimate.set_aside);
         if (k < 120u || k > 180u) {
             check_near_truth(at, estimate.start_from_base, 0.03);
         }
@@ -229,6 +229,53 @@ static void a_carried_robot_finds_its_place(void)
         CHECK(!record->found_again || (record->accepted && !record->candidate.is_local));
     }
     CHECK(again == 1u && slam.keyframes.section[slam.keyframes.count - 1u] == 1u);
+    free(arena.memory);
+}
+
+/* People cover the lidar for a second: its pose goes on by the wheels, and the map and the track stay as they are. After
+ * two seconds the track is lost. */
+static void a_covered_lidar_keeps_its_track_for_a_while(void)
+{
+    const ek_slam_parameters parameters = parameters_of(0);
+    ek_arena arena = start(&parameters);
+    uint64_t seed = 7u;
+    for (size_t k = 0; k < 51u; k++) {
+        const int covered = (k >= 20u && k < 25u) || k >= 40u;
+        ek_sweep sweep = sweep_at(k, &seed);
+        for (size_t i = 0; covered && i < BEAMS; i++) {
+            ranges[i] = EK_R(0.65) + uniform(&seed, -0.35, 0.35);
+        }
+        ek_slam_estimate estimate;
+        CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OK);
+        CHECK(estimate.set_aside == (covered && k < 50u) && estimate.lost == (k == 50u));
+        if (k < 50u) {
+            check_near_truth(k, estimate.start_from_base, 0.05);
+        }
+    }
+    free(arena.memory);
+}
+
+/* A usual error of 0.02 m, a map of one point, voxels of 0.1 m: of ten points of a doubted scan, five within 0.07 m of the
+ * map are too few and six are enough. A match of 0.04 m is not doubted, nor is any before the first. */
+static void a_doubted_scan_beside_the_map_fits_nowhere(void)
+{
+    const ek_slam_parameters parameters = parameters_of(0);
+    ek_arena arena = start(&parameters);
+    const ek_real point[] = {EK_R(1.0), EK_R(2.0)};
+    CHECK(ek_index_build(&slam.map_index, point, 1u) == EK_OK);
+    slam.scan.count = 10u;
+    for (size_t near = 5u; near < 7u; near++) {
+        const ek_match poor = {pose_of(0.0, 0.0, 0.0), 1, 5, 10, EK_R(0.041), 0u}, fair = {pose_of(0.0, 0.0, 0.0), 1, 5, 10, EK_R(0.039), 0u};
+        for (size_t k = 0; k < 10u; k++) {
+            slam.scan.hits[2u * k] = EK_R(0.0);
+            slam.scan.hits[2u * k + 1u] = k < near ? EK_R(0.069) : EK_R(0.071);
+        }
+        slam.usual_error = EK_R(0.0);
+        CHECK(!ek_slam_fits_nowhere(&slam, pose_of(1.0, 2.0, 0.5), &poor));
+        slam.usual_error = EK_R(0.02);
+        CHECK(ek_slam_fits_nowhere(&slam, pose_of(1.0, 2.0, 0.5), &poor) == (near == 5u));
+        CHECK(!ek_slam_fits_nowhere(&slam, pose_of(1.0, 2.0, 0.5), &fair));
+    }
     free(arena.memory);
 }
 
@@ -1006,6 +1053,8 @@ int main(void)
     memory_and_parameters_are_checked();
     refused_scans_change_nothing();
     a_carried_robot_finds_its_place();
+    a_covered_lidar_keeps_its_track_for_a_while();
+    a_doubted_scan_beside_the_map_fits_nowhere();
     a_step_is_doubted_where_its_matches_fit_poorly();
     a_match_far_from_the_odometry_must_be_clear();
     the_gate_believes_the_odometry_before_few_points();

@@ -145,10 +145,10 @@ static void a_keyframe_is_far_enough_from_the_last(void)
         memset(&estimate, 0, sizeof estimate);
         slam.scan.count = 1u;
         slam.scan.hits[0] = slam.scan.hits[1] = EK_R(1.0);
-        CHECK(keep(&slam, &prior, 0, &estimate, &work) == EK_OK && slam.keyframes.count == 1u && slam.has_keyframe);
+        CHECK(keep(&slam, &prior, ORIGIN, &estimate, &work) == EK_OK && slam.keyframes.count == 1u && slam.has_keyframe);
         prior.stamp_ns = 2;
         estimate.odom_from_base = pose_of(cases[k][0], cases[k][1], cases[k][2]);
-        CHECK(keep(&slam, &prior, 0, &estimate, &work) == EK_OK && slam.keyframes.count == (cases[k][3] > 0.0 ? 2u : 1u));
+        CHECK(keep(&slam, &prior, ORIGIN, &estimate, &work) == EK_OK && slam.keyframes.count == (cases[k][3] > 0.0 ? 2u : 1u));
         CHECK(!estimate.lost && slam.last.count == 1u && slam.motion.stamp_ns == 2);
         CHECK_NEAR(slam.odom_from_front.x, cases[k][3] > 0.0 ? cases[k][0] : 0.0, 1e-7);
         free(arena.memory);
@@ -175,6 +175,8 @@ static void only_two_odometries_in_a_row_raise_doubt(void)
         }
         CHECK(ek_slam_track(&slam, &prior, &estimate, &work) == EK_OK && estimate.scan_to_map_accepted && estimate.has_stages);
         CHECK_NEAR(estimate.odom_from_base.x, 0.0, 0.02);
+        slam.has_keyframe = 1; /* at the same place: no other one */
+        CHECK(keep(&slam, &prior, pose_of(0.1, 0.0, 0.0), &estimate, &work) == EK_OK);
         CHECK_NEAR(slam.doubt.position, k == 3u ? 0.01 : 0.0, k == 3u ? 0.004 : 0.0);
         free(arena.memory);
     }

@@ -28,10 +28,13 @@ typedef struct {
     uint32_t *seen;
     ek_pose sensor;           /* pose of the scan before */
     int32_t started;
+    size_t now;               /* points of the scan asked about last; 0: too few to compare the next one with */
+    ek_pose now_odom_from_base, now_base_from_sensor;
 } ek_continuity;
 
 #define ek_continuity_init EK_NAME(continuity_init)
 #define ek_continuity_is_lost EK_NAME(continuity_is_lost)
+#define ek_continuity_keep EK_NAME(continuity_keep)
 
 /* Initialise for scans of up to `capacity` points in an arena (or measure it). Returns what ek_index_init returns. */
 ek_status ek_continuity_init(ek_continuity *continuity, ek_arena *arena, size_t capacity);
@@ -41,6 +44,9 @@ ek_status ek_continuity_init(ek_continuity *continuity, ek_arena *arena, size_t 
  * believed, and without odometry the track is lost. At most 60 operations a point. */
 int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const ek_real *xy, size_t count,
                           ek_pose odom_from_base, ek_pose base_from_sensor, int has_odometry, const ek_index *map, ek_work *work);
+
+/* Compare the next scans with the one asked about last. */
+void ek_continuity_keep(ek_continuity *continuity);
 
 #ifdef __cplusplus
 }

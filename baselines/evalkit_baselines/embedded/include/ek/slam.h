@@ -65,7 +65,8 @@ typedef struct {
     ek_pose odom_from_base;  /* in the continuous frame of the front end: for ek_slam_correct */
     ek_match scan_to_scan, scan_to_map;
     int32_t has_stages, scan_to_scan_accepted, scan_to_map_accepted;
-    int32_t lost;      /* 1: the scan contradicts the one before; the map begins anew */
+    int32_t set_aside; /* 1: the scan fits nowhere; its pose is that of the wheels, and nothing is matched with it */
+    int32_t lost;      /* 1: it contradicts the last one that fitted, with odometry 2 s ago; the map begins anew */
     int32_t corrected; /* 1: earlier poses changed */
     int32_t full;      /* 1: no memory for another keyframe: no loop is closed any more */
     uint32_t keyframe; /* the last one */
@@ -111,6 +112,7 @@ typedef struct {
     ek_wheels wheels;
     ek_doubt doubt;          /* of the step since the last keyframe */
     ek_real usual_error;     /* m: of matches with the map */
+    int64_t fitted_ns;       /* stamp of the last scan that fitted */
     ek_real *smoothed, *scratch;
     int32_t undecided, corrected, full, rounds;
     ek_real mu, built_at;
