@@ -114,7 +114,7 @@ class TomlTable:
         """A list of at most ``MAX_WHOLES`` whole numbers from 0, without repetitions; ``empty``: it may have none."""
         values = self._find(key)
         if not isinstance(values, list) or not (values or empty) or not all(type(v) is int and v >= 0 for v in values):
-            raise self.bad_value(key, "a list of whole numbers from 0")
+            raise self.bad_value(key, "a list of whole numbers from 0" + (", at least one" if values == [] else ""))
         if len(values) > MAX_WHOLES:
             raise self.error(f"'{key}': found {len(values)} numbers, expected at most {MAX_WHOLES}")
         return tuple(dict.fromkeys(values))

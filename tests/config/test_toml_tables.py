@@ -29,7 +29,7 @@ def table(**content):
         (lambda: table(limit=0).positive_number("limit"), "'limit': found 0, expected a positive number"),
         (lambda: table(points=2).whole_number("points"), "'points': found 2, expected a whole number from 3"),
         (lambda: table(count=2.0).whole_number("count"), "'count': found 2.0, expected a whole number from 0"),
-        (lambda: table(seeds=[]).whole_numbers("seeds"), "'seeds': found [], expected a list of whole numbers"),
+        (lambda: table(seeds=[]).whole_numbers("seeds"), "found [], expected a list of whole numbers from 0, at least"),
         (lambda: table(seeds=[True]).whole_numbers("seeds"), "'seeds': found [True], expected a list of whole"),
         (lambda: table(kind=["a"]).choice("kind", "kind", {"a": 1}), "no kind named '['a']'; known: a"),
         (lambda: table(kind="grod").choice("kind", "kind", {"grid": 1}), "no kind named 'grod' (did you mean 'grid'?)"),
