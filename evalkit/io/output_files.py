@@ -12,7 +12,10 @@ from tempfile import TemporaryDirectory
 
 from evalkit.core.errors import StoreError
 
-REMEDY = "free some space or name another folder with --out"
+ANOTHER_FOLDER = "name another folder with --out"
+REMEDY = f"free some space or {ANOTHER_FOLDER}"
+
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 _FOLDER = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_CLOEXEC", 0)
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
@@ -79,7 +82,8 @@ def as_store_error(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise StoreError(str(path), f"cannot be written ({error.strerror or error})", REMEDY) from error
+        remedy = REMEDY if error.errno in _NO_SPACE else ANOTHER_FOLDER
+        raise StoreError(str(path), f"cannot be written ({error.strerror or error})", remedy) from error
 
 
 @contextmanager
@@ -88,7 +92,10 @@ def _open_folder(path: Path, root: Path | None) -> Iterator[int]:
     if root is not None:
         if not path.is_relative_to(root):
             raise StoreError(str(path), f"lies outside {root}", "use names without '/'")
-        root.mkdir(parents=True, exist_ok=True)
+        try:
+            root.mkdir(parents=True, exist_ok=True)
+        except FileExistsError as error:
+            raise StoreError(str(root), "a file of this name exists", ANOTHER_FOLDER) from error
     folder = os.open(root or path, _FOLDER)
     try:
         for name in path.relative_to(root or path).parts:
@@ -101,7 +108,8 @@ def _open_folder(path: Path, root: Path | None) -> Iterator[int]:
             except OSError as error:
                 if error.errno not in (errno.ELOOP, errno.ENOTDIR):
                     raise
-                raise StoreError(str(path), f"'{name}' is a link or a file, not a folder", REMEDY) from error
+                what = f"'{name}' is a link or a file, not a folder"
+                raise StoreError(str(path), what, ANOTHER_FOLDER) from error
             os.close(folder)
             folder = inner
         yield folder

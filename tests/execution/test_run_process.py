@@ -241,7 +241,7 @@ def test_the_request_is_stored_with_the_answers(strangers, tmp_path):
 
 
 def test_a_folder_that_cannot_be_written_is_a_store_error(tmp_path):
-    with pytest.raises(StoreError, match=r"absent: cannot be written \(No such file or directory\); free some space"):
+    with pytest.raises(StoreError, match=r"absent: cannot be written \(No such file or directory\); name another"):
         run_process.run(request(), tmp_path / "absent", HASTE, lambda _: None, threading.Event())
 
 

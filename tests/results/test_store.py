@@ -196,12 +196,14 @@ def test_a_folder_that_cannot_be_created_is_named_with_a_remedy(tmp_path):
     with pytest.raises(StoreError) as caught:
         Store(tmp_path / "file" / "out")
     assert str(caught.value).startswith(f"{tmp_path / 'file' / 'out'}: cannot be written (Not a directory)")
-    assert str(caught.value).endswith("; free some space or name another folder with --out")
+    assert str(caught.value).endswith("); name another folder with --out")
+    with pytest.raises(StoreError, match="file: a file of this name exists; name another folder with --out$"):
+        Store(tmp_path / "file")
 
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="no /proc here")
 def test_a_read_only_folder_is_named():
-    with pytest.raises(StoreError, match=r"/proc/out: cannot be written \(.+\); free some space or name another"):
+    with pytest.raises(StoreError, match=r"/proc/out: cannot be written \(.+\); name another folder"):
         Store(Path("/proc/out"))
 
 
