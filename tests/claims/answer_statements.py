@@ -58,9 +58,14 @@ def take(facts: Facts, names: str, **said: str) -> Iterator[str]:
 
 @kind(
     IN_ANSWER,
-    r"Take (?P<names>.+?): (?P<how>tied for the best|best|the best map) o[nf] (?P<where>.+?)(?:, which has .+)?\.",
+    r"Take (?P<names>.+?): (?P<how>tied for the best|best|ahead|the best map) o[nf] (?P<where>.+?)"
+    r"(?:, which has .+?|, but not told apart from (?P<others>.+?) by these runs)?\.",
 )
-def take_one(facts: Facts, names: str, how: str, where: str) -> Iterator[str]:
+def take_one(facts: Facts, names: str, how: str, where: str, others: str | None) -> Iterator[str]:
+    undecided = [one for one in facts.led(where)[0] if one not in facts.led(where)[1]]
+    named = undecided if len(undecided) <= 3 else [f"{len(undecided)} others"]
+    yield from same("not told apart", list_of(others) if others else [], named if how in {"ahead", "best"} else [])
+    yield from same("ahead", how == "ahead", bool(others))
     yield from same("counted", facts.content["answer"]["counted"], [where])
     yield from same("winners", set(names.split(" or ")), set(leaders(facts, where)))
     yield from same("by maps", how == "the best map", facts.by_maps(where))
@@ -131,9 +136,9 @@ def losses(facts: Facts, words: str) -> Iterator[str]:
         yield from check_amount(where, best, facts.find(where, metric)[facts.ranked(where, metric)[0]].median)
 
 
-@kind(IN_ANSWER, r"It is also the cheapest\.")
+@kind(IN_ANSWER, r"It is also the cheapest matcher\.")
 @kind(IN_ANSWER, r"Cheapest of them: (?P<name>.+?)\.$")
-@kind(IN_ANSWER, rf"Cheapest: (?P<name>.+?), (?P<ms>{NUMBER} ms)(?:, (?P<times>{NUMBER}) times the error)?\.")
+@kind(IN_ANSWER, rf"Cheapest matcher: (?P<name>.+?), (?P<ms>{NUMBER} ms)(?:, (?P<times>{NUMBER}) times the [a-z ]+)?\.")
 def cheapest(facts: Facts, name: str = "", ms: str = "", times: str | None = None) -> Iterator[str]:
     answer = facts.content["answer"]
     others = [one for one in facts.methods if one not in facts.with_role("baseline")]

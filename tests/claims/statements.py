@@ -225,8 +225,8 @@ def not_told_apart(facts: Facts, where: str, listed: str) -> Iterator[str]:
 
 @kind(
     IN_VERDICTS,
-    r"One run each gives an order and no verdict, which takes 3 or more\. On (?P<label>.+?): "
-    r"(?P<listed>.+?)\.(?= [A-Z]|$)",
+    r"One run each gives an order and no verdict, which takes (?:3 or more|6 or more \(nuisance = 5\))\. "
+    r"On (?P<label>.+?): (?P<listed>.+?)\.(?= [A-Z]|$)",
 )
 def one_run_each(facts: Facts, where: str, label: str, listed: str) -> Iterator[str]:
     metric = facts.deciding(where) or ""

@@ -13,7 +13,7 @@ from evalkit_datasets.inspection.frame_tree import FrameTree
 from evalkit_datasets.inspection.inspector import inspect_recording
 from evalkit_datasets.inspection.mounting_angle import estimate_mounting_angle, estimate_translation
 from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, ScanSample
-from evalkit_datasets.inspection.suggested_config import _choose_mounting, best_lidar
+from evalkit_datasets.inspection.suggested_config import _choose_mounting, best_lidar, choose_parameters
 
 ANGLES = np.radians(np.arange(0.0, 360.0, 0.5))
 
@@ -76,7 +76,8 @@ def test_a_robot_that_stands_or_wheels_that_contradict_the_scans_give_no_heading
 
 def test_the_heading_is_applied_where_nothing_states_it(tmp_path):
     """The lidar of the laboratory is turned by -30 deg."""
-    found = inspect_recording(write_example(tmp_path / "drive", "lab", {"laps": 0.15}).bag)
+    bag = write_example(tmp_path / "drive", "lab", {"laps": 0.15}).bag
+    found = inspect_recording(bag)
     lidar = best_lidar(found)[0]
     (stated,) = found.frames.mountings
     assert list(_choose_mounting(found, lidar, Pose(0.0, 0.0, math.radians(stated.theta_deg)))) == []
@@ -88,6 +89,9 @@ def test_the_heading_is_applied_where_nothing_states_it(tmp_path):
     (warning,) = _choose_mounting(found, lidar, Pose(0.0, 0.0, math.pi / 2.0))
     assert warning.value is None
     assert "lidar heading 90 deg, as recorded, but the scans show -30 deg" in warning.reason
+    absent = str(tmp_path / "nothing.tum")  # the bag is not opened: what it says of the mounting is unknown
+    chosen = choose_parameters("rosbag", {"path": str(bag), "ground_truth": absent})
+    assert not [one.reason for one in chosen if one.name == "base_from_sensor"]
 
 
 def test_scans_that_do_not_tell_have_no_translation():

@@ -53,7 +53,7 @@ def test_the_winner_is_named_with_its_counts_cost_losses_and_the_cheapest(build,
     assert found.title == "Take a: best or tied on 2 of 3 data sets; next best 1 of 3."
     assert (found.winners, found.emphasis, found.runner_up.method) == (("a",), "a", "b")
     assert subtitle(build(three)) == (
-        "8.0 ms a scan here. It loses only lab (21 mm against 10 mm). Cheapest: b, 1.0 ms, 1.3 times the error."
+        "8.0 ms a scan here. It loses only lab (21 mm against 10 mm). Cheapest matcher: b, 1.0 ms, 1.3 times the error."
     )
     (loss,) = found.losses
     assert (loss.sequence, loss.own, loss.best) == ("lab", pytest.approx(0.021), pytest.approx(0.0105))
@@ -107,9 +107,17 @@ def test_without_a_finished_run_there_is_no_answer(build, record):
 
 def test_single_runs_give_no_verdict(build, record):
     runs = [record(name, "room", {"map_f1": value}, seed=None) for name, value in (("a", 0.9), ("b", 0.2))]
-    assert title(build(runs)) == "No method is ahead: a verdict takes repeated runs."
-    with_interval = [record(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in (("a", 0.051), ("b", 0.080))]
+    assert title(build(runs)) == "No method is ahead: a verdict takes 6 runs of a recording (nuisance = 5)."
+    with_interval = [record(n, "room", {"ate_rmse_m": v}, seed=3) for n, v in (("a", 0.051), ("b", 0.080))]
     assert title(build(with_interval)) == "No method is ahead: a verdict takes repeated runs."
+
+
+def test_a_leader_that_is_not_told_apart_is_not_called_the_best(build, runs):
+    """b has twice the error of a in three runs that scatter as much; c is clearly worse."""
+    first, second = runs("a", "room", (0.010, 0.010, 0.010)), runs("b", "room", (0.011, 0.020, 0.040))
+    comparison = build([*first, *second, *runs("c", "room", (1.0, 1.0, 1.0))])
+    assert title(comparison) == "Take a: ahead on room, but not told apart from b by these runs."
+    assert answer(comparison).winners == ("a",)
 
 
 def test_an_undecided_data_set_does_not_count(build, record, three):
@@ -191,6 +199,16 @@ def test_maps_decide_only_without_ground_truth_and_only_if_they_agree(build, rec
     assert title(build(opposed)) == "No method is ahead: without ground truth, the map metrics disagree."
     assert not answer(build([*three, *agreed])).by_maps
     assert "no verdict on bag" in pills(build([*three, *agreed]))
+
+
+def test_maps_that_few_runs_do_not_tell_apart_are_not_tied(build, record):
+    """The maps of ``b`` are 1.1 to 60 times as bad as those of ``a``: two runs do not show a difference."""
+    measured = {"a": (0.03, 0.03), "b": (0.033, 1.9)}
+    runs = [
+        record(method, "bag", dict.fromkeys(MAPS, value), seed=seed, truth=False)
+        for method, values in measured.items() for seed, value in enumerate(values)
+    ]  # fmt: skip
+    assert title(build(runs)) == "No method is ahead: too few runs to tell the methods apart."
 
 
 def test_a_busy_machine_is_named_and_an_idle_one_is_not(build, three):

@@ -260,7 +260,9 @@ def _check_odometry(
     odometries: Sequence[OdometryStats], turns: Mapping[str, TurnComparison], streams: RecordingStreams
 ) -> Iterator[InspectionFinding]:
     if not odometries and streams.lasers:
-        yield _warning("odometry", "no wheel odometry in it", "the initial guess is constant velocity")
+        yield _warning(
+            "odometry", "no wheel odometry in it, or one that stands still", "the initial guess is constant velocity"
+        )
     for one in () if streams.poses_from else odometries:
         about = f"odometry {one.topic}" + (f" ({one.child})" if one.topic == "tf" else "")
         yield from _check_motion(one, about)

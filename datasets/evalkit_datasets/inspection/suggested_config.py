@@ -83,7 +83,7 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     choices = [one for one in choices if one.name not in given]
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
     tried = _try_reader(_find_reader(recording), {"path": str(recording.path), **values, **given})
-    if "base_from_sensor" not in given:
+    if "base_from_sensor" not in given and not tried.problem:  # then the recorded mounting is unknown
         choices += _choose_mounting(recording, lidar, tried.mounting)
     if tried.mounting != Pose() and "base_from_sensor" not in given:
         x, y, yaw_deg = tried.mounting.x, tried.mounting.y, math.degrees(tried.mounting.theta)

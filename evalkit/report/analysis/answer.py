@@ -16,6 +16,7 @@ from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.verdict import LED, SequenceVerdict
 from evalkit.report.formatting import format_amount, format_milliseconds, join_words
+from evalkit.stats.runs import FEW_RUNS
 
 COST = "cpu_median_ms"
 """The metric of the cost of a scan."""
@@ -132,13 +133,15 @@ def compute_answer(
 def _find_contest(sequence: SequenceAnalysis, verdict: SequenceVerdict) -> Contest | None:
     """Return the contest on a sequence; None if it has no verdict, or fewer than two methods count there.
 
-    A sequence on which some methods are undecided and none is worse has no verdict.
+    A sequence on which some methods are undecided and none is worse has no verdict; without ground truth, unless maps
+    set some of the methods apart.
     """
     ranking = sequence.deciding
     if ranking is None or verdict.outcome not in LED:
         return None
     marks = {mark(ranking, score.method) for score in ranking.ranked}
-    if "undecided" in marks and "worse" not in marks and not decided_by_maps(ranking):
+    all_lead = len(verdict.leaders) == len(ranking.ranked) or not decided_by_maps(ranking)
+    if "undecided" in marks and "worse" not in marks and all_lead:
         return None
     left_out = tuple(score.method for score in ranking.scores if score.tuned and score.values)
     return Contest(sequence.label, ranking, ranking.ranked, verdict.leaders, left_out) if verdict.leaders else None
@@ -240,7 +243,11 @@ def _format_single(names: str, tied: bool, contest: Contest, by_maps: bool) -> s
         return f"Take {names}: the best map of {contest.sequence}, which has no ground truth."
     if tied:
         return f"Take {names}: tied for the best on {contest.sequence}."
-    return f"Take {names}: best on {contest.sequence}."
+    others = [one.method for one in contest.ranking.tied if one not in contest.ranking.near]
+    if not others:
+        return f"Take {names}: best on {contest.sequence}."
+    who = join_words(others) if len(others) <= MAX_NAMED else f"{len(others)} others"
+    return f"Take {names}: ahead on {contest.sequence}, but not told apart from {who} by these runs."
 
 
 def _explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
@@ -259,6 +266,10 @@ def _explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequenc
             f"No method is ranked: the geometry of {degenerate} does not determine the pose.",
         ),
         (bool(outcomes & set(LED)), "No method is ahead: too few runs to tell the methods apart."),
+        (
+            all(run.seed is None for sequence in sequences for run in sequence.all_runs),
+            f"No method is ahead: a verdict takes {FEW_RUNS} runs of a recording (nuisance = {FEW_RUNS - 1}).",
+        ),
         (True, "No method is ahead: a verdict takes repeated runs."),
     )
     return next(text for holds, text in reasons if holds)
@@ -300,7 +311,8 @@ def _format_cheapest(cheapest: Standing, winners: Sequence[Standing], contests: 
     if len(winners) > 1:
         return f"Cheapest of them: {cheapest.method}."
     if cheapest.method == winners[0].method:
-        return "It is also the cheapest."
+        return "It is also the cheapest matcher."
     ratio = _compute_ratio(contests, cheapest.method, winners[0].method)
-    times = "" if ratio is None or decided_by_maps(contests[0].ranking) else f", {ratio:.1f} times the error"
-    return f"Cheapest: {cheapest.method}, {format_milliseconds(cheapest.cpu_ms or 0.0)}{times}."
+    measure, *others = {one.metric.label if decided_by_maps(one.ranking) else "error" for one in contests}
+    times = "" if ratio is None or others else f", {ratio:.1f} times the {measure}"
+    return f"Cheapest matcher: {cheapest.method}, {format_milliseconds(cheapest.cpu_ms or 0.0)}{times}."

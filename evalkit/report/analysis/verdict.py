@@ -148,11 +148,11 @@ def _describe_outcome(sequence: SequenceAnalysis, ranking: Ranking, outcome: Out
         return _describe_disagreement(sequence.map_agreement)
     if outcome == "lost":
         return f"No method held the track. {_describe_lost(ranking)}"
-    sentence = _describe_leaders(ranking, outcome)
+    sentence = _describe_leaders(ranking, outcome, sequence.all_runs[0].seed is None)
     return f"{sentence} The other map metrics agree." if decided_by_maps(ranking) and outcome in LED else sentence
 
 
-def _describe_leaders(ranking: Ranking, outcome: Outcome) -> str:
+def _describe_leaders(ranking: Ranking, outcome: Outcome, recorded: bool) -> str:
     metric, ranked = ranking.metric, ranking.ranked
     if not ranked:
         return f"No method completed every run with a value for {metric.label}, so there is no winner."
@@ -164,9 +164,8 @@ def _describe_leaders(ranking: Ranking, outcome: Outcome) -> str:
         return f"On {metric.label}, {first}; the last of the finished methods, {last}."
     if outcome == "one run":
         order = join_words(f"{score.method} ({format_median(metric, score)})" for score in ranked[:NAMED])
-        return (
-            f"One run each gives an order and no verdict, which takes {MIN_RUNS} or more. On {metric.label}: {order}."
-        )
+        needed = f"{FEW_RUNS} or more (nuisance = {FEW_RUNS - 1})" if recorded else f"{MIN_RUNS} or more"
+        return f"One run each gives an order and no verdict, which takes {needed}. On {metric.label}: {order}."
     if outcome == "winner":
         verb = "wins" if metric.group in WITH_TRUTH else "is ahead"
         return f"{ranked[0].method} {verb} on {metric.label}: {_describe_lead(ranking)}."
