@@ -26,6 +26,7 @@ class SummaryRow:
     """One metric of one method over one sequence, in the metric's unit; None without a value.
 
     ``best``: the best, or without a clear difference from it. ``rank``: 1 for the best, None without a rank.
+    ``reason``: why there is no value.
     """
 
     sequence: str
@@ -36,6 +37,7 @@ class SummaryRow:
     high: float | None
     best: bool
     rank: int | None
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +129,8 @@ def load_selection(
     """Load a results folder, or the part of it with these labels.
 
     ``metrics``: the columns in this order; empty: error, drift and CPU time. ``scans``: open the sequences, for
-    ground truth and scans. Raises StoreError if the folder holds no report, UnknownName for an unknown label.
+    ground truth and scans. Raises StoreError if the folder holds no report, or if no method has a value of one of
+    ``metrics``, UnknownName for an unknown label.
     """
     with as_incomplete(folder / "results.json"):
         return _select(folder, load_results_json(folder), sequences, methods, metrics, scans)
@@ -172,9 +175,19 @@ def _select(
             remarks.append(f"{entry['method']} over {entry['sequence']} is left out: {error}")
     shown = {(one["sequence"], one["method"]) for one in entries}
     rows = tuple(row for row in _load_summary(folder / "summary.csv") if (row.sequence, row.method) in shown)
-    valued = {row.metric for row in rows if row.median is not None}
-    columns = tuple(make_column(known[name]) for name in metrics if name in valued)
+    _check_values(folder, rows, metrics)
+    columns = tuple(make_column(known[name]) for name in dict.fromkeys(metrics))
     return ExportSelection(folder, content, columns, rows, tuple(runs), opened, tuple(remarks))
+
+
+def _check_values(folder: Path, rows: Sequence[SummaryRow], metrics: Sequence[str]) -> None:
+    """Raise StoreError, with the reason stored with the scores, for a chosen metric without any value."""
+    valued = list(dict.fromkeys(row.metric for row in rows if row.median is not None))
+    for name in metrics:
+        if name not in valued:
+            reasons = dict.fromkeys(row.reason for row in rows if row.metric == name and row.reason)
+            what = f"no method has {name}: {'; '.join(reasons) or 'it was not computed'}"
+            raise StoreError(str(folder), what, f"metrics with a value: {', '.join(valued) or 'none'}")
 
 
 def make_column(card: Mapping[str, Any]) -> MetricColumn:
@@ -193,7 +206,7 @@ def _summary_row(row: Mapping[str, str]) -> SummaryRow:
     median, low, high = (float(row[name]) if row[name] else None for name in ("median", "low_95", "high_95"))
     rank = int(row["rank"]) if row["rank"] else None
     names = row["sequence"], row["method"], row["metric"]
-    return SummaryRow(*names, median, low, high, row["mark"] in ("best", "tied"), rank)
+    return SummaryRow(*names, median, low, high, row["mark"] in ("best", "tied"), rank, row["reason"])
 
 
 def _open_sequences(

@@ -81,7 +81,11 @@ def record_of(name, seed=0):
         steps[stage] = np.nan
     errors = OFF[name] * np.arange(N)
     ate = float(np.sqrt(np.mean(errors**2)))
-    scores = {"ate_rmse_m": Score(ate, N), "cpu_median_ms": Score(2.0, N)}
+    scores = {
+        "ate_rmse_m": Score(ate, N), "cpu_median_ms": Score(2.0, N), "drift_percent": Score(None, 0, "too short"),
+        "split_distance_m": Score({"paper": 0.4, "wheel": 0.3}[name], N), "wall_thickness_m": Score(0.02, N),
+        "corners": Score(4.0, N),
+    }  # fmt: skip
     log_odds = np.zeros((8, 12), dtype=np.float32)
     log_odds[0], log_odds[1:4, 3:9] = 3.0, -3.0  # a wall at the lowest y
     grid = OccupancyGrid(log_odds, log_odds != 0.0, 0.0125, -1.0625, 2.5)
@@ -313,6 +317,15 @@ def test_tables_contain_exactly_the_intervals_of_results_json(finished_folder):
     table = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
     assert {line.count("|") for line in table} == {4}
     assert f"[{1000 * wheel['low']:.1f}, {1000 * wheel['high']:.1f}]" in table[-1]
+
+
+def test_a_metric_that_no_method_has_is_refused_with_its_reason(finished_folder):
+    call = ["export", str(finished_folder), "-f", "latex", "-o", str(finished_folder / "x"), "--metric", "ate_rmse_m"]
+    result = CliRunner().invoke(app, [*call, "--metric", "drift_percent"])
+    assert isinstance(result.exception, StoreError)
+    assert "no method has drift_percent: too short; metrics with a value: " in str(result.exception)
+    assert str(result.exception).split("metrics with a value: ")[1].split(", ")[0] == "ate_rmse_m"
+    assert not (finished_folder / "x").exists()
 
 
 def test_every_latex_special_character_is_escaped():
