@@ -36,13 +36,19 @@ Files = Iterator[tuple[str, bytes]]
 class PaperTable:
     """The table of one sequence, of which LaTeX and Markdown differ only in mark-up.
 
-    ``rows``: label, cells (None without a value) and rank ("--" without one) of each method, the best first.
-    ``intervals``: the number of columns that show intervals, from the first on.
+    ``rows``: label, cells (None without a value) and rank of each method, the best first. The rank is that in the
+    first column: "--" without one, () if no method has one. ``intervals``: the number of columns that show intervals,
+    from the first on.
     """
 
     columns: tuple[MetricColumn, ...]
-    rows: tuple[tuple[str, tuple[SummaryRow | None, ...], str], ...]
+    rows: tuple[tuple[str, tuple[SummaryRow | None, ...], tuple[str, ...]], ...]
     intervals: int
+
+    @property
+    def is_ranked(self) -> bool:
+        """Whether a method has a rank."""
+        return any(rank for *_, rank in self.rows)
 
     def has_bounds(self, column: int) -> bool:
         """Whether a method has an interval in a column."""
@@ -62,19 +68,24 @@ class PaperTable:
 
 
 def build_table(results: ExportSelection, sequence: str) -> PaperTable:
-    """Return the table of a sequence: methods by rank in the metric that decides it, then those without a rank."""
+    """Return the table of a sequence: methods by rank in its first column, then those without a rank.
+
+    Methods with equal medians share a rank.
+    """
     known = {(cell.method, cell.metric): cell for cell in results.rows if cell.sequence == sequence}
     valued = {metric for (_, metric), cell in known.items() if cell.median is not None}
     columns = tuple(one for one in results.columns_of(sequence) if one.name in valued)
-    deciding = results.deciding(sequence)
-    ranks = {method: known[method, deciding].rank if (method, deciding) in known else None for method, _ in known}
-    methods = sorted(dict.fromkeys(method for method, _ in known), key=lambda label: ranks[label] or len(known))
+    first = [cell for cell in known.values() if cell.metric == columns[0].name and cell.rank is not None]
+    best = {cell.median: cell.rank for cell in sorted(first, key=lambda one: -(one.rank or 0))}
+    ranks = {cell.method: best[cell.median] for cell in first}
+    labels = dict.fromkeys(method for method, _ in known)
+    methods = sorted(labels, key=lambda label: ranks.get(label) or len(known))
     shown = [[known.get((label, one.name)) for label in methods] for one in columns]
     scaled = [_in_millimetres(one, cells) for one, cells in zip(columns, shown, strict=True)]
     return PaperTable(
         tuple(column for column, _ in scaled),
         tuple(
-            (label, tuple(cells[row] for _, cells in scaled), str(ranks[label] or "--"))
+            (label, tuple(cells[row] for _, cells in scaled), (str(ranks.get(label, "--")),) if ranks else ())
             for row, label in enumerate(methods)
         ),
         len(columns) if results.columns else 1,
@@ -144,8 +155,10 @@ def _latex_table(table: PaperTable, sequence: str, width: Width) -> str:
         kinds.append(_number_column(table, at) + (r"@{\;}l" if bounds else ""))
         for row, text in ((titles, escape_latex(table.label(at))), (units, _format_head(one))):
             row.append(rf"\multicolumn{{2}}{{c}}{{{text}}}" if bounds else f"{{{text}}}")
+    if table.is_ranked:
+        kinds, titles, units = [*kinds, "r"], [*titles, "Rank"], [*units, ""]
     body = [
-        " & ".join([escape_latex(label), *(_latex_cell(table, at, cell) for at, cell in enumerate(cells)), rank])
+        " & ".join([escape_latex(label), *(_latex_cell(table, at, cell) for at, cell in enumerate(cells)), *rank])
         for label, cells, rank in table.rows
     ]
     kind = "table*" if width == "text" else "table"
@@ -153,8 +166,8 @@ def _latex_table(table: PaperTable, sequence: str, width: Width) -> str:
         rf"\begin{{{kind}}}", r"  \centering\footnotesize\setlength{\tabcolsep}{3pt}\sisetup{detect-weight=true}",
         rf"  \caption{{{escape_latex(f'{sequence}: {CAPTION}.')}}}",
         rf"  \label{{tab:{file_name(sequence)}}}",
-        rf"  \begin{{tabular}}{{{' '.join(kinds)} r}}", r"    \toprule",
-        rf"    {' & '.join([*titles, 'Rank'])} \\", rf"    {' & '.join([*units, ''])} \\", r"    \midrule",
+        rf"  \begin{{tabular}}{{{' '.join(kinds)}}}", r"    \toprule",
+        rf"    {' & '.join(titles)} \\", rf"    {' & '.join(units)} \\", r"    \midrule",
         *(rf"    {line} \\" for line in body),
         r"    \bottomrule", r"  \end{tabular}", rf"\end{{{kind}}}",
     ]  # fmt: skip
@@ -190,10 +203,11 @@ def _markdown_table(table: PaperTable) -> str:
         f"{_escape_cell(table.label(at))}{_format_unit(one, _escape_cell)}{SIGNS[one.better]}"
         for at, one in enumerate(table.columns)
     ]
-    lines = [_format_row(["", *labels, "rank"]), _format_row(["---", *["---:"] * (len(labels) + 1)])]
+    labels += ["rank"] if table.is_ranked else []
+    lines = [_format_row(["", *labels]), _format_row(["---", *["---:"] * len(labels)])]
     for label, cells, rank in table.rows:
         texts = [_markdown_cell(table, at, cell) for at, cell in enumerate(cells)]
-        lines.append(_format_row([_escape_cell(label), *texts, rank]))
+        lines.append(_format_row([_escape_cell(label), *texts, *rank]))
     return "\n".join(lines)
 
 

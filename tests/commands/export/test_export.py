@@ -328,6 +328,26 @@ def test_a_metric_that_no_method_has_is_refused_with_its_reason(finished_folder)
     assert not (finished_folder / "x").exists()
 
 
+def rank_column(folder, form, *metrics):
+    """The rows of the exported table as label and last cell, without heading."""
+    options = [word for metric in metrics for word in ("--metric", metric)]
+    (path,) = (one for one in run_export(folder, form, *options) if one.name != "tables.tex")
+    cut, start = ("|", "| ") if form == "markdown" else ("&", "    ")
+    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith(start) and cut in line]
+    rows = [[cell.strip(" \\") for cell in line.strip(cut).split(cut)] for line in lines]
+    return [(row[0], row[-1]) for row in rows if row[0] in OFF]
+
+
+@pytest.mark.parametrize("form", ["latex", "markdown"])
+def test_the_rank_is_that_in_the_first_column_and_left_out_where_there_is_none(finished_folder, form):
+    assert rank_column(finished_folder, form) == [("paper", "1"), ("wheel", "2")]  # by error
+    assert rank_column(finished_folder, form, "split_distance_m") == [("wheel", "1"), ("paper", "2")]
+    assert rank_column(finished_folder, form, "ate_rmse_m", "split_distance_m") == [("paper", "1"), ("wheel", "2")]
+    assert rank_column(finished_folder, form, "wall_thickness_m") == [("paper", "1"), ("wheel", "1")]  # equal
+    assert rank_column(finished_folder, form, "cpu_median_ms") == [("paper", "1"), ("wheel", "--")]  # the baseline
+    assert rank_column(finished_folder, form, "corners") == [("paper", "4"), ("wheel", "4")]  # none is better
+
+
 def test_every_latex_special_character_is_escaped():
     assert latex.escape_latex(r"a_b & 5% {x} #1 ~^ $\n") == (
         r"a\_b \& 5\% \{x\} \#1 \textasciitilde{}\textasciicircum{} \$\textbackslash{}n"
