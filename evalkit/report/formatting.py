@@ -80,16 +80,14 @@ def format_median(metric: Metric, score: MethodScore) -> str:
     Of a recording: "450 mm (350 to 640 in 9 repeated runs)".
     One run: "14 mm (95 % interval of this run 12 to 17)". Two runs: "0.95 (0.94 to 0.96 in 2 runs)".
     """
-    value, count = median(score.values), len(score.values)
-    spread = score.band or score.interval
-    bounds = (spread.low, spread.high) if spread else (min(score.values), max(score.values))
-    (text, low, high), unit = _format_alike(metric, [value, *bounds])
+    value, spread = median(score.values), score.spread
+    if spread is None:
+        return format_amount(metric, value)
+    (text, low, high), unit = _format_alike(metric, [value, spread.low, spread.high])
     middle = f"{text}\u00a0{unit}".rstrip()
-    if score.band is not None:
-        return f"{middle} ({low} to {high} in {score.band.runs} repeated runs)"
-    if score.interval is not None:
-        return f"{middle} (95\u00a0% interval{' of this run' if count == 1 else ''} {low} to {high})"
-    return middle if count < 2 else f"{middle} ({low} to {high} in {count} runs)"
+    if spread.kind == "interval":
+        return f"{middle} (95\u00a0% interval{' of this run' if spread.runs == 1 else ''} {low} to {high})"
+    return f"{middle} ({low} to {high} in {spread.runs} {'repeated ' if spread.kind == 'perturbed' else ''}runs)"
 
 
 def format_difference(metric: Metric, difference: PairedDifference, sign: float = 1.0) -> str:

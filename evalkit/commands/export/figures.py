@@ -89,8 +89,8 @@ def draw_accuracy_time(results: ExportSelection, sequence: str, form: FileFormat
     def draw(axes: Axes) -> None:
         for row, error, cost in points:
             colour = results.strokes[row.method].colour
-            if row.low is not None and row.high is not None:
-                axes.vlines(cost, row.low, row.high, color=colour, linewidth=0.8)
+            if row.spread is not None:
+                axes.vlines(cost, row.spread.low, row.spread.high, color=colour, linewidth=0.8)
             axes.plot(cost, error, "o", color=colour, markersize=4.0)
             right = cost > middle
             axes.annotate(row.method, (cost, error), (-3 if right else 3, 3), textcoords="offset points",

@@ -9,7 +9,7 @@ from typing import Literal
 
 from evalkit.commands.export.results import ExportSelection, MetricColumn, SummaryRow
 from evalkit.core.errors import show_controls
-from evalkit.report.formatting import escape_markdown
+from evalkit.report.formatting import capitalise, escape_markdown
 
 Width = Literal["column", "text"]
 
@@ -18,10 +18,12 @@ SIGNS = {"lower": " ↓", "higher": " ↑", "": ""}
 SHORT = {"cpu_median_ms": "CPU", "drift_percent": "drift"}
 """Headings of columns that are short enough for one column of a page."""
 
-CAPTION = (
-    "medians over complete runs, CPU time of a scan, 95 % intervals in brackets; "
-    "bold: the best, and methods tied with it"
-)
+BOUNDS = {
+    "interval": "95 % interval", "perturbed": "lowest and highest of the repeated runs",
+    "range": "lowest and highest of the runs",
+}  # fmt: skip
+"""What the brackets hold, by kind of spread."""
+
 _SPECIAL = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
@@ -37,8 +39,8 @@ class PaperTable:
     """The table of one sequence, of which LaTeX and Markdown differ only in mark-up.
 
     ``rows``: label, cells (None without a value) and rank of each method, the best first. The rank is that in the
-    first column: "--" without one, () if no method has one. ``intervals``: the number of columns that show intervals,
-    from the first on.
+    first column: "--" without one, () if no method has one. ``intervals``: the number of columns that show bounds, from
+    the first on.
     """
 
     columns: tuple[MetricColumn, ...]
@@ -51,20 +53,43 @@ class PaperTable:
         return any(rank for *_, rank in self.rows)
 
     def has_bounds(self, column: int) -> bool:
-        """Whether a method has an interval in a column."""
+        """Whether a method has bounds in a column."""
         return any(self.bounds(column, cells[column]) for _, cells, _ in self.rows)
 
     def bounds(self, column: int, cell: SummaryRow | None) -> str:
-        """Return the bounds of a cell as printed, "" without an interval."""
-        if column >= self.intervals or cell is None or cell.low is None or cell.high is None:
+        """Return the bounds of a cell as printed, "" without any."""
+        if column >= self.intervals or cell is None or cell.spread is None:
             return ""
         digits = self.columns[column].digits
-        return f"{cell.low:.{digits}f}, {cell.high:.{digits}f}"
+        return f"{cell.spread.low:.{digits}f}, {cell.spread.high:.{digits}f}"
 
     def label(self, column: int) -> str:
         """Return the heading of a column without its unit."""
         label = SHORT.get(self.columns[column].name, self.columns[column].label)
         return "corrected" if column and label == f"{self.columns[0].label}, corrected poses" else label
+
+    def caption(self) -> str:
+        """Return what the values, brackets and bold numbers of this table are."""
+        shown = [(at, cell) for _, cells, _ in self.rows for at, cell in enumerate(cells) if cell and cell.runs]
+        single = all(cell.runs == 1 for _, cell in shown)
+        parts = ["one complete run of each method" if single else "medians over complete runs"]
+        if "cpu_median_ms" in (one.name for one in self.columns):
+            parts.append("CPU: median time of a scan")
+        bounded = [cell.spread for at, cell in shown if cell.spread and self.bounds(at, cell)]
+        if bounded:
+            kinds = [text for kind, text in BOUNDS.items() if kind in {one.kind for one in bounded}]
+            alone = any(one.runs == 1 for one in bounded)  # its interval says nothing of other runs
+            of_one = " over the scans of the run" if single else " (of a single run: over its scans)" if alone else ""
+            parts.append(f"in brackets: {' or '.join(kinds)}{of_one}")
+        if bold := {at for at, cell in shown if cell.best}:
+            parts.append("bold: the best value, and close ones not clearly different")
+            unranked = {
+                label: [self.label(at) for at in sorted(bold) if (cell := cells[at]) and cell.runs and not cell.rank]
+                for label, cells, _ in self.rows
+            }
+            listed = [f"{label} ({', '.join(names)})" for label, names in unranked.items() if names]
+            parts += [f"not ranked: {', '.join(listed)}"] if listed else []
+        return "; ".join(parts)
 
 
 def build_table(results: ExportSelection, sequence: str) -> PaperTable:
@@ -104,8 +129,9 @@ def _in_millimetres(
 
 
 def _scale(cell: SummaryRow, factor: float) -> SummaryRow:
-    median, low, high = (None if one is None else factor * one for one in (cell.median, cell.low, cell.high))
-    return replace(cell, median=median, low=low, high=high)
+    spread = cell.spread
+    scaled = spread and replace(spread, low=factor * spread.low, high=factor * spread.high)
+    return replace(cell, median=None if cell.median is None else factor * cell.median, spread=scaled)
 
 
 def format_latex(results: ExportSelection, width: Width = "column") -> Files:
@@ -130,8 +156,8 @@ def format_markdown(results: ExportSelection) -> Files:
         listed = "\n".join(f"- {_escape_cell(text)}" for text in sentences.get(sequence, ()))
         parts += [f"## {_escape_cell(sequence)}", listed]
         if sequence in results.scored_sequences:
-            parts.append(_markdown_table(build_table(results, sequence)))
-    parts.append(f"{CAPTION[0].upper()}{CAPTION[1:]}.")
+            table = build_table(results, sequence)
+            parts += [_markdown_table(table), f"{_escape_cell(capitalise(table.caption()))}."]
     command = _one_line(str(results.content["command"]))
     fence = "`" * (1 + max(map(len, re.findall("`+", command)), default=0))
     parts.append(f"Command: {fence}{show_controls(command)}{fence}.")
@@ -164,7 +190,7 @@ def _latex_table(table: PaperTable, sequence: str, width: Width) -> str:
     kind = "table*" if width == "text" else "table"
     lines = [
         rf"\begin{{{kind}}}", r"  \centering\footnotesize\setlength{\tabcolsep}{3pt}\sisetup{detect-weight=true}",
-        rf"  \caption{{{escape_latex(f'{sequence}: {CAPTION}.')}}}",
+        rf"  \caption{{{escape_latex(f'{sequence}: {table.caption()}.')}}}",
         rf"  \label{{tab:{file_name(sequence)}}}",
         rf"  \begin{{tabular}}{{{' '.join(kinds)}}}", r"    \toprule",
         rf"    {' & '.join(titles)} \\", rf"    {' & '.join(units)} \\", r"    \midrule",

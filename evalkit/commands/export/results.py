@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
 from pathlib import Path
@@ -11,8 +11,9 @@ from typing import Any
 from evalkit.core.errors import EvalkitError, StoreError, UnknownName
 from evalkit.core.ground_truth import Truth
 from evalkit.plugins import registry
+from evalkit.plugins.parameters import NUISANCE
 from evalkit.plugins.protocols import Sequence as SensorSequence
-from evalkit.report.analysis.scores import DECIDING
+from evalkit.report.analysis.scores import DECIDING, Spread, choose_spread
 from evalkit.report.html.palette import Stroke, assign_strokes
 from evalkit.results.reader import REMEDY, as_incomplete, load_results_json, load_run, load_table
 from evalkit.results.run_record import RunRecord
@@ -25,16 +26,17 @@ IN_PAPERS = ("drift_percent", "cpu_median_ms")
 class SummaryRow:
     """One metric of one method over one sequence, in the metric's unit; None without a value.
 
-    ``best``: the best, or without a clear difference from it. ``rank``: 1 for the best, None without a rank.
-    ``reason``: why there is no value.
+    ``runs``: complete runs with a value. ``spread``: the bounds beside the median, as on the page. ``best``: the best,
+    or without a clear difference from it. ``rank``: 1 for the best, None without a rank. ``reason``: why there is no
+    value.
     """
 
     sequence: str
     method: str
     metric: str
     median: float | None
-    low: float | None
-    high: float | None
+    runs: int
+    spread: Spread | None
     best: bool
     rank: int | None
     reason: str
@@ -174,7 +176,9 @@ def _select(
         except StoreError as error:
             remarks.append(f"{entry['method']} over {entry['sequence']} is left out: {error}")
     shown = {(one["sequence"], one["method"]) for one in entries}
-    rows = tuple(row for row in _load_summary(folder / "summary.csv") if (row.sequence, row.method) in shown)
+    perturbed = {one["sequence"] for one in content["runs"] if NUISANCE in one["dataset_parameters"]}
+    stored = _load_summary(folder / "summary.csv", perturbed)
+    rows = tuple(row for row in stored if (row.sequence, row.method) in shown)
     _check_values(folder, rows, metrics)
     columns = tuple(make_column(known[name]) for name in dict.fromkeys(metrics))
     return ExportSelection(folder, content, columns, rows, tuple(runs), opened, tuple(remarks))
@@ -195,18 +199,22 @@ def make_column(card: Mapping[str, Any]) -> MetricColumn:
     return MetricColumn(*(card[key] for key in ("name", "label", "unit", "better", "digits")))
 
 
-def _load_summary(path: Path) -> list[SummaryRow]:
+def _load_summary(path: Path, perturbed: Collection[str]) -> list[SummaryRow]:
+    """Load the rows of summary.csv; ``perturbed``: the sequences whose runs are perturbations of a recording."""
     try:
-        return [_summary_row(row) for row in load_table(path)[1]]
+        return [_summary_row(row, row["sequence"] in perturbed) for row in load_table(path)[1]]
     except (KeyError, ValueError) as error:
         raise StoreError(str(path), f"cannot be read ({error})", REMEDY) from error
 
 
-def _summary_row(row: Mapping[str, str]) -> SummaryRow:
-    median, low, high = (float(row[name]) if row[name] else None for name in ("median", "low_95", "high_95"))
-    rank = int(row["rank"]) if row["rank"] else None
+def _summary_row(row: Mapping[str, str], perturbed: bool) -> SummaryRow:
+    median = float(row["median"]) if row["median"] else None
+    interval = (float(row["low_95"]), float(row["high_95"])) if row["low_95"] else None
+    extremes = (float(row["lowest"]), float(row["highest"])) if row["lowest"] else None
+    runs, rank = int(row["runs_scored"]), int(row["rank"]) if row["rank"] else None
+    spread = choose_spread(runs, perturbed, interval, extremes)
     names = row["sequence"], row["method"], row["metric"]
-    return SummaryRow(*names, median, low, high, row["mark"] in ("best", "tied"), rank, row["reason"])
+    return SummaryRow(*names, median, runs, spread, row["mark"] in ("best", "tied"), rank, row["reason"])
 
 
 def _open_sequences(

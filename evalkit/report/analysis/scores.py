@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import median
+from typing import Literal
 
 import numpy as np
 
@@ -49,6 +50,34 @@ class NuisanceBand:
 
 
 @dataclass(frozen=True, slots=True)
+class Spread:
+    """Bounds beside the median of ``runs`` runs, in the metric's unit.
+
+    ``kind``: a 95 % "interval", or the lowest and highest value: "perturbed" of a recording under small perturbations,
+    "range" of two runs, which have no interval.
+    """
+
+    low: float
+    high: float
+    runs: int
+    kind: Literal["interval", "perturbed", "range"]
+
+
+def choose_spread(
+    runs: int, perturbed: bool, interval: tuple[float, float] | None, extremes: tuple[float, float] | None
+) -> Spread | None:
+    """Return the bounds to state beside a median, on the page and in exported tables; None of one run without any.
+
+    ``extremes``: the lowest and highest value of the runs, None without a value.
+    """
+    if perturbed and runs > 1 and extremes is not None:
+        return Spread(*extremes, runs, "perturbed")
+    if interval is not None:
+        return Spread(*interval, runs, "interval")
+    return Spread(*extremes, runs, "range") if runs > 1 and extremes is not None else None
+
+
+@dataclass(frozen=True, slots=True)
 class MethodScore:
     """One metric of one method over one sequence, in the metric's unit.
 
@@ -86,6 +115,13 @@ class MethodScore:
         if not self.perturbed or len(self.values) < 2:
             return None
         return NuisanceBand(min(self.values), max(self.values), len(self.values))
+
+    @property
+    def spread(self) -> Spread | None:
+        """The bounds to state beside the median."""
+        interval = (self.interval.low, self.interval.high) if self.interval is not None else None
+        extremes = (min(self.values), max(self.values)) if self.values else None
+        return choose_spread(len(self.values), self.perturbed, interval, extremes)
 
     @property
     def median(self) -> float | None:

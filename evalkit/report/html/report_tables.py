@@ -281,12 +281,9 @@ def absent_note(rankings: Sequence[Ranking]) -> list[Block]:
 def _extent(metric: Metric, score: MethodScore) -> str:
     """Return the 95 % interval, or the lowest and highest of several runs, as printed below the number."""
     parts = [f"{len(score.values)} of {score.expected} runs"] if len(score.values) < score.expected else []
-    if score.band is not None:
-        parts.append(f"perturbed: {_bounds(metric, score.band.low, score.band.high)}")
-    elif score.interval is not None:
-        parts.append(_bounds(metric, score.interval.low, score.interval.high))
-    elif len(score.values) > 1:
-        parts.append(_bounds(metric, min(score.values), max(score.values)))
+    if (spread := score.spread) is not None:
+        perturbed = "perturbed: " if spread.kind == "perturbed" else ""
+        parts.append(f"{perturbed}{_bounds(metric, spread.low, spread.high)}")
     return ", ".join(parts)
 
 

@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 from evalkit import report
 from evalkit.cli import app
 from evalkit.commands.export import figures, latex, mcap, poses, rerun_file
-from evalkit.commands.export.results import load_selection
+from evalkit.commands.export.results import MetricColumn, SummaryRow, load_selection
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import DataMissing, NotInstalled, StoreError, UnknownName
 from evalkit.core.grid import OccupancyGrid
@@ -346,6 +346,75 @@ def test_the_rank_is_that_in_the_first_column_and_left_out_where_there_is_none(f
     assert rank_column(finished_folder, form, "wall_thickness_m") == [("paper", "1"), ("wheel", "1")]  # equal
     assert rank_column(finished_folder, form, "cpu_median_ms") == [("paper", "1"), ("wheel", "--")]  # the baseline
     assert rank_column(finished_folder, form, "corners") == [("paper", "4"), ("wheel", "4")]  # none is better
+
+
+def captions(folder):
+    """The caption of the only table in LaTeX, and the same line of Markdown."""
+    latex_text = next(p for p in run_export(folder, "latex") if p.name != "tables.tex").read_text(encoding="utf-8")
+    (path,) = run_export(folder, "markdown")
+    last = [line for line in path.read_text(encoding="utf-8").splitlines() if line][-2]
+    caption = re.search(r"\\caption\{.*?: (.+)\.\}", latex_text)[1].replace(r"\%", "%")
+    assert last == f"{caption[0].upper()}{caption[1:]}."
+    return caption
+
+
+def test_the_caption_of_single_runs_promises_no_median_and_no_bold(finished_folder):
+    assert captions(finished_folder) == (
+        "one complete run of each method; CPU: median time of a scan; "
+        "in brackets: 95 % interval over the scans of the run"
+    )
+
+
+PAPER_M = (0.104, 0.100, 0.103, 0.102, 0.106, 0.101, 0.105)
+"""Error of each run: the median is 103 mm, the range 100 to 106 mm. By the wheels it is twice that."""
+
+
+@pytest.mark.parametrize("perturbed", [False, True])
+def test_an_exported_table_states_the_bounds_and_the_ranks_of_the_page(tmp_path, build, monkeypatch, perturbed):
+    read_lap(monkeypatch)
+    records = []
+    for name, factor in (("paper", 1.0), ("wheel", 2.0)):
+        for seed, error in enumerate(PAPER_M):
+            one = record_of(name, seed)
+            sequence = replace(one.spec.sequence, seeds=tuple(range(len(PAPER_M))), perturbed=perturbed)
+            scores = replace(
+                one.scores, by_metric={"ate_rmse_m": Score(factor * error, N), "cpu_median_ms": Score(2, N)}
+            )
+            records.append(replace(one, spec=replace(one.spec, sequence=sequence), scores=scores))
+    store = Store(tmp_path / "results")
+    for one in records:
+        store.save_result(one.spec, one.result)
+        store.save_scores(one.key, one.scores, "")
+    report.write_report(build(records), store.folder)
+    table = next(p for p in run_export(store.folder, "latex") if p.name != "tables.tex").read_text(encoding="utf-8")
+    bounds = re.findall(r"\d & \[(\d+), (\d+)\]", table)
+    page = json.loads((store.folder / "results.json").read_text(encoding="utf-8"))["verdicts"][0]["sentences"]
+    stated = r"\((\d+) to (\d+) in 7 repeated runs\)" if perturbed else r"interval (\d+) to (\d+)\)"
+    assert bounds == re.findall(stated, " ".join(page))[:2]
+    assert (bounds == [("100", "106"), ("200", "212")]) is perturbed
+    kind = "lowest and highest of the repeated runs" if perturbed else "95 % interval"
+    assert captions(store.folder) == (
+        f"medians over complete runs; CPU: median time of a scan; in brackets: {kind}; "
+        "bold: the best value, and close ones not clearly different"
+    )
+
+
+def test_the_caption_names_whom_bold_numbers_do_not_compare():
+    def row(method, metric, rank, best=False):
+        return SummaryRow("hall", method, metric, 2.0, 3, None, best, rank, "")
+
+    columns = tuple(
+        MetricColumn(name, name, "ms", "lower", 1) for name in ("ate_rmse_m", "cpu_median_ms", "cpu_p95_ms")
+    )
+    cells = {
+        "icp": (row("icp", "ate_rmse_m", 1), row("icp", "cpu_median_ms", 1, True), row("icp", "cpu_p95_ms", 1, True)),
+        "wheels": (
+            row("wheels", "ate_rmse_m", None),
+            *(row("wheels", m, None) for m in ("cpu_median_ms", "cpu_p95_ms")),
+        ),
+    }
+    table = latex.PaperTable(columns, tuple((label, own, ()) for label, own in cells.items()), 3)
+    assert table.caption().endswith("clearly different; not ranked: wheels (CPU, cpu_p95_ms)")  # no bold error
 
 
 def test_every_latex_special_character_is_escaped():
