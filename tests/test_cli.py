@@ -336,7 +336,7 @@ def test_a_results_folder_that_is_a_file_is_exit_code_2(evalkit, experiment, tmp
     (tmp_path / "out").touch()
     code, _, err = evalkit("compare", "--no-page", experiment("none"), "--out", tmp_path / "out")
     assert code == 2
-    assert "cannot be written" in err
+    assert "out: cannot be written (a file of this name exists); name another folder with --out\n" in err
     assert "name another folder with --out" in err
 
 

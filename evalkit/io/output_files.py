@@ -95,7 +95,7 @@ def _open_folder(path: Path, root: Path | None) -> Iterator[int]:
         try:
             root.mkdir(parents=True, exist_ok=True)
         except FileExistsError as error:
-            raise StoreError(str(root), "a file of this name exists", ANOTHER_FOLDER) from error
+            raise StoreError(str(root), "cannot be written (a file of this name exists)", ANOTHER_FOLDER) from error
     folder = os.open(root or path, _FOLDER)
     try:
         for name in path.relative_to(root or path).parts:
