@@ -129,6 +129,9 @@ def _find_recording(path: Path) -> tuple[Path, str, DatasetSpec]:
     """The recording and its reader: the file or folder itself, or the only folder in it with a recording."""
     if not path.exists():
         raise BadData(str(path), "", "no such file or folder", "give the path of a bag or a log")
+    if (path / "results.json").is_file() and (path / "runs").is_dir():
+        what = "a folder of results; evalkit export and evalkit diff read it"
+        raise BadData(str(path), "", what, "to run it again, give its recording or experiment (*.toml)")
     if (fitting := find_reader(path)) is not None:
         return path, *fitting
     readers = _find_readers()

@@ -38,6 +38,16 @@ def test_a_folder_is_read_by_the_reader_of_its_content(tmp_path):
     assert plan(folder).sequences[0].dataset == "rosbag"
 
 
+def test_a_folder_of_results_is_no_recording(tmp_path):
+    (tmp_path / "runs").mkdir()
+    for name in ("results.json", "summary.csv"):  # the suffix of a table of scans
+        (tmp_path / name).write_text("")
+    with pytest.raises(
+        BadData, match=r"a folder of results; evalkit export and evalkit diff read it; to run it again,"
+    ):
+        open_recording(tmp_path, {})
+
+
 def test_the_named_back_ends_run_and_by_default_one_of_each_family(log):
     assert [entrant.label for entrant in plan(log, backends=("paper", "kiss-icp")).methods] == ["paper", "kiss-icp"]
     chosen = defaults.find_default_backends()
