@@ -12,6 +12,7 @@ from evalkit.execution import run_task
 from evalkit.execution.executors import Executor, Progress
 from evalkit.execution.run_task import PendingRun, RunSettings
 from evalkit.results import descriptions
+from evalkit.results.reader import check_same_experiment
 from evalkit.results.run_record import RunRecord, load_records
 from evalkit.results.store import Store
 
@@ -41,9 +42,11 @@ class Scheduler:
     def run(self, experiment: Experiment, executor: Executor) -> Generator[tuple[RunSpec, RunResult]]:
         """Yield every run as it ends, executed, scored and stored; runs that need nothing come first.
 
-        A run that fails is a result with a cause. Raises StoreError if the results folder cannot be written or another
-        process writes to it.
+        A run that fails is a result with a cause. Raises StoreError if the results folder cannot be written, another
+        process writes to it, or it holds the report of another experiment.
         """
+        if not self.collect:
+            check_same_experiment(self.store.folder, experiment)
         settings = RunSettings.from_experiment(experiment, self.environment)
         with nullcontext() if self.collect else self.store.writer_lock():
             if not self.collect:

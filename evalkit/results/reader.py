@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.config.experiment import Method, RunSpec, SequenceSpec
+from evalkit.config.experiment import Experiment, Method, RunSpec, SequenceSpec
 from evalkit.core.arrays import Ints
 from evalkit.core.errors import StoreError, brief
 from evalkit.core.ground_truth import Truth
@@ -101,6 +101,23 @@ def load_results_json(folder: Path) -> dict[str, Any]:
         raise StoreError(str(path), str(error), "write the report again") from error
     _check_keys(path, content)
     return content
+
+
+def check_same_experiment(folder: Path, experiment: Experiment) -> None:
+    """Raise StoreError if a folder holds the report of another experiment, which a new one would replace.
+
+    Another experiment has another command and no sequence of the same label: methods, parameters and sequences may be
+    added to an experiment and removed. A report that cannot be read is no obstacle, as a run writes it again.
+    """
+    path = folder / "results.json"
+    try:
+        content = _load_object(path)
+        labels, command, title = content["sequences"].keys(), content["command"], content["title"]
+    except (StoreError, KeyError, AttributeError):
+        return
+    if command != f"evalkit {experiment.source}" and labels.isdisjoint(one.label for one in experiment.sequences):
+        what = f"holds the results of another experiment, {brief(title)} ({brief(command)})"
+        raise StoreError(str(folder), what, "name another folder with --out, or delete this one")
 
 
 def _check_keys(path: Path, content: Mapping[str, Any]) -> None:

@@ -46,6 +46,13 @@ class RecordedProgress:
         self.ends.append(spec.method.label)
 
 
+class StoppedExecutor:
+    """An executor that shows that it was called."""
+
+    def run(self, *_arguments):
+        raise ZeroDivisionError
+
+
 @pytest.fixture
 def threaded_scoring(monkeypatch):
     """Score in threads, because the test does not concern the scoring processes."""
@@ -352,6 +359,35 @@ def test_a_full_results_folder_stops_everything_and_keeps_finished_runs(tmp_path
         records(plan("none", "raise", "nan", "far"), tmp_path, jobs=1, progress=progress)
     assert progress.ends == ["none"]
     assert written_times(tmp_path).keys() == {"none"}
+
+
+def test_a_folder_with_the_report_of_another_experiment_is_refused_and_unchanged(tmp_path):
+    def report(command, *labels):
+        content = {"title": "Lab", "command": command, "sequences": {label: {} for label in labels}}
+        (tmp_path / "results.json").write_text(json.dumps(content))
+
+    def start(experiment):
+        next(Scheduler(Store(tmp_path), RecordedProgress()).run(experiment, StoppedExecutor()))
+
+    mine = plan("none")
+    (label,) = (one.label for one in mine.sequences)
+    report("evalkit compare lab.toml", "lab", "room")
+    Store(tmp_path)
+    before = {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")}
+    with pytest.raises(
+        StoreError, match=r"another experiment, 'Lab' \('evalkit compare lab.toml'\); name another folder"
+    ):
+        start(mine)
+    assert {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")} == before
+    for same in (
+        lambda: report(f"evalkit {mine.source}", "lab"),  # its sequences were exchanged
+        lambda: report("evalkit compare elsewhere.toml", "lab", label),  # its file was moved
+        lambda: (tmp_path / "results.json").write_text('{"title": "La'),  # half-written: a run writes it again
+        (tmp_path / "results.json").unlink,
+    ):
+        same()
+        with pytest.raises(ZeroDivisionError):  # the runs start
+            start(mine)
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO, errno.ENOMEM, errno.EMFILE])
