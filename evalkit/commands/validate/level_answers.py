@@ -22,6 +22,9 @@ UNNAMED = ("different steps from", "different poses", "not both report their", "
 TRACE_ALONE = "the pose is equal, but not trace"
 """Of a first difference that says where it shows, not what it is."""
 
+CROWDED = ("edges", "points", "sizes")
+"""Families of drawn questions of points that have several others near, at the scale of a room."""
+
 STAGES = {"s2s": "scan to scan", "s2m": "scan to map"}
 
 
@@ -173,7 +176,9 @@ def _drawn_checks(place: str, result: Result, terms: ComparisonTerms) -> list[Ch
 def _name_by_questions(checks: list[Check], drawn: Results, terms: ComparisonTerms) -> list[Check]:
     """The checks, with what the drawn questions say about a first difference that has no name.
 
-    With well separated points every neighbour search and every outlier rule give the same pairs.
+    With well separated points every neighbour search and every outlier rule give the same pairs. Pairs that differ in
+    the first iteration from the identity exclude the start, the motion of the points and the step. Where the questions
+    leave several causes, only what they show is said.
     """
     families = [one[terms.margin]["families"] for one in drawn.values() if ENDED not in one]
     if not families:
@@ -182,26 +187,44 @@ def _name_by_questions(checks: list[Check], drawn: Results, terms: ComparisonTer
     if "clear" not in families[0]:  # odometries
         return [replace(one, observed=f"{one.observed}; {where}") if where and one.outcome == "failed"
                 and where not in one.observed and one.deciding == "equal" else one for one in checks]  # fmt: skip
-    clear, limits = families[0]["clear"], families[0].get("limits", {"wrong": 0})
-
-    def cause(text: str) -> str:
-        if where:
-            return f"answers differ {where}"
-        if clear["wrong"] and clear["first"]["quantity"] == "pairs":
-            return "the neighbours differ: even well separated points do not all get a partner"
-        if clear["wrong"]:
-            return "the step differs: with well separated points the pairs are the same, and the answers are not"
-        if limits["wrong"] and " pairs against " in text:
-            return "the outlier rule differs: well separated points give equal answers, pairs near the limits do not"
-        return "the neighbours differ: well separated points give equal answers, crowded ones do not"
 
     def named(check: Check) -> Check:
         text = check.observed
         if check.outcome == "failed" and any(phrase in text for phrase in UNNAMED):
-            return replace(check, observed=f"{text}; {cause(text)}")
+            return replace(check, observed="; ".join(filter(None, (text, _describe_cause(text, families[0], where)))))
         return check
 
     return [named(check) for check in checks]
+
+
+def _describe_cause(text: str, families: Mapping[str, Mapping[str, Any]], where: str) -> str:
+    """The cause of a first difference in words, or what the questions show where they leave several; "" if nothing."""
+    clear, limits = families["clear"], families.get("limits", {"wrong": 0})
+    mispaired = any(one["mispaired"] for one in families.values())
+    if where:
+        return f"answers differ {where}"
+    if clear["wrong"]:
+        return _describe_clear(text, clear, mispaired)
+    if limits["wrong"]:
+        which = "the outlier rule or the search of neighbours differs: " if " pairs against " in text else ""
+        return f"{which}well separated points give equal answers, pairs near the limits do not"
+    if any(families[name]["wrong"] for name in CROWDED if name in families):
+        which = "the neighbours differ: " if mispaired else ""
+        return f"{which}well separated points give equal answers, crowded ones do not"
+    wrong = {name: one["what"] for name, one in families.items() if one["wrong"]}
+    family, what = next(iter(wrong.items()), ("", ""))
+    return f"of the drawn questions only {family} differ, first {what}" if len(wrong) == 1 and what not in text else ""
+
+
+def _describe_clear(text: str, clear: Mapping[str, Any], mispaired: bool) -> str:
+    """The same where even well separated points give other answers; ``mispaired``: other pairs from the identity."""
+    if clear["recounted"]:
+        which = "the points that are used or their neighbours differ: " if mispaired else ""
+        return f"{which}even well separated points give another number of pairs"
+    if clear["unanswered"] or clear["first"]["quantity"] not in ("pose", "answer") or ", pairs: " in text:
+        return ""  # pairs that differ before a step are not explained by it
+    which = "the step, or the motion of the points, differs: " if clear["counted"] else ""
+    return f"{which}well separated points give as many pairs, but other answers"
 
 
 def name_traces(checks: list[Check], drawn: Results, terms: ComparisonTerms) -> list[Check]:

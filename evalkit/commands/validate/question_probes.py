@@ -22,6 +22,8 @@ from evalkit.commands.validate.equivalence.rounding import is_decided_by_roundin
 from evalkit.commands.validate.probes import Plugin, load_backend, parse_margin
 from evalkit.commands.validate.rules.state_rules import match_bits
 from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
 from evalkit.execution.sandbox import note_place
 from evalkit.execution.task import Result
 from evalkit.plugins.protocols import Registration
@@ -29,6 +31,9 @@ from evalkit.plugins.specs import RegistrationSpec
 
 TIE_M = 1e-5
 """How far (m, rad) the answers to the two sides of a tie may be from the answer to the tie itself."""
+
+MAX_MOVED = 5
+"""Questions of a family that are asked again with the source moved by the guess."""
 
 Effect = Literal["none", "some", "not asked"]
 """The effect of a changed parameter on an answer, where it has one on the reference."""
@@ -38,7 +43,10 @@ Key = tuple[tuple[str, Any], ...]
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A drawn question with both answers; ``repeats``: the second answer came again to the bit at the end."""
+    """A drawn question with both answers; ``repeats``: the second answer came again to the bit at the end.
+
+    ``ask``: asks both sides another question, with the same parameters.
+    """
 
     drawn: DrawnQuestion
     answers: AnswerPair
@@ -46,6 +54,7 @@ class Asked:
     effect: Effect
     repeats: bool
     reference: Registration
+    ask: Callable[[Question], AnswerPair]
 
     def is_decided_by_rounding(self, margin: Margin, choice: MarginChoice) -> bool:
         """Whether no implementation in single precision, or none at all, can be asked for this answer."""
@@ -82,8 +91,13 @@ def _ask_all(sides: tuple[ComparedBackend, ComparedBackend], drawn: list[DrawnQu
             others = tuple(first.register(tie.target, tie.source, tie.guess) for tie in one.ties)
         except Exception:  # noqa: BLE001 - what the reference refuses is no question
             continue
+
+        def ask(question: Question, first: Registration = first, key: Key = key) -> AnswerPair:
+            match = first.register(question.target, question.source, question.guess)
+            return _answer(lambda: made(1, key), question, match)
+
         answers = _answer(lambda key=key: made(1, key), one.question, match)
-        asked.append(Asked(one, answers, others, _effect(made, one, answers), True, first))
+        asked.append(Asked(one, answers, others, _effect(made, one, answers), True, first, ask))
         bits.append(None if answers.b is None else match_bits(answers.b))
     return _ask_again(asked, bits, made)
 
@@ -147,6 +161,7 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
         members = [(one, known) for one in asked
                    if one.drawn.family == family and (known := _margin_of(one.drawn.question, margin))]  # fmt: skip
         wrong: list[tuple[Asked, Divergence]] = []
+        margin_of = dict(members)
         effects = {one.effect for one, _ in members}
         ignored = family.removeprefix("parameter ") if "none" in effects and "some" not in effects else ""
         for one, known in members:
@@ -171,6 +186,9 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
         families[family] = {
             "asked": len(members), "wrong": len(wrong), "unanswered": missing, "fields": fields,
             "examples": {name: examples[name] for name in fields},
+            "recounted": sum(_is_recounted(*each) for each in wrong),
+            "counted": all(one.answers.b and one.answers.a.iterations and one.answers.b.iterations for one, _ in wrong),
+            "mispaired": any(_is_mispaired(*each, margin_of[each[0]]) for each in wrong[:MAX_MOVED]),
             "what": wrong[0][0].drawn.what if wrong else "", "first": as_plain(asdict(wrong[0][1])) if wrong else None,
         }  # fmt: skip
         first = first or families[family]["first"]
@@ -217,6 +235,27 @@ def _describe_where(verdicts: list[tuple[Asked, bool]]) -> str:
         if not any(min(wrong) <= each <= max(wrong) for each in right):
             return f"only where {name} is between {min(wrong):.4g} and {max(wrong):.4g}"
     return ""
+
+
+def _is_recounted(one: Asked, divergence: Divergence) -> bool:
+    """Whether the numbers of pairs differ: those of the first iteration that differs, or of the answers."""
+    a, b = one.answers.a, one.answers.b
+    return divergence.quantity == "pairs" or (
+        divergence.quantity == "answer" and b is not None and a.inliers != b.inliers
+    )
+
+
+def _is_mispaired(one: Asked, divergence: Divergence, margin: Margin) -> bool:
+    """Whether the first iteration has another number of pairs, from the identity too, with the source moved instead.
+
+    No unit, sign or order of the guess, no motion of the points and no step has had an effect there.
+    """
+    if divergence.quantity != "pairs" or divergence.iteration != 1 or divergence.kind in ROUNDING:
+        return False
+    question = one.drawn.question
+    moved = replace(question, source=Cloud(question.guess.transform(question.source.points)), guess=Pose())
+    again = first_divergence(one.ask(moved), margin, explain=False)
+    return again is not None and again.quantity == "pairs" and again.iteration == 1
 
 
 def _has_wrong_field(one: Asked, margin: Margin) -> bool:

@@ -245,12 +245,17 @@ def test_times_are_told_by_the_clock_that_measured_them(reference, tmp_path):
     assert memory.observed == "256 MiB with interpreter and data (paper 256 MiB)"
 
 
-def drawn(clear=None, limits=0, where=""):
+def drawn(clear=None, limits=0, where="", crowded=0, mispaired=0, scales=0, parameters=0, **evidence):
+    """Drawn questions with a first difference of well separated points in a quantity; ``evidence``: of their family."""
     first = clear and {"quantity": clear, "kind": "different", "what": "w", "scan": 1, "stage": "clear",
                        "iteration": None}  # fmt: skip
-    families = {"clear": {"asked": 4, "wrong": int(bool(clear)), "what": "points", "first": first, "fields": {}},
-                "limits": {"asked": 4, "wrong": limits, "what": "a limit", "first": first, "fields": {}},
-                "sizes": {"asked": 0, "wrong": 0, "what": "", "first": None, "fields": {}}}  # fmt: skip
+    none = {"asked": 0, "wrong": 0, "what": "", "first": None, "fields": {}, "unanswered": 0, "recounted": 0,
+            "mispaired": 0, "counted": True}  # fmt: skip
+    families = {"clear": none | {"asked": 4, "wrong": int(bool(clear)), "what": "points", "first": first} | evidence,
+                "limits": none | {"asked": 4, "wrong": limits, "what": "a limit", "first": first},
+                "points": none | {"wrong": crowded, "mispaired": mispaired}, "sizes": none,
+                "scales": none | {"wrong": scales, "what": "far away"},
+                "parameters at once": none | {"wrong": parameters, "what": "epsilon = 0"}}  # fmt: skip
     margin = {"metres": 1e-9, "radians": 1e-9}
     return {"seed 1": {"exact": {"families": families, "where": where, "margin": margin, "questions": 8, "fields": {}}}}
 
@@ -262,18 +267,37 @@ UNNAMED = Check("equal to paper", "room", "failed", "equal", "7 pairs against 6;
     ("questions", "cause"),
     [
         (drawn(where="only where x is above 3"), "answers differ only where x is above 3"),
-        (drawn("pairs"), "the neighbours differ: even well separated points do not all get a partner"),
-        (drawn("pose"), "the step differs: with well separated points the pairs are the same, and the answers are not"),
-        (drawn(limits=1), "the outlier rule differs: well separated points give equal answers, pairs near the limits "
-                          "do not"),
-        (drawn(), "the neighbours differ: well separated points give equal answers, crowded ones do not"),
+        (drawn("pairs", recounted=1), "even well separated points give another number of pairs"),
+        (drawn("answer", recounted=1), "even well separated points give another number of pairs"),
+        (drawn("pairs", recounted=1, mispaired=1), "the points that are used or their neighbours differ: even well "
+                                                   "separated points give another number of pairs"),
+        (drawn("pose"), "the step, or the motion of the points, differs: well separated points give as many pairs, but "
+                        "other answers"),
+        (drawn("answer", counted=False), "well separated points give as many pairs, but other answers"),
+        (drawn(limits=1), "the outlier rule or the search of neighbours differs: well separated points give equal "
+                          "answers, pairs near the limits do not"),
+        (drawn(crowded=1, mispaired=1), "the neighbours differ: well separated points give equal answers, crowded ones "
+                                        "do not"),
+        (drawn(crowded=1), "well separated points give equal answers, crowded ones do not"),
+        (drawn(), ""),
+        (drawn(scales=1), "of the drawn questions only scales differ, first far away"),
+        (drawn(scales=1, parameters=1), ""),
+        (drawn("iterations"), ""),
+        (drawn("answer", unanswered=1), ""),
     ],
 )  # fmt: skip
 def test_a_difference_without_a_name_gets_it_from_the_drawn_questions(questions, cause):
     named, other = level_answers._name_by_questions([UNNAMED, replace(UNNAMED, observed="units")], questions, TERMS)
-    assert named.observed == f"{UNNAMED.observed}; {cause}"
+    assert named.observed == (f"{UNNAMED.observed}; {cause}" if cause else UNNAMED.observed)
     assert other.observed == "units"
     assert level_answers._name_by_questions([UNNAMED], {"seed 1": KILLED}, TERMS) == [UNNAMED]
+
+
+def test_pairs_that_differ_before_a_step_are_not_explained_by_it():
+    early = replace(
+        UNNAMED, observed="pair 1, iteration 1, pairs: different: 7 pairs against 6; not both report their pairs"
+    )
+    assert level_answers._name_by_questions([early], drawn("pose"), TERMS) == [early]
 
 
 def test_drawn_questions_are_checked_by_family():

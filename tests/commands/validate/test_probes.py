@@ -17,7 +17,7 @@ from evalkit.commands.validate.equivalence.questions import DrawnQuestion
 from evalkit.commands.validate.rules import scenes
 from evalkit.core.errors import BadParameter, DataMissing, NotInstalled
 from evalkit.core.grid import OccupancyGrid
-from evalkit.core.match import Match
+from evalkit.core.match import Iteration, Match
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -52,7 +52,7 @@ MATCH = Match(Pose(), True, 3, 0.01, 3)
 
 def asked(heading, points=SOME, what="", family="clear", b=MATCH, **fields):
     question = Question(1, family, points, SOME, Pose(0.0, 0.0, heading))
-    given = {"others": (), "effect": "not asked", "repeats": True, "reference": None, **fields}
+    given = {"others": (), "effect": "not asked", "repeats": True, "reference": None, "ask": None, **fields}
     return question_probes.Asked(DrawnQuestion(family, what, question), AnswerPair(question, MATCH, b), **given)
 
 
@@ -71,6 +71,37 @@ def asked(heading, points=SOME, what="", family="clear", b=MATCH, **fields):
 )  # fmt: skip
 def test_the_quantity_that_separates_wrong_answers_is_named(headings, wrong, said):
     assert question_probes._describe_where([(asked(0.1 * at), bool(wrong(at))) for at in headings]) == said
+
+
+def test_only_other_pairs_in_the_first_iteration_whatever_the_guess_point_to_the_pairs_themselves():
+    """A back end that drops a point has a pair less wherever it starts; one with a wrong heading only from one."""
+
+    def answer_with(inliers):
+        entry = Iteration(0.01, inliers, Pose(0.5 * (3 - inliers), 0.0, 0.0))
+        return Match(entry.target_from_source, True, 1, 0.01, inliers, (entry,))
+
+    def drops(question):
+        return AnswerPair(question, answer_with(3), answer_with(2))
+
+    def turns(question):
+        return AnswerPair(question, answer_with(3), answer_with(3 if question.guess == Pose() else 2))
+
+    fewer = answer_with(2)
+    pairs = Divergence(1, "clear", 1, "pairs", "different", "3 pairs against 2; not both report their pairs")
+    cases = [  # divergence, answer, side: numbers of pairs differ, and differ from the identity too
+        (pairs, fewer, drops, True, True),
+        (pairs, fewer, turns, True, False),
+        (replace(pairs, iteration=2), fewer, drops, True, False),  # the motion of the points after a step
+        (replace(pairs, kind="precision"), fewer, drops, True, False),
+        (replace(pairs, iteration=None, quantity="answer"), fewer, drops, True, False),  # of the last iteration alone
+        (replace(pairs, iteration=None, quantity="answer"), MATCH, drops, False, False),
+        (replace(pairs, iteration=None, quantity="answer"), None, drops, False, False),
+        (replace(pairs, quantity="pose"), MATCH, drops, False, False),
+    ]
+    for divergence, b, ask, recounted, mispaired in cases:
+        one = asked(0.1, b=b, ask=ask)
+        assert question_probes._is_recounted(one, divergence) is recounted
+        assert question_probes._is_mispaired(one, divergence, Margin()) is mispaired
 
 
 def test_a_parameter_without_effect_is_named_instead_of_its_difference(monkeypatch):

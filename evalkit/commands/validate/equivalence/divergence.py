@@ -143,9 +143,8 @@ class _AnswerComparison:
                 return self._divergence(number, "pairs", mistake.kind, mistake.what)
             if self._rounding.holds(a.target_from_source, b.target_from_source):
                 return self._divergence(number, "pairs", "precision", "another number of pairs, within rounding")
-            kind: DivergenceKind = "outlier rule"
             return self._divergence(
-                number, "pairs", kind, f"{a.inliers} pairs against {b.inliers}; not both report their pairs"
+                number, "pairs", "different", f"{a.inliers} pairs against {b.inliers}; not both report their pairs"
             )
         if correspondences.same_pairs(a.pairs, b.pairs):
             return None
@@ -219,9 +218,13 @@ class _AnswerComparison:
             return self._divergence(None, "answer", "rounding", written)
         if self._rounding.holds(a.target_from_source, b.target_from_source):
             return self._divergence(None, "answer", "precision", f"within rounding to float32 ({self._gap()})")
+        if len(a.history) == b.iterations == 1:
+            only = Iteration(b.error, b.inliers, b.target_from_source)
+            if mistake := self._hypothesis(1, self._question.guess, a.history[0], only):
+                return self._divergence(None, "answer", mistake.kind, mistake.what)
         if a.inliers != b.inliers:
             what = f"{a.inliers} pairs against {b.inliers}; not both report their iterations ({self._gap()})"
-            return self._divergence(None, "answer", "outlier rule", what)
+            return self._divergence(None, "answer", "different", what)
         return self._divergence(None, "answer", "different", f"not both report their iterations ({self._gap()})")
 
     def _compare_final_costs(self) -> Divergence | None:

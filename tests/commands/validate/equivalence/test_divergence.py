@@ -39,7 +39,7 @@ def difference(a, b):
 
 
 WITHOUT_ITERATIONS = {
-    "fewer pairs": (match(OTHER, inliers=5), "answer: outlier rule: 6 pairs against 5; not both report their iter"),
+    "fewer pairs": (match(OTHER, inliers=5), "answer: different: 6 pairs against 5; not both report their iter"),
     "no cause": (match(OTHER), "answer: different: not both report their iterations (0.024 m and 0.004 rad)"),
     "float32": (match(NEAR), "answer: precision: within rounding to float32 (1e-06 m and 0 rad)"),
     "text": (match(ROUNDED), "answer: rounding: the numbers of the pose are written with 3 decimals: rounded"),
@@ -85,7 +85,7 @@ def traced(pose=RIGHT, **fields):
 
 IN_ITERATIONS = {
     "another number, rounded": (traced(), traced(NEAR, inliers=5), "pairs: precision: another number of pairs, within"),
-    "another number": (traced(), traced(OTHER, inliers=5), "pairs: outlier rule: 6 pairs against 5; not both report"),
+    "another number": (traced(), traced(OTHER, inliers=5), "pairs: different: 6 pairs against 5; not both report"),
     "text": (traced(), traced(ROUNDED), "pose: rounding: the numbers of the pose are written with 3 decimals"),
     "no pairs": (traced(), traced(OTHER), "pose: different: different poses (0.024 m and 0.004 rad)"),
     "as many": (traced(pairs=PAIRS), traced(OTHER), "pose: different: different steps from as many pairs; that of A"),
