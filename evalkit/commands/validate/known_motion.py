@@ -58,10 +58,11 @@ def peer_check(name: str, results: Results, answers: Results, terms: ComparisonT
     distance = np.hypot(rows[:, 0], rows[:, 1])
     tests = [_interval(axis, unit, rows[:, column], margins[column // 2])
              for column, (axis, unit) in enumerate((("x", "m"), ("y", "m"), ("theta", "rad")))]  # fmt: skip
-    unbiased = all(one.inside for one in tests)
+    biased = " and ".join(one.quantity for one in tests if one.low > one.margin or one.high < -one.margin)
+    unbiased = "without a bias" if all(one.inside for one in tests) else "too few pairs to exclude a bias"
     observed = (
         f"answers lie {np.median(distance):.2g} m apart (median; 95 % within {np.quantile(distance, 0.95):.2g} m), "
-        f"{'without a bias' if unbiased else 'with a bias beyond the margin, or too few pairs to exclude one'}"
+        f"{f'with a bias beyond the margin in {biased}' if biased else unbiased}"
     )
     x, y, theta = (_format_interval(one) for one in tests)
     on = ", ".join(dict.fromkeys(place.partition(",")[0] for place in shared))

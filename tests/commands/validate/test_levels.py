@@ -194,12 +194,22 @@ def test_an_answer_that_is_missing_fails_and_an_unknown_motion_says_nothing():
 def test_a_peer_is_compared_over_near_guesses_that_both_answered():
     found = peer_check("ndt", {"room": pairs()}, {"room": {"rows": WRONG}}, TERMS)
     assert found.on == "room, near guesses"
-    assert found.observed.startswith("answers lie 0.1 m apart (median; 95 % within 0.1 m), with a bias beyond")
+    apart = "answers lie 0.1 m apart (median; 95 % within 0.1 m)"
+    assert found.observed == f"{apart}, with a bias beyond the margin in x"
     assert found.detail.startswith("means over 2 pairs: x ")
     ended = peer_check("ndt", {"room": pairs()}, {"room": KILLED}, TERMS)
     assert said([ended]) == [("not applicable", "ndt did not finish: killed by signal 11")]
     silent = peer_check("ndt", {"room": pairs()}, {"room": {"rows": UNANSWERED}}, TERMS)
     assert said([silent]) == [("not applicable", "no pair was answered by both")]
+
+
+def test_a_peer_with_too_few_answers_to_exclude_a_bias_is_not_called_biased():
+    """Two differences of 0 and 2 mm: 1 mm +- 6.31 mm (Student, 1 degree of freedom), with a margin of 1 mm."""
+    few = RIGHT + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    found = peer_check("ndt", {"room": pairs()}, {"room": {"rows": few}}, TERMS)
+    assert found.observed.endswith(", too few pairs to exclude a bias")
+    same = peer_check("ndt", {"room": pairs()}, {"room": {"rows": RIGHT}}, TERMS)
+    assert same.observed.endswith(", without a bias")
 
 
 def test_a_loss_near_its_margin_asks_for_more_data():
