@@ -170,6 +170,7 @@ def validate(
         report = run.report_determinism(names, request.given, request.on, threads, repetitions, _announce)
     else:
         report = _report(request, execution, frames)
+    _keep_seed(out_folder, request.seed)
     printing.finish(report, out_folder, as_json, junit)
 
 
@@ -201,6 +202,7 @@ def _compare(request: ValidationRequest, folder: Path, workers: int, display: Pr
     from evalkit.commands.validate import plan, run  # noqa: PLC0415 - as above
 
     planned = plan.make_plan(request)
+    _keep_seed(folder, request.seed)
     for name, why in planned.unavailable.items():
         err.print(f"not available here: {name}: {why}", markup=False, highlight=False)
     return run.ValidationRun(planned, folder, workers, display).report()
@@ -260,14 +262,17 @@ def _default_peers(quick: bool) -> list[str]:
 
 
 def _choose_seed(given: int | None, folder: Path, fresh: bool) -> int:
-    """The seed given, that of the folder so that its results count, or a new one; it is kept in the folder."""
-    from evalkit.io.output_files import write_texts  # noqa: PLC0415 - as above
-
+    """The seed given, that of the folder so that its results count, or a new one."""
     file = folder / SEED_FILE
     known = None if fresh or not file.exists() else file.read_text(encoding="utf-8").strip()
-    seed = given if given is not None else int(known) if known and known.isdecimal() else secrets.randbelow(1_000_000)
+    return given if given is not None else int(known) if known and known.isdecimal() else secrets.randbelow(1_000_000)
+
+
+def _keep_seed(folder: Path, seed: int) -> None:
+    """Writes the seed to the folder, which it creates: once all names are known."""
+    from evalkit.io.output_files import write_texts  # noqa: PLC0415 - as above
+
     write_texts(folder, {SEED_FILE: f"{seed}\n"})
-    return seed
 
 
 def _parse_waivers(texts: list[str]) -> dict[str, str]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import typer
 
+from evalkit.cli import app
 from evalkit.commands.validate import command, drive_probes, printing, question_probes, run, scan_pairs
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check
 from evalkit.commands.validate.equivalence import comparison, map_cells
@@ -15,7 +16,7 @@ from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedB
 from evalkit.commands.validate.equivalence.margins import Margin
 from evalkit.commands.validate.equivalence.questions import DrawnQuestion
 from evalkit.commands.validate.rules import scenes
-from evalkit.core.errors import BadParameter, DataMissing, NotInstalled
+from evalkit.core.errors import BadParameter, DataMissing, NotInstalled, UnknownName
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.match import Iteration, Match
 from evalkit.core.odometry_estimate import OdometryEstimate
@@ -44,6 +45,14 @@ def test_without_an_excerpt_a_sequence_has_to_be_named(monkeypatch):
     monkeypatch.setattr(command.defaults, "find_excerpts", lambda _: {})
     with pytest.raises(NotInstalled, match="name one with --on"):
         command._default_sequences(quick=True, simulated=False)
+
+
+@pytest.mark.parametrize("words", [("nosuchmethod",), ("no.such.module:SPEC",), ("paper", "--reference", "nosuch")])
+def test_a_name_that_is_unknown_leaves_no_folder(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises((UnknownName, NotInstalled)):
+        app(["validate", *words, "--only", "registrations", "--quick"])
+    assert list(tmp_path.iterdir()) == []
 
 
 SOME = Cloud(np.array([[1.0, 0.0], [0.0, 1.0], [2.0, 0.5]]))
