@@ -75,6 +75,22 @@ class UnknownName(EvalkitError):
         return plain(f"{place}no {kind} named '{name}'{hint}; known: {', '.join(known) or 'none'}")
 
 
+class UnknownModule(UnknownName):
+    """A module of a name "module:SPEC" that is not found: ``UnknownModule(module, schemes, file)``.
+
+    ``schemes``: those known, because the name may be meant as one. ``file``: of the module in the working directory,
+    "" if there is none.
+    """
+
+    def __init__(self, module: str, schemes: Iterable[str], file: str) -> None:
+        super().__init__("module", module, schemes, file)
+
+    def __str__(self) -> str:
+        _, module, schemes, file = self.args
+        remedy = f"{file} is in this folder: set PYTHONPATH=." if file else "set PYTHONPATH to the folder that has it"
+        return plain(f"no module {module} found: {remedy} (no scheme has this name; known: {', '.join(schemes)})")
+
+
 class BadParameter(EvalkitError):
     """An invalid value of a plug-in's parameter: ``BadParameter(owner, name, found, expected)``."""
 

@@ -13,10 +13,11 @@ import sys
 from functools import cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from importlib.util import find_spec
+from pathlib import Path
 from types import FunctionType
 from typing import TYPE_CHECKING, TypeVar
 
-from evalkit.core.errors import EvalkitError, NotInstalled, UnknownName, plain
+from evalkit.core.errors import EvalkitError, NotInstalled, UnknownModule, UnknownName, plain
 from evalkit.plugins.code_hash import hash_code
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, OdometrySpec, spec_of_class
@@ -48,13 +49,15 @@ def names(kind: str) -> list[str]:
 def backend(name: str) -> BackendSpec:
     """Return the back end of a name: registered, of a scheme ("exec:./my_icp --fast"), or in a module ("my.icp:SPEC").
 
-    Raises UnknownName, or NotInstalled where the plug-in does not load.
+    Raises UnknownName (UnknownModule for a module), or NotInstalled where the plug-in does not load.
     """
     scheme, colon, rest = name.partition(":")
     if not colon:
         return load("backends", name, BackendSpec)
     if point := _module_point(name):
         return _load_point(name, point, BackendSpec)
+    if scheme not in _points("schemes") and _MODULE_AND_NAME.fullmatch(name):
+        raise UnknownModule(scheme, _points("schemes"), _find_here(scheme))
     spec: BackendSpec = load("schemes", scheme, FunctionType)(rest)
     return spec
 
@@ -149,6 +152,12 @@ def _module_point(name: str) -> EntryPoint | None:
     except (ImportError, ValueError):  # a parent is not a package
         return None
     return EntryPoint(attribute, name, "evalkit.backends") if found else None
+
+
+def _find_here(module: str) -> str:
+    """Return the file of a module below the working directory, which is not on the path; "" if there is none."""
+    path = Path(*module.split("."))
+    return next((str(file) for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), "")
 
 
 def _load_point(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
 
 import pytest
 
@@ -126,12 +127,25 @@ def test_a_plug_in_whose_import_crashes_or_hangs_is_reported_as_missing(stranger
 
 def test_a_back_end_under_development_is_found_by_its_module():
     assert registry.backend("evalkit_baselines.paper:TIGHT") is registry.backend("paper-tight")
-    with pytest.raises(UnknownName, match=r"no scheme named 'nowhere\.at\.all'"):
-        registry.backend("nowhere.at.all:SPEC")
     with pytest.raises(NotInstalled, match="is a str"):
         registry.backend("evalkit_baselines.paper:CITATION")
     of_module, of_name = (registry.hash_run_code(n, "room") for n in ("evalkit_baselines.paper:SPEC", "paper"))
     assert of_module == of_name
+
+
+def test_a_module_that_is_not_found_is_named_with_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UnknownName) as caught:
+        registry.backend("nowhere.at.all:SPEC")
+    known = "(no scheme has this name; known: exec, file, lib)"
+    assert str(caught.value) == f"no module nowhere.at.all found: set PYTHONPATH to the folder that has it {known}"
+    for file in (Path("nowhere_at_all.py"), Path("nowhere", "at_all", "__init__.py")):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+        module = ".".join(file.parent.parts) or file.stem
+        with pytest.raises(UnknownName) as caught:
+            registry.backend(f"{module}:SPEC")
+        assert str(caught.value) == f"no module {module} found: {file} is in this folder: set PYTHONPATH=. {known}"
 
 
 def test_the_fingerprint_covers_the_code_of_both_plug_ins():
