@@ -39,7 +39,7 @@ STYLES = {
 
 @dataclass(frozen=True)
 class RankedRow:
-    """One line of the table; ``value``, ``low`` and ``high`` for the bar, the last two None without an interval.
+    """One line of the table; ``value``, ``low`` and ``high`` for the bar, the last two None without bounds.
 
     ``corrected``: the error of the corrected poses of a SLAM, "" of other methods.
     """
@@ -97,7 +97,7 @@ def _rows_of_sequence(analysis: Analysis, sequence: SequenceAnalysis) -> tuple[s
     base = next((score.median for label in baselines if (score := ranking.of(label)) and score.median), None)
     rows = []
     for score in (*ranking.ranked, *(one for one in ranking.scores if one not in ranking.ranked and one.values)):
-        value, bounds = score.median or 0.0, score.interval
+        value, bounds = score.median or 0.0, score.band or score.interval
         note = "worse than the baseline" if sequence.is_behind(score.method) else _note(analysis, ranking, score.method)
         rows.append(
             RankedRow(

@@ -1,6 +1,7 @@
 """The ranked table of a comparison: columns, bars and length, calculated by hand."""
 
 import io
+from dataclasses import replace
 
 from rich.console import Console
 
@@ -61,6 +62,15 @@ def test_one_data_set_that_counts_is_ranked_by_its_own_errors(demo):
     head, rows = build_rows(analysis)
     assert head == "ATE RMSE, room"
     assert rows[0].method == analysis.answer.contests[0].ranked[0].method
+
+
+def test_the_bar_of_a_recording_is_the_range_of_its_repeated_runs_as_on_the_page(record, build):
+    records = []
+    for seed, error_m in enumerate((0.104, 0.100, 0.106, 0.103)):
+        one = record("icp", "hall", {"ate_rmse_m": error_m}, seed=seed)
+        records.append(replace(one, spec=replace(one.spec, sequence=replace(one.spec.sequence, perturbed=True))))
+    _, (row,) = build_rows(analyse(build(records)))
+    assert (row.low, row.high) == (0.100, 0.106)
 
 
 def test_without_a_verdict_the_methods_are_still_listed(record, build):
