@@ -10,6 +10,7 @@ from typing import Any
 
 from evalkit.commands.validate.acceptance import AcceptanceLevel, Check, Outcome
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, Results, is_equal
+from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.equivalence.lockstep import DISTURBED
 from evalkit.commands.validate.known_motion import known_motion_checks, peer_check
 from evalkit.commands.validate.rules.rule import RuleResult
@@ -147,7 +148,11 @@ def _equality(place: str, result: Result, terms: ComparisonTerms, unit: str) -> 
     worst = [abs(one["worst"]) for one in comparison["intervals"] if one["unit"] == "m" and one["worst"] is not None]
     if is_equal(comparison, terms.margin):
         diverged = f"; diverged by rounding: {classes}, first {first}" if first else ""
-        observed = f"largest difference {max(worst, default=math.inf):.2g} m"
+        single = "within single-precision rounding: " if terms.margin == FLOAT32 else ""
+        observed = f"{single}largest difference {max(worst, default=math.inf):.2g} m"
+        if comparison.get("excepted"):
+            count = f"{comparison['excepted']} of {comparison['questions']} answers"
+            observed += f"; {count} lie beyond the margin, where rounding decides the answer"
         return Check(name, place, "passed", "equal", observed, margin, size + diverged, comparison)
     unanswered = f"; {comparison['unanswered']} without an answer" if comparison["unanswered"] else ""
     observed = first or "every answer lies within the margin, but their mean does not"
@@ -169,8 +174,19 @@ def _drawn_checks(place: str, result: Result, terms: ComparisonTerms) -> list[Ch
             observed = f"{one['wrong']} of {asked} differ; first {one['what']}: {first.partition(', ')[2]}"
             checks.append(Check(name, place, "failed", "equal", observed, margin, data=one))
         elif one["asked"]:
-            checks.append(Check(name, place, "passed", "equal", f"{asked}, all answers are equal", margin, data=one))
+            checks.append(Check(name, place, "passed", "equal", _format_equal(one, terms), margin, data=one))
     return sorted(checks, key=lambda one: "has no effect" not in one.observed)  # the plainest cause first
+
+
+def _format_equal(family: Mapping[str, Any], terms: ComparisonTerms) -> str:
+    """That all answers of a family of drawn questions are equal, and within what."""
+    equal = "within single-precision rounding" if terms.margin == FLOAT32 else "equal"
+    text = f"{family['asked']} questions, all answers are {equal}"
+    if family["allowed_m"]:
+        text += f": at most {family['largest_m']:.2g} m apart where {family['allowed_m']:.2g} m are allowed"
+    if family["excepted"]:
+        text += f"; {family['excepted']} beyond that, where rounding decides the answer"
+    return text
 
 
 def _name_by_questions(checks: list[Check], drawn: Results, terms: ComparisonTerms) -> list[Check]:

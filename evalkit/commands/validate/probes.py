@@ -239,6 +239,8 @@ def _compare(
 ) -> dict[str, Any]:
     """The comparison under every margin; ``beyond_rounding``: answers beyond it for another reason than rounding.
 
+    ``excepted``: those beyond it that rounding decides.
+
     ``reference_of``: the reference of a stage, which is asked again with perturbed points where an answer differs under
     the float32 margin: what rounding decides is no difference.
     """
@@ -253,7 +255,12 @@ def _compare(
             beyond = [one for one in beyond if id(one) not in undecided]
             decided = [(one, result.margin) for one in answered if id(one) not in undecided]
             fields = comparison.count_fields(decided, choice)
-        results[name] = result.as_json() | {"beyond_rounding": len(beyond), "fields": dict(fields)}
+        apart = [one for one in answered if one.b is not None
+                 and not result.margin.holds(one.a.target_from_source, one.b.target_from_source)]  # fmt: skip
+        excepted = sum(one not in beyond for one in apart)
+        results[name] = result.as_json() | {
+            "beyond_rounding": len(beyond), "excepted": excepted, "fields": dict(fields),
+        }  # fmt: skip
     return results
 
 

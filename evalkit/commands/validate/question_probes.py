@@ -186,6 +186,7 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
         families[family] = {
             "asked": len(members), "wrong": len(wrong), "unanswered": missing, "fields": fields,
             "examples": {name: examples[name] for name in fields},
+            **_describe_differences([each for each in members if each[0] not in dict(wrong)]),
             "recounted": sum(_is_recounted(*each) for each in wrong),
             "counted": all(one.answers.b and one.answers.a.iterations and one.answers.b.iterations for one, _ in wrong),
             "mispaired": any(_is_mispaired(*each, margin_of[each[0]]) for each in wrong[:MAX_MOVED]),
@@ -235,6 +236,21 @@ def _describe_where(verdicts: list[tuple[Asked, bool]]) -> str:
         if not any(min(wrong) <= each <= max(wrong) for each in right):
             return f"only where {name} is between {min(wrong):.4g} and {max(wrong):.4g}"
     return ""
+
+
+def _describe_differences(accepted: list[tuple[Asked, Margin]]) -> dict[str, Any]:
+    """The largest difference of accepted answers, by its margin, and the number of those beyond their margin."""
+    apart = [(_distance_m(one.answers), margin.metres) for one, margin in accepted if one.answers.b is not None
+             and margin.holds(one.answers.a.target_from_source, one.answers.b.target_from_source)]  # fmt: skip
+    largest_m, allowed_m = max(apart, key=lambda each: each[0] / each[1], default=(0.0, 0.0))
+    return {"largest_m": largest_m, "allowed_m": allowed_m, "excepted": len(accepted) - len(apart)}
+
+
+def _distance_m(answers: AnswerPair) -> float:
+    if answers.b is None:
+        return math.inf
+    a, b = answers.a.target_from_source, answers.b.target_from_source
+    return math.hypot(b.x - a.x, b.y - a.y)
 
 
 def _is_recounted(one: Asked, divergence: Divergence) -> bool:

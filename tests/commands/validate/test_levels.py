@@ -260,7 +260,7 @@ def drawn(clear=None, limits=0, where="", crowded=0, mispaired=0, scales=0, para
     first = clear and {"quantity": clear, "kind": "different", "what": "w", "scan": 1, "stage": "clear",
                        "iteration": None}  # fmt: skip
     none = {"asked": 0, "wrong": 0, "what": "", "first": None, "fields": {}, "unanswered": 0, "recounted": 0,
-            "mispaired": 0, "counted": True}  # fmt: skip
+            "mispaired": 0, "counted": True, "largest_m": 0.0, "allowed_m": 0.0, "excepted": 0}  # fmt: skip
     families = {"clear": none | {"asked": 4, "wrong": int(bool(clear)), "what": "points", "first": first} | evidence,
                 "limits": none | {"asked": 4, "wrong": limits, "what": "a limit", "first": first},
                 "points": none | {"wrong": crowded, "mispaired": mispaired}, "sizes": none,
@@ -316,6 +316,27 @@ def test_drawn_questions_are_checked_by_family():
     wrong, equal = level_answers._drawn_checks("seed 1", drawn("pose")["seed 1"], TERMS)
     assert (wrong.outcome, wrong.observed) == ("failed", "1 of 4 questions differ; first points: pose: different: w")
     assert (equal.outcome, equal.observed) == ("passed", "4 questions, all answers are equal")
+
+
+def test_what_single_precision_excuses_is_said():
+    rounded = drawn(largest_m=3e-6, allowed_m=4e-5, excepted=1)["seed 1"]
+    found = level_answers._drawn_checks("seed 1", {"float32": rounded["exact"]}, SINGLE)[0]
+    assert found.observed == (
+        "4 questions, all answers are within single-precision rounding: at most 3e-06 m apart where 4e-05 m are "
+        "allowed; 1 beyond that, where rounding decides the answer"
+    )
+    comparison = {
+        "equivalent": True, "level": "answers", "n": 4, "questions": 8, "unanswered": 0, "beyond_rounding": 0,
+        "excepted": 2, "first": None, "classes": {}, "margin": {"metres": 1e-4, "radians": 1e-5, "origin": "float32"},
+        "intervals": [{"unit": "m", "worst": -1.9e-4}],
+    }  # fmt: skip
+    found = level_answers._equality("room", {"float32": comparison}, SINGLE, "pair")
+    assert (found.outcome, found.observed) == (
+        "passed", "within single-precision rounding: largest difference 0.00019 m; 2 of 8 answers lie beyond the "
+                  "margin, where rounding decides the answer",
+    )  # fmt: skip
+    plain = level_answers._equality("room", {"exact": {**comparison, "excepted": 0}}, TERMS, "pair")
+    assert plain.observed == "largest difference 0.00019 m"
 
 
 def test_without_results_no_margin_is_chosen():

@@ -113,6 +113,16 @@ def test_only_other_pairs_in_the_first_iteration_whatever_the_guess_point_to_the
         assert question_probes._is_mispaired(one, divergence, Margin()) is mispaired
 
 
+def test_the_largest_difference_is_that_nearest_to_the_margin_of_its_own_question():
+    def apart(metres, allowed_m):
+        return asked(0.0, b=replace(MATCH, target_from_source=Pose(metres, 0.0, 0.0))), Margin(allowed_m, 1e-3)
+
+    accepted = [apart(1e-3, 2e-3), apart(4e-3, 1.0), apart(0.5, 1e-3)]  # the last one beyond: rounding decides it
+    found = question_probes._describe_differences(accepted)
+    assert found == {"largest_m": 1e-3, "allowed_m": 2e-3, "excepted": 1}
+    assert question_probes._describe_differences([]) == {"largest_m": 0.0, "allowed_m": 0.0, "excepted": 0}
+
+
 def test_a_parameter_without_effect_is_named_instead_of_its_difference(monkeypatch):
     other = replace(MATCH, target_from_source=Pose(0.5123456789012, 0.2, 0.1))
     one = asked(0.0, family="parameter epsilon", b=other)
