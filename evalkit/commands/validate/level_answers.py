@@ -203,22 +203,24 @@ def _name_by_questions(checks: list[Check], drawn: Results, terms: ComparisonTer
     if "clear" not in families[0]:  # odometries
         return [replace(one, observed=f"{one.observed}; {where}") if where and one.outcome == "failed"
                 and where not in one.observed and one.deciding == "equal" else one for one in checks]  # fmt: skip
+    start = next(one[terms.margin]["start"] for one in drawn.values() if ENDED not in one)
 
     def named(check: Check) -> Check:
         text = check.observed
         if check.outcome == "failed" and any(phrase in text for phrase in UNNAMED):
-            return replace(check, observed="; ".join(filter(None, (text, _describe_cause(text, families[0], where)))))
+            cause = _describe_cause(text, families[0], start, where)
+            return replace(check, observed=f"{text}; {cause}" if cause else text)
         return check
 
     return [named(check) for check in checks]
 
 
-def _describe_cause(text: str, families: Mapping[str, Mapping[str, Any]], where: str) -> str:
+def _describe_cause(text: str, families: Mapping[str, Mapping[str, Any]], start: str, where: str) -> str:
     """The cause of a first difference in words, or what the questions show where they leave several; "" if nothing."""
     clear, limits = families["clear"], families.get("limits", {"wrong": 0})
     mispaired = any(one["mispaired"] for one in families.values())
-    if where:
-        return f"answers differ {where}"
+    if start or where:
+        return f"another start: {start}" if start else f"answers differ {where}"
     if clear["wrong"]:
         return _describe_clear(text, clear, mispaired)
     if limits["wrong"]:

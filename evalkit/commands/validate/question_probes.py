@@ -14,6 +14,7 @@ from evalkit.commands.validate.drive_probes import compare_drives
 from evalkit.commands.validate.equivalence import lockstep
 from evalkit.commands.validate.equivalence.agreement import as_plain
 from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING, MarginChoice, count_fields
+from evalkit.commands.validate.equivalence.diagnosis import mistakes_in_start
 from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence, wrong_fields
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, Question
 from evalkit.commands.validate.equivalence.margins import Margin, Scale, float32_margin, float64_margin
@@ -34,6 +35,8 @@ TIE_M = 1e-5
 
 MAX_MOVED = 5
 """Questions of a family that are asked again with the source moved by the guess."""
+
+FIELDS_OF_TRACE = ("trace length", "trace inliers", "trace error", "trace pose")
 
 Effect = Literal["none", "some", "not asked"]
 """The effect of a changed parameter on an answer, where it has one on the reference."""
@@ -149,6 +152,7 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
     """The comparison of all questions, in the form of an ``Equivalence`` and by family."""
     families: dict[str, dict[str, Any]] = {}
     verdicts: list[tuple[Asked, bool]] = []
+    restarted: list[tuple[Asked, Margin]] = []
     widest, beyond, unanswered, first = Margin(1e-300, 1e-300), 0, 0, None
     plausible = True
 
@@ -170,6 +174,7 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
             if divergence and not is_undecided(one, known):
                 wrong.append((one, divergence))
             verdicts.append((one, bool(wrong) and wrong[-1][0] is one))
+        restarted += [(one, margin_of[one]) for one, _ in wrong[:2]]
         plausible = plausible and not (family == "clear" and wrong)
         plain = [
             (one, known) for one, known in members
@@ -198,7 +203,7 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
         "equivalent": not beyond, "level": "answers", "n": count, "questions": count, "unanswered": unanswered,
         "beyond_rounding": beyond, "first": first, "classes": {}, "intervals": [], "fields": {},
         "margin": asdict(widest), "families": families,
-        "where": _describe_where(verdicts),
+        "where": _describe_where(verdicts), "start": _describe_start(restarted),
     }  # fmt: skip
 
 
@@ -272,6 +277,29 @@ def _is_mispaired(one: Asked, divergence: Divergence, margin: Margin) -> bool:
     moved = replace(question, source=Cloud(question.guess.transform(question.source.points)), guess=Pose())
     again = first_divergence(one.ask(moved), margin, explain=False)
     return again is not None and again.quantity == "pairs" and again.iteration == 1
+
+
+def _describe_start(wrong: list[tuple[Asked, Margin]]) -> str:
+    """The mistakes in the guess with which the reference itself gives the other answers, in every field; "" if none.
+
+    ``wrong``: some questions that differ, with their margins; one mistake has to explain all of them.
+    """
+    if len(wrong) < MIN_WRONG:
+        return ""
+    found: list[str] | None = None
+    for one, margin in wrong:
+        question, b = one.drawn.question, one.answers.b
+        if b is None:
+            return ""
+        unreported = {*(FIELDS_OF_TRACE if not b.history else ()), *(("error",) if math.isnan(b.error) else ())}
+        explained = []
+        for start in mistakes_in_start(question.guess.row):
+            if found is None or start.what in found:
+                again = lockstep.answer(one.reference, replace(question, guess=Pose.of(start.row)), one.answers.a).b
+                if again is not None and unreported.issuperset(wrong_fields(again, b, margin)):
+                    explained.append(start.what)
+        found = explained
+    return " or ".join(found or ())
 
 
 def _has_wrong_field(one: Asked, margin: Margin) -> bool:

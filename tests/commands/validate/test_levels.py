@@ -255,7 +255,7 @@ def test_times_are_told_by_the_clock_that_measured_them(reference, tmp_path):
     assert memory.observed == "256 MiB with interpreter and data (paper 256 MiB)"
 
 
-def drawn(clear=None, limits=0, where="", crowded=0, mispaired=0, scales=0, parameters=0, **evidence):
+def drawn(clear=None, limits=0, where="", start="", crowded=0, mispaired=0, scales=0, parameters=0, **evidence):
     """Drawn questions with a first difference of well separated points in a quantity; ``evidence``: of their family."""
     first = clear and {"quantity": clear, "kind": "different", "what": "w", "scan": 1, "stage": "clear",
                        "iteration": None}  # fmt: skip
@@ -267,7 +267,8 @@ def drawn(clear=None, limits=0, where="", crowded=0, mispaired=0, scales=0, para
                 "scales": none | {"wrong": scales, "what": "far away"},
                 "parameters at once": none | {"wrong": parameters, "what": "epsilon = 0"}}  # fmt: skip
     margin = {"metres": 1e-9, "radians": 1e-9}
-    return {"seed 1": {"exact": {"families": families, "where": where, "margin": margin, "questions": 8, "fields": {}}}}
+    found = {"families": families, "where": where, "start": start, "margin": margin, "questions": 8, "fields": {}}
+    return {"seed 1": {"exact": found}}
 
 
 UNNAMED = Check("equal to paper", "room", "failed", "equal", "7 pairs against 6; not both report their pairs")
@@ -276,6 +277,7 @@ UNNAMED = Check("equal to paper", "room", "failed", "equal", "7 pairs against 6;
 @pytest.mark.parametrize(
     ("questions", "cause"),
     [
+        (drawn(start="the guess is not used", where="only where x is above 3"), "another start: the guess is not used"),
         (drawn(where="only where x is above 3"), "answers differ only where x is above 3"),
         (drawn("pairs", recounted=1), "even well separated points give another number of pairs"),
         (drawn("answer", recounted=1), "even well separated points give another number of pairs"),

@@ -1,5 +1,6 @@
 """What surrounds a validation: options, the quantity that separates wrong answers, drives, maps and pairs by hand."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -111,6 +112,24 @@ def test_only_other_pairs_in_the_first_iteration_whatever_the_guess_point_to_the
         one = asked(0.1, b=b, ask=ask)
         assert question_probes._is_recounted(one, divergence) is recounted
         assert question_probes._is_mispaired(one, divergence, Margin()) is mispaired
+
+
+def test_a_start_with_which_the_reference_gives_the_other_answers_is_named():
+    """A reference that answers its guess: whoever answers that guess with a heading in another unit began there."""
+    reference = SimpleNamespace(register=lambda _target, _source, guess: replace(MATCH, target_from_source=guess))
+
+    def answers(*headings, scale):
+        return [
+            (asked(at, b=replace(MATCH, target_from_source=Pose(0.0, 0.0, scale * at)), reference=reference), Margin())
+            for at in headings
+        ]
+
+    degrees = answers(0.1, -0.2, 0.3, scale=math.pi / 180.0)
+    assert question_probes._describe_start(degrees) == "the guess's angle is interpreted as degrees"
+    unknown = answers(0.4, scale=0.7)  # one answer that no start explains
+    assert question_probes._describe_start(degrees + unknown) == ""
+    assert question_probes._describe_start(degrees[:2]) == ""  # too few
+    assert question_probes._describe_start([*degrees, (asked(0.1, b=None), Margin())]) == ""
 
 
 def test_the_largest_difference_is_that_nearest_to_the_margin_of_its_own_question():
