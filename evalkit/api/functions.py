@@ -27,7 +27,7 @@ from evalkit.execution.scheduler import Scheduler
 from evalkit.odometry import frontend
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.address import address_of
-from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, Value
+from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, NUISANCE, Value
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 from evalkit.results.store import Store
 
@@ -46,6 +46,7 @@ def compare(
     map: str | Path | None = None,  # noqa: A002 - the word of the command line
     start: tuple[float, float, float] | None = None,
     align_truth: bool = False,
+    nuisance: int = 0,
     out: str | Path | None = None,
     jobs: int = 1,
     resume: bool = True,
@@ -59,26 +60,27 @@ def compare(
     by its content if not given. ``out``: the results folder; ``./evalkit-results/NAME`` if not given. ``map``: the
     map_server YAML file of a map in which the methods track the robot, from ``start`` (x m, y m, yaw deg in the map) or
     from where the first scans are found. ``align_truth``: the ground truth is in another frame than the map.
-    ``jobs``: runs at a time. ``resume``: use stored results of equal code, data and parameters.
+    ``nuisance``: further runs of each method under small perturbations, 0 or 2 to 64; a verdict takes 5. ``jobs``: runs
+    at a time. ``resume``: use stored results of equal code, data and parameters.
     ``settings``: parameters of the reader, such as ``topic="/scan"``; others are what the reader finds in the
     recording and beside it (topic, ground truth, no-return code).
 
     Runs that fail are rows of the results. Raises BadData, BadParameter or UnknownName for wrong input.
     """
     path = Path(recording)
-    localisation: dict[str, Value] = {MAP: str(map or ""), ALIGN_TRUTH: align_truth}
-    localisation[MAP_START] = ",".join(str(float(one)) for one in start or ())
-    localisation = {name: value for name, value in localisation.items() if value}
+    keys: dict[str, Value] = {MAP: str(map or ""), ALIGN_TRUTH: align_truth, NUISANCE: nuisance}
+    keys[MAP_START] = ",".join(str(float(one)) for one in start or ())
+    keys = {name: value for name, value in keys.items() if value}
     files = {"ground_truth": reference, "relations": relations}
     given = {name: str(value) for name, value in files.items() if value is not None}
     if path.suffix == ".toml":
-        for name in (*given, *settings, *localisation, *(["methods"] if methods else [])):
+        for name in (*given, *settings, *keys, *(["methods"] if methods else [])):
             raise BadParameter(str(path), name, "an argument", "a key of the experiment file")
         return run(load_experiment(path), out, jobs=jobs, resume=resume)
     tables = [_method_table(method) for method in methods]
     found = open_recording(path, {name: str(value) for name, value in settings.items()} | given, reader)
     experiment = experiment_from_recording(
-        found, found.choose(), tables or defaults.find_default_backends(), f"compare {path}", localisation
+        found, found.choose(), tables or defaults.find_default_backends(), f"compare {path}", keys
     )
     read_first_frame(experiment)
     return run(experiment, out, jobs=jobs, resume=resume)

@@ -18,7 +18,7 @@ from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.specs import Choice, DatasetSpec
 
-NO_MAP: Mapping[str, Value] = {}
+NO_KEYS: Mapping[str, Value] = {}
 
 MAPPER = "mapper."
 """Prefix of a choice for the mapper."""
@@ -66,12 +66,12 @@ def experiment_from_recording(
     choices: Iterable[Choice],
     methods: Sequence[str | Mapping[str, object]],
     source: str,
-    localisation: Mapping[str, Value] = NO_MAP,
+    keys: Mapping[str, Value] = NO_KEYS,
 ) -> Experiment:
     """The given methods on one recording, with the choices for reader and mapper that are not given.
 
     ``methods``: names, or tables of an experiment file. ``source``: the command line, for the commands in the report.
-    ``localisation``: the keys of a sequence for a known map.
+    ``keys``: further keys of the sequence: for a known map, and ``nuisance``.
     """
     chosen = {one.name: one.value for one in choices if one.value is not None}
     reading = {name: value for name, value in chosen.items() if not name.startswith(MAPPER)} | dict(recording.given)
@@ -80,13 +80,11 @@ def experiment_from_recording(
     many = "one method" if len(methods) == 1 else f"{len(methods)} methods"
     content = {
         "title": f"{recording.path.name}: {many} on one recording",
-        "sequence": [{"use": recording.reader, "label": recording.path.name, **reading, **localisation}],
+        "sequence": [{"use": recording.reader, "label": recording.path.name, **reading, **keys}],
         "method": [{"use": one} if isinstance(one, str) else dict(one) for one in methods],
         "mapper": {name: value for name, value in mapping.items() if name in known},
     }
-    return experiment_from_tables(
-        content, f"compare {recording.path}", name_experiment(recording, localisation), source
-    )
+    return experiment_from_tables(content, f"compare {recording.path}", name_experiment(recording, keys), source)
 
 
 def read_first_frame(experiment: Experiment) -> Frame:
@@ -112,13 +110,13 @@ def _as_bad_data(name: str) -> Iterator[None]:
         raise BadData(name, "", what, "is the file whole?") from error
 
 
-def name_experiment(recording: Recording, localisation: Mapping[str, Value]) -> str:
+def name_experiment(recording: Recording, keys: Mapping[str, Value]) -> str:
     """Return the name of the experiment of a recording: file, topic, and a hash of path and settings.
 
     So every combination has its own results folder.
     """
     settings = {name: value for name, value in recording.given.items() if name != "path"}
-    identity = json.dumps([str(recording.path.resolve()), {**settings, **localisation}], sort_keys=True)
+    identity = json.dumps([str(recording.path.resolve()), {**settings, **keys}], sort_keys=True)
     digest = hashlib.sha256(identity.encode()).hexdigest()[:6]
     words = [recording.path.name, str(settings.get("topic", "")), digest]
     cleaned = ("".join(char if char.isalnum() else "-" for char in word).strip("-") for word in words)

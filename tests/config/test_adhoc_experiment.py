@@ -30,6 +30,14 @@ def test_a_log_is_read_by_the_reader_of_its_suffix(log):
     assert (sequence.seeds, made.source) == ((None,), "compare it")
 
 
+def test_a_recording_runs_as_it_is_and_under_perturbations(log):
+    made = experiment_from_recording(open_recording(log, {}), (), ["wheel-odometry"], "compare it", {"nuisance": 5})
+    (sequence,) = made.sequences
+    assert (sequence.perturbed, sequence.seeds) == (True, (None, 1, 2, 3, 4, 5))
+    with pytest.raises(BadExperiment, match="found 1, expected 0, or 2 to 64 perturbations"):
+        experiment_from_recording(open_recording(log, {}), (), ["wheel-odometry"], "compare it", {"nuisance": 1})
+
+
 def test_a_folder_is_read_by_the_reader_of_its_content(tmp_path):
     folder = tmp_path / "drive"
     folder.mkdir()

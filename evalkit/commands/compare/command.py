@@ -25,7 +25,7 @@ from evalkit.execution.environment import describe
 from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, Value
+from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, NUISANCE, Value
 from evalkit.results import descriptions
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress, run_summary
@@ -88,6 +88,15 @@ def compare(
         list[str] | None,
         typer.Option("--set", help="NAME=VALUE of the reader (repeatable).", rich_help_panel=RECORDING),
     ] = None,
+    nuisance: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Further runs under small perturbations; 5 for a verdict.",
+            show_default=False,
+            rich_help_panel=RECORDING,
+        ),
+    ] = 0,
     sequence: options.Sequences = None,
     method: options.Methods = None,
     seed: options.Seeds = None,
@@ -110,27 +119,27 @@ def compare(
     """
     files = {"topic": topic, "relations": relations, "ground_truth": ground_truth, "spans": spans}
     given = {name: str(value) for name, value in files.items() if value}
-    localisation: dict[str, Value] = {MAP: str(known_map or ""), MAP_START: start, ALIGN_TRUTH: align_truth}
-    localisation = {name: value for name, value in localisation.items() if value}
+    keys: dict[str, Value] = {
+        MAP: str(known_map or ""), MAP_START: start, ALIGN_TRUTH: align_truth, NUISANCE: nuisance
+    }  # fmt: skip
+    keys = {name: value for name, value in keys.items() if value}
     if source.suffix == ".toml":
         flags: dict[str, object] = {
             "backends": backends, "set": setting, "all": everything, "as-is": as_is, "reader": reader
         }  # fmt: skip
-        flags |= {_option(name): value for name, value in localisation.items()}
+        flags |= {_option(name): value for name, value in keys.items()}
         for name in [*map(_option, given), *(name for name, value in flags.items() if value)]:
             raise typer.BadParameter(f"--{name}: needs a recording; in an experiment it is a key of the file")
         recording, named = None, []
     else:
         named = _name_backends(backends, everything)
         recording = open_recording(source, options.settings(setting or []) | given, reader)
-    folder = folder or RESULTS / (name_experiment(recording, localisation) if recording else source.stem)
+    folder = folder or RESULTS / (name_experiment(recording, keys) if recording else source.stem)
     with descriptions.only_stored_in(folder) if collect else nullcontext():
         if recording is None:
             experiment = load_experiment(source)
         else:
-            experiment = _experiment_of_recording(
-                recording, source, given, localisation, named, setting or [], as_is, reader
-            )
+            experiment = _experiment_of_recording(recording, source, given, keys, named, setting or [], as_is, reader)
         experiment = experiment.untimed() if accuracy_only else experiment
         experiment = experiment.select(sequence or [], method or [], seed or [])
         how = RunOptions.of(jobs, resume, rerun, collect, engine, scheduler, insecure)
@@ -160,7 +169,7 @@ def _experiment_of_recording(
     recording: Recording,
     source: Path,
     given: dict[str, str],
-    localisation: dict[str, Value],
+    keys: dict[str, Value],
     backends: list[str],
     settings: list[str],
     as_is: bool,
@@ -172,12 +181,12 @@ def _experiment_of_recording(
         err.print(choice.reason, markup=False, highlight=False)
     words = ["compare", str(source)]
     words += [word for name, value in given.items() for word in (f"--{_option(name)}", value)]
-    for name, value in localisation.items():
+    for name, value in keys.items():
         words += [f"--{_option(name)}", *([] if value is True else [str(value)])]
     words += ["--backends", ",".join(backends), *(["--as-is"] if as_is else [])]
     words += ["--reader", reader] if reader else []
     words += [word for item in settings for word in ("--set", item)]
-    experiment = experiment_from_recording(recording, choices, backends, shlex.join(words), localisation)
+    experiment = experiment_from_recording(recording, choices, backends, shlex.join(words), keys)
     read_first_frame(experiment)
     return experiment
 
