@@ -10,11 +10,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from evalkit.core.odometry_estimate import StageEstimate
 from evalkit.core.pose import Pose
-from evalkit.core.se2 import Floats
 from evalkit_baselines.slam.second_try import MIN_SHARE
 
 USUAL_SCANS = 50.0
@@ -22,10 +19,6 @@ USUAL_SCANS = 50.0
 
 DOUBTED = 2.0
 """A match with more than this many times the usual error is doubted, with twice that wholly."""
-
-ON_MAP = 0.6
-"""A doubted scan with a smaller share of its points on the map fits nowhere: a tilted lidar, people around it. Where
-the robot turns into a new room, the points that see the old one still lie on the map: at least 0.65 on recordings."""
 
 
 class Doubt(NamedTuple):
@@ -46,18 +39,6 @@ class MatchDoubt:
     def usual_m(self) -> float:
         """Usual error of matches, a recent mean (m); 0 before the first one."""
         return self._usual_m
-
-    def fits_nowhere(self, match: StageEstimate, points: Floats, local_map: Floats, voxel_m: float) -> bool:
-        """Return whether a doubted scan, matched to points (N, 2), lies beside the map (M, 2) of voxels of that side.
-
-        A point lies on the map within half a voxel and the usual error.
-        """
-        from scipy.spatial import cKDTree  # noqa: PLC0415 - specs are listed without SciPy
-
-        if self._usual_m == 0.0 or not match.residual_m > DOUBTED * self._usual_m:
-            return False
-        distance, _ = cKDTree(local_map).query(points, distance_upper_bound=0.5 * voxel_m + self._usual_m)
-        return float(np.isfinite(np.asarray(distance)).mean()) < ON_MAP
 
     def observe(self, predicted: Pose | None, matched: Pose, match: StageEstimate, points: int) -> None:
         """Add a scan of so many points, by its accepted match with the map and the pose by odometry, if any."""

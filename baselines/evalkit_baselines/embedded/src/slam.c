@@ -234,13 +234,12 @@ static void judge(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_sla
     const int lost =
         ek_continuity_is_lost(&slam->continuity, &slam->thinner, slam->scan.hits, slam->scan.count, pose,
                               slam->parameters.scan.base_from_sensor, has_odometry, &slam->map_index, work);
-    const int fits = !lost && !(estimate->scan_to_map_accepted && ek_slam_fits_nowhere(slam, pose, &estimate->scan_to_map));
-    if (fits || !slam->motion.started) {
+    if (!lost || !slam->motion.started) {
         slam->fitted_ns = prior->stamp_ns;
     }
     const uint64_t since = (uint64_t)prior->stamp_ns - (uint64_t)slam->fitted_ns;
     const int measured = slam->motion.has_last_odometry && prior->has_odometry;
-    estimate->set_aside = !fits && measured && since <= PATIENCE_NS;
+    estimate->set_aside = lost && measured && since <= PATIENCE_NS;
     estimate->lost = lost && !estimate->set_aside;
 }
 

@@ -23,7 +23,6 @@
 #define CLEAR_SHARE EK_R(0.9)
 #define USUAL_SCANS EK_R(50.0) /* scans over which the usual error of matches is averaged */
 #define DOUBTED EK_R(2.0)    /* times the usual error: beyond it a match is doubted, beyond twice that wholly */
-#define ON_MAP EK_R(0.6)     /* a doubted scan with a smaller share of its points on the map fits nowhere */
 #define FEWEST 40u           /* a match of a scan with fewer points is not believed by the strict gate either */
 
 static const ek_real TURNS[] = {EK_R(0.0), EK_R(-12.0), EK_R(12.0), EK_R(-24.0), EK_R(24.0)}; /* deg: of further tries */
@@ -84,21 +83,16 @@ void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *o
     wheels->keyframe = wheels->now;
 }
 
-/* Number of points within a distance of a target. */
-static size_t count_within(const ek_index *target, const ek_real *xy, size_t count, ek_pose pose, ek_real limit)
+/* Number of points within NEAR of a target. */
+static size_t count_near(const ek_index *target, const ek_real *xy, size_t count, ek_pose pose)
 {
     const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta);
     size_t near = 0u;
     for (size_t k = 0; k < count; k++) {
         const ek_real x = xy[2u * k], y = xy[2u * k + 1u];
-        near += ek_index_nearest(target, c * x - s * y + pose.x, s * x + c * y + pose.y, limit, limit).slot != EK_NONE;
+        near += ek_index_nearest(target, c * x - s * y + pose.x, s * x + c * y + pose.y, NEAR, NEAR).slot != EK_NONE;
     }
     return near;
-}
-
-static size_t count_near(const ek_index *target, const ek_real *xy, size_t count, ek_pose pose)
-{
-    return count_within(target, xy, count, pose, NEAR);
 }
 
 /* 1 where a further try has not left its place. */
@@ -191,16 +185,6 @@ int ek_slam_is_believed(int strict, size_t points, ek_pose guess, ek_pose answer
     const int clear = match->converged && match->error < CLEAR &&
                       (ek_real)match->inliers >= CLEAR_SHARE * (ek_real)points;
     return !(strict && points < FEWEST) && (clear || !far);
-}
-
-int ek_slam_fits_nowhere(const ek_slam *slam, ek_pose odom_from_base, const ek_match *match)
-{
-    const ek_real usual = slam->usual_error, limit = EK_R(0.5) * slam->parameters.map_voxel + usual;
-    if (usual == EK_R(0.0) || !(match->error > DOUBTED * usual)) {
-        return 0;
-    }
-    const size_t count = slam->scan.count;
-    return (ek_real)count_within(&slam->map_index, slam->scan.hits, count, odom_from_base, limit) < ON_MAP * (ek_real)count;
 }
 
 void ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match)

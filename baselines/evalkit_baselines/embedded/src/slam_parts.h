@@ -9,7 +9,6 @@
 #define ek_slam_observe_wheels EK_NAME(slam_observe_wheels)
 #define ek_slam_match EK_NAME(slam_match)
 #define ek_slam_is_believed EK_NAME(slam_is_believed)
-#define ek_slam_fits_nowhere EK_NAME(slam_fits_nowhere)
 #define ek_slam_doubt EK_NAME(slam_doubt)
 #define ek_slam_init EK_NAME(slam_init)
 #define ek_slam_track EK_NAME(slam_track)
@@ -40,9 +39,6 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek
 
 /* 0 where a match of a scan contradicts the odometry that its guess comes from (odometry_gate.py). */
 int ek_slam_is_believed(int strict, size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
-
-/* 1 if the scan, matched with the map at a pose, is doubted and lies beside the map (match_doubt.py). */
-int ek_slam_fits_nowhere(const ek_slam *slam, ek_pose odom_from_base, const ek_match *match);
 
 /* Add to the doubt of the step: where a match fits poorly, the truth may be anywhere between it and the pose
  * that wheel odometry predicts (NULL: without odometry there is no such doubt). Averages the usual error. */

@@ -255,30 +255,6 @@ static void a_covered_lidar_keeps_its_track_for_a_while(void)
     free(arena.memory);
 }
 
-/* A usual error of 0.02 m, a map of one point, voxels of 0.1 m: of ten points of a doubted scan, five within 0.07 m of the
- * map are too few and six are enough. A match of 0.04 m is not doubted, nor is any before the first. */
-static void a_doubted_scan_beside_the_map_fits_nowhere(void)
-{
-    const ek_slam_parameters parameters = parameters_of(0);
-    ek_arena arena = start(&parameters);
-    const ek_real point[] = {EK_R(1.0), EK_R(2.0)};
-    CHECK(ek_index_build(&slam.map_index, point, 1u) == EK_OK);
-    slam.scan.count = 10u;
-    for (size_t near = 5u; near < 7u; near++) {
-        const ek_match poor = {pose_of(0.0, 0.0, 0.0), 1, 5, 10, EK_R(0.041), 0u}, fair = {pose_of(0.0, 0.0, 0.0), 1, 5, 10, EK_R(0.039), 0u};
-        for (size_t k = 0; k < 10u; k++) {
-            slam.scan.hits[2u * k] = EK_R(0.0);
-            slam.scan.hits[2u * k + 1u] = k < near ? EK_R(0.069) : EK_R(0.071);
-        }
-        slam.usual_error = EK_R(0.0);
-        CHECK(!ek_slam_fits_nowhere(&slam, pose_of(1.0, 2.0, 0.5), &poor));
-        slam.usual_error = EK_R(0.02);
-        CHECK(ek_slam_fits_nowhere(&slam, pose_of(1.0, 2.0, 0.5), &poor) == (near == 5u));
-        CHECK(!ek_slam_fits_nowhere(&slam, pose_of(1.0, 2.0, 0.5), &fair));
-    }
-    free(arena.memory);
-}
-
 /* A usual error of 0.02 m: a match of 0.04 m is not doubted, one of 0.06 m by half, and wholly from 0.08 m or with pairs
  * for less than 80 % of the points on. Its share, squared, of the squared gap to the prediction is the variance. */
 static void a_step_is_doubted_where_its_matches_fit_poorly(void)
@@ -1054,7 +1030,6 @@ int main(void)
     refused_scans_change_nothing();
     a_carried_robot_finds_its_place();
     a_covered_lidar_keeps_its_track_for_a_while();
-    a_doubted_scan_beside_the_map_fits_nowhere();
     a_step_is_doubted_where_its_matches_fit_poorly();
     a_match_far_from_the_odometry_must_be_clear();
     the_gate_believes_the_odometry_before_few_points();
