@@ -29,7 +29,7 @@ PIPELINE: Words = {
     "FrontEnd._source": "points of the scan (eq. 1)",
     "FrontEnd._register s2s": "register with the last scan",
     "FrontEnd._register s2m": "register with the local map",
-    "FrontEnd._keep": "keep for the next scans",
+    "FrontEnd.keep": "keep for the next scans",
     "LogOddsGrid.update": "add to the log-odds grid",
 }
 REGISTRATION: Words = {
