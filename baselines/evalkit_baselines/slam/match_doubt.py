@@ -1,4 +1,4 @@
-"""How far a step between two keyframes may be wrong because its matches fit poorly, and which scans fit nowhere.
+"""How far a step between two keyframes may be wrong because its matches fit poorly.
 
 Where a scan fits the map worse than usual, the match or the map is wrong, and the truth may be anywhere between the
 match and the pose that wheel odometry predicts. A step whose error is thought to be that of the drift alone keeps the

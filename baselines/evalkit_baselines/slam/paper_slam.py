@@ -46,7 +46,7 @@ _CORRECTED_M, _CORRECTED_RAD = 0.01, math.radians(0.5)
 """An earlier pose that moves by more was corrected, see ``OdometryEstimate.corrected``."""
 
 PATIENCE_NS = 2_000_000_000
-"""With wheel odometry, scans that fit nowhere are set aside until so long after the last one that did: a bump, or
+"""With wheel odometry, scans that lie nowhere are set aside until so long after the last one that did: a bump, or
 people around the robot. Without it no prediction holds so long."""
 
 
@@ -112,7 +112,7 @@ class PaperSlam:
         self._scale = OdometryScale()
         self._doubt = MatchDoubt()
         self._wheels: Pose | None = None  # raw odometry at the last keyframe
-        self._fitted_ns: int | None = None  # stamp of the last scan that fitted
+        self._fitted_ns: int | None = None  # stamp of the last scan that was not lost
 
     def update(self, frame: Frame) -> OdometryEstimate:
         """Match one scan; a new keyframe may close a loop, which corrects this pose and all earlier ones.

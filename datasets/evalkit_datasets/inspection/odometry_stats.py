@@ -157,9 +157,6 @@ class TurnComparison:
         return high < 1.0 - SAME_SCALE or low > 1.0 + SAME_SCALE
 
 
-SAME_SCALE = 0.15
-
-
 MAX_PAIR_S = 3.0
 MAX_SHIFT = 0.25
 """Translation divided by range, as a share of the rotation: pairs that translate more are not used."""
@@ -168,6 +165,7 @@ MIN_TURN = math.radians(3.0)
 MAX_TURN = math.radians(35.0)
 MAX_PAIRS = 200
 MIN_PAIRS = 8
+SAME_SCALE = 0.15
 CLIP_M = 10.0
 MAX_DIFFERENCES = 500_000
 """Differences of ranges in memory at a time: a scan may have very many beams."""

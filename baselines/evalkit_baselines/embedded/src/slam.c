@@ -10,7 +10,7 @@
 #define RECENTRE EK_R(0.1)      /* share of the map's radius that the robot moves before its part is taken again */
 #define PERIOD_MS 100           /* of the scans that `work` is meant for: a slower lidar leaves more time for loops */
 #define MAX_PERIOD_MS 2000
-#define PATIENCE_NS 2000000000u /* scans that fit nowhere are set aside until so long after the last one that did */
+#define PATIENCE_NS 2000000000u /* scans that lie nowhere are set aside until so long after the last one that did */
 #define NEAR_LIMIT (EK_R(0.25) * EK_MAX_COORDINATE)
 
 ek_slam_parameters ek_slam_default(void)
@@ -227,7 +227,7 @@ int64_t ek_slam_allowed_work(const ek_slam *slam)
     return longest > PERIOD_MS ? work * longest / PERIOD_MS : work;
 }
 
-/* Whether the scan fits, is set aside, or the track is lost. */
+/* Whether the scan is set aside, or the track is lost. */
 static void judge(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_slam_estimate *estimate, ek_work *work)
 {
     const ek_pose pose = estimate->odom_from_base;
