@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evalkit.commands.list import inventory
 from evalkit.core.errors import UnknownName
+from evalkit.plugins import registry
 from evalkit.terminal import options
 from evalkit.terminal.options import out
 from evalkit.terminal.text_list import print_list
@@ -18,11 +17,12 @@ from evalkit.terminal.text_list import print_list
 if TYPE_CHECKING:
     from evalkit.metrics.table import Metric
 
-METRICS, ALL, MISSING = "metrics", "all", "not here"
+KINDS = ("backends", "mappers", "datasets")
+METRICS, ALL = "metrics", "all"
 
 
 def _complete(incomplete: str) -> list[str]:
-    kinds = [name for name in (*inventory.KINDS, METRICS, ALL) if name.startswith(incomplete)]
+    kinds = [name for name in (*KINDS, METRICS, ALL) if name.startswith(incomplete)]
     return kinds or options.complete_metric(incomplete)
 
 
@@ -40,37 +40,36 @@ def list_names(
 ) -> None:
     """List back ends, mappers, data sets and metrics, or print the card of a metric.
 
-    The list of a kind says what is missing on this machine, and how to install it.
+    Without a kind it prints names; the list of a kind also says what is missing on this machine, and how to install it.
     """  # fmt: skip
     if group and what not in (METRICS, ALL):
         raise typer.BadParameter("--group: needs 'metrics'")
-    if what not in ("", METRICS, ALL, *inventory.KINDS):
+    if what not in ("", METRICS, ALL, *KINDS):
         _print_card(what, as_json)
         return
-    kinds = [kind for kind in inventory.KINDS if what in ("", ALL, kind)]
+    if not what and not as_json:
+        _print_names()
+        return
+    from evalkit.commands.list import inventory  # noqa: PLC0415 - describing plug-ins loads them
+
+    kinds = [kind for kind in KINDS if what in ("", ALL, kind)]
     found = {kind: inventory.find_entries(kind) for kind in kinds}
     metrics = _metrics(group) if what in (METRICS, ALL) else ()
     if as_json:
         content: dict[str, Any] = {kind: [asdict(entry) for entry in entries] for kind, entries in found.items()}
         options.print_json(content | ({METRICS: _cards(metrics)} if metrics else {}))
         return
-    if not what:
-        _print_names(found)
-        return
     for kind, entries in found.items():
-        rows = [(e.name, f"{e.summary}; {MISSING}: {e.missing}" if e.missing else e.summary) for e in entries]
+        rows = [(e.name, f"{e.summary}; not here: {e.missing}" if e.missing else e.summary) for e in entries]
         print_list(out, kind, rows)
     for name in dict.fromkeys(metric.group for metric in metrics):
         print_list(out, name, [(metric.name, _describe(metric)) for metric in metrics if metric.group == name])
 
 
-def _print_names(found: Mapping[str, Sequence[inventory.Entry]]) -> None:
-    """Print the names of each kind, those that cannot be used here apart."""
-    for kind, entries in found.items():
-        here = [entry.name for entry in entries if not entry.missing]
-        absent = [entry.name for entry in entries if entry.missing]
-        rows = [("here", ", ".join(here)), *([(MISSING, ", ".join(absent))] if absent else [])]
-        print_list(out, f"{kind}: evalkit list {kind}", rows)
+def _print_names() -> None:
+    """Print the names of each kind without loading a plug-in."""
+    for kind in KINDS:
+        print_list(out, f"{kind}: evalkit list {kind}", [("", ", ".join(registry.names(kind)))])
     out.print("metrics: evalkit list metrics", markup=False, highlight=False, style="bold")
 
 
@@ -87,7 +86,7 @@ def _print_card(name: str, as_json: bool) -> None:
     metrics = {metric.name: metric for metric in all_metrics()}
     if name not in metrics:
         close = difflib.get_close_matches(name, metrics, n=5)
-        raise UnknownName("list or metric", name, (*inventory.KINDS, METRICS, ALL, *close))
+        raise UnknownName("list or metric", name, (*KINDS, METRICS, ALL, *close))
     if as_json:
         options.print_json(cards.card_as_json(metrics[name]))
         return
