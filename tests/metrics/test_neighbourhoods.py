@@ -6,9 +6,10 @@ import pytest
 from evalkit.metrics.neighbourhoods import Neighbourhoods, compute_neighbourhoods, thin_evenly
 
 
-def test_the_ellipse_of_each_neighbourhood_equals_numpys_covariance() -> None:
+@pytest.mark.parametrize(("count", "places"), [(400, 20), (400, 250), (20_000, 6)], ids=["all", "blocks", "cells"])
+def test_the_ellipse_of_each_neighbourhood_equals_numpys_covariance(count: int, places: int) -> None:
     rng = np.random.default_rng(0)
-    points, middles = rng.uniform(0.0, 2.0, (400, 2)), rng.uniform(0.0, 2.0, (20, 2))
+    points, middles = rng.uniform(0.0, 2.0, (count, 2)), rng.uniform(0.0, 2.0, (places, 2))
     found = compute_neighbourhoods(points, middles, 0.4)
     for place, middle in enumerate(middles):
         near = points[np.linalg.norm(points - middle, axis=1) <= 0.4]
