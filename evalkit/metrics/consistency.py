@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from evalkit.core import se2
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
@@ -26,6 +25,7 @@ from evalkit.metrics.table import (
     cached,
     make_metrics,
     make_score,
+    place_hits,
     with_grid,
 )
 
@@ -165,7 +165,7 @@ def split_distances(first: OccupancyGrid, second: OccupancyGrid) -> Floats:
 
 def collect_hits(mapped: PlacedScans) -> Floats:
     """Return the hits (N, 2) of scans with known sensor poses, in the world (m)."""
-    return np.concatenate([np.zeros((0, 2)), *(se2.transform(pose, scan.points()) for scan, pose in mapped)])
+    return np.concatenate([np.zeros((0, 2)), *map(place_hits, mapped)])
 
 
 @cached

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
@@ -18,6 +17,7 @@ from evalkit.metrics.table import (
     PlacedScans,
     make_metrics,
     make_score,
+    place_hits,
     with_true_grid,
 )
 
@@ -56,7 +56,7 @@ def signed_offsets(mapped: PlacedScans, true: OccupancyGrid, within_m: float = B
     walls, thin = true.centres(true.occupied()), max(sum(int(scan.hits.sum()) for scan, _ in mapped) // MAX_HITS, 1)
     if not len(walls) or not mapped:
         return np.zeros(0)
-    scans = [se2.transform(world_from_sensor, scan.points())[::thin] for scan, world_from_sensor in mapped]
+    scans = [place_hits(placed)[::thin] for placed in mapped]
     points = np.concatenate(scans)
     sensors = np.repeat([world_from_sensor[:2] for _, world_from_sensor in mapped], list(map(len, scans)), axis=0)
     apart, nearest = map(np.asarray, build_kd_tree(walls).query(points, distance_upper_bound=within_m))

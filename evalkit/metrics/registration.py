@@ -14,7 +14,7 @@ from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.neighbourhoods import build_kd_tree
-from evalkit.metrics.table import Evidence, PlacedScan, PlacedScans, cached, make_metrics, make_score
+from evalkit.metrics.table import Evidence, PlacedScan, PlacedScans, cached, make_metrics, make_score, place_hits
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -41,10 +41,9 @@ def find_nearest(source: Floats, target: cKDTree, max_pair_m: float = MAX_PAIR_M
 
 def keep_one_to_one(distances: Floats, nearest: Ints) -> Floats:
     """Return the distances (K,) of the pairs in which each target point keeps only its closest source point (paper)."""
-    order = np.argsort(distances, kind="stable")
-    order = order[np.isfinite(distances[order])]
-    _, closest = np.unique(nearest[order], return_index=True)
-    return distances[order][closest]
+    closest = np.full(int(nearest.max(initial=0)) + 1, np.inf)
+    np.minimum.at(closest, nearest, distances)
+    return closest[np.isfinite(closest)]
 
 
 def scan_to_scan_residuals(successive: Iterable[tuple[PlacedScan, PlacedScan]]) -> Floats:
@@ -52,9 +51,7 @@ def scan_to_scan_residuals(successive: Iterable[tuple[PlacedScan, PlacedScan]]) 
 
     A pair of scans with fewer than ten pairs of points has a distance of nan; pairs with an empty scan are omitted.
     """
-    return _compute_residuals(
-        (_transform_points(later), build_kd_tree(_transform_points(earlier))) for earlier, later in successive
-    )
+    return _compute_residuals((place_hits(later), build_kd_tree(place_hits(earlier))) for earlier, later in successive)
 
 
 def scan_to_map_residuals(mapped: PlacedScans) -> Floats:
@@ -90,19 +87,14 @@ def _iterate_local_maps(mapped: PlacedScans) -> Iterator[tuple[Floats, cKDTree]]
     for index in _choose_measured(len(mapped)):
         before = int(np.searchsorted(frames, index))  # keyframes strictly before this scan
         if before != until:
-            clouds = [_transform_points(mapped[k]) for k in frames[:before][-KEYFRAMES:]]
+            clouds = [place_hits(mapped[k]) for k in frames[:before][-KEYFRAMES:]]
             tree, until = build_kd_tree(np.concatenate(clouds)), before
-        yield _transform_points(mapped[index]), tree
+        yield place_hits(mapped[index]), tree
 
 
 def _choose_measured(count: int) -> list[int]:
     """Return the indices of the scans to measure; never the first, which has no predecessor."""
     return [int(i) for i in np.unique(np.linspace(1, count - 1, min(MAX_SCANS, count - 1)).astype(int))]
-
-
-def _transform_points(placed: PlacedScan) -> Floats:
-    scan, world_from_sensor = placed
-    return se2.transform(world_from_sensor, scan.points())
 
 
 def _compute_residuals(clouds: Iterator[tuple[Floats, cKDTree]]) -> Floats:

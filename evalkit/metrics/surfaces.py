@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, collect_all_hits
 from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, build_kd_tree, compute_neighbourhoods, thin_evenly
-from evalkit.metrics.table import Evidence, PlacedScans, cached, make_metrics, make_score
+from evalkit.metrics.table import Evidence, PlacedScans, cached, make_metrics, make_score, place_hits
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -76,8 +75,7 @@ def find_wall_pieces(mapped: PlacedScans) -> WallPieces:
     """Return the places of at most 100 scans, 40 per scan, where the scan's hits within 0.5 m lie along a line."""
     middles, directions, sensors = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 2))]
     for index in np.unique(np.linspace(0, len(mapped) - 1, min(MAX_SCANS, len(mapped))).astype(int)):
-        scan, world_from_sensor = mapped[int(index)]
-        points = se2.transform(world_from_sensor, scan.points())
+        points, (_, world_from_sensor) = place_hits(mapped[int(index)]), mapped[int(index)]
         if len(points):
             places = thin_evenly(points, PLACES_A_SCAN)
             around = compute_neighbourhoods(points, places)

@@ -12,6 +12,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.known_map import KnownMap
@@ -172,6 +173,20 @@ def cached(compute: Callable[[Evidence], Computed]) -> Callable[[Evidence], Comp
         return values[evidence]
 
     return cached_compute
+
+
+def place_hits(placed: PlacedScan) -> Floats:
+    """Return the hits (N, 2) of a scan in the world (m), read-only; kept while the scan exists, for the last pose."""
+    scan, world_from_sensor = placed
+    kept = _PLACED_HITS.get(scan)
+    if kept is None or not np.array_equal(kept[0], world_from_sensor):
+        hits = se2.transform(world_from_sensor, scan.points())
+        hits.flags.writeable = False
+        _PLACED_HITS[scan] = kept = np.array(world_from_sensor), hits
+    return kept[1]
+
+
+_PLACED_HITS: WeakKeyDictionary[Scan, tuple[Floats, Floats]] = WeakKeyDictionary()
 
 
 def make_score(value: float | np.floating, support: int, not_finite: str = DIVERGED) -> Score:

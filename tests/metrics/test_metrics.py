@@ -13,8 +13,9 @@ import pytest
 from evalkit import metrics
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, Cause, RunResult, Score
+from evalkit.core.scan import Scan
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import Evidence, Metric, cached, make_metrics, make_score
+from evalkit.metrics.table import Evidence, Metric, cached, make_metrics, make_score, place_hits
 from evalkit.metrics.trajectory import match_trajectories
 
 
@@ -139,3 +140,14 @@ def test_a_card_without_a_function_and_a_function_without_a_card_are_refused() -
         make_metrics("pairs", {"pair_error": compute, "of_nothing": compute})
     (card,) = make_metrics("pairs", {"pair_error": compute})
     assert (card.label, card.digits, card.better) == ("pair error", 5, "lower")
+
+
+def test_the_hits_of_a_scan_are_placed_by_each_pose_that_is_asked_for() -> None:
+    scan, pose = (
+        Scan(0, np.array([1.0, np.inf, 2.0]), np.radians([0.0, 45.0, 90.0]), 0.1, 9.0),
+        np.array([5.0, 6.0, 0.0]),
+    )
+    assert place_hits((scan, pose)) == pytest.approx(np.array([[6.0, 6.0], [5.0, 8.0]]))
+    assert place_hits((scan, np.array([0.0, 0.0, np.pi / 2.0]))) == pytest.approx(np.array([[0.0, 1.0], [-2.0, 0.0]]))
+    pose[0] = 7.0
+    assert place_hits((scan, pose)) == pytest.approx(np.array([[8.0, 6.0], [7.0, 8.0]]))
