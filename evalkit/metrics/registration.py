@@ -43,7 +43,7 @@ def keep_one_to_one(distances: Floats, nearest: Ints) -> Floats:
     """Return the distances (K,) of the pairs in which each target point keeps only its closest source point (paper)."""
     closest = np.full(int(nearest.max(initial=0)) + 1, np.inf)
     np.minimum.at(closest, nearest, distances)
-    return closest[np.isfinite(closest)]
+    return np.asarray(closest[np.isfinite(closest)])
 
 
 def scan_to_scan_residuals(successive: Iterable[tuple[PlacedScan, PlacedScan]]) -> Floats:

@@ -144,21 +144,22 @@ def _choose_spaced(pieces: WallPieces) -> Ints:
     if len(pieces) == 0:
         return np.zeros(0, dtype=np.int64)
     reach = float(np.hypot(ALONG_M, FARTHEST_M))
-    around = [np.asarray(near) for near in build_kd_tree(pieces.middles).query_ball_point(pieces.middles, reach)]
+    tree = build_kd_tree(pieces.middles)
     along = np.stack([np.cos(pieces.direction), np.sin(pieces.direction)], axis=1)
     free, kept = np.ones(len(pieces), np.bool_), []
-    for begin in range(0, len(pieces), _BLOCK):
-        block = around[begin : begin + _BLOCK]
-        piece, near = np.repeat(np.arange(begin, begin + len(block)), list(map(len, block))), np.concatenate(block)
+    while len(block := np.flatnonzero(free)[:_BLOCK]):
+        around = [np.asarray(near, np.int64) for near in tree.query_ball_point(pieces.middles[block], reach)]
+        piece, near = np.repeat(block, list(map(len, around))), np.concatenate(around)
         beside = np.abs(np.sum((pieces.middles[near] - pieces.middles[piece]) * along[piece], axis=1)) <= ALONG_M
         turned = np.abs((pieces.direction[near] - pieces.direction[piece] + np.pi / 2.0) % np.pi - np.pi / 2.0)
         alike = beside & (turned <= ORTHOGONAL_RAD)
         piece, near = piece[alike], near[alike]
-        ends = np.searchsorted(piece, np.arange(begin, begin + len(block) + 1))
-        for index, (first, last) in enumerate(pairwise(ends), begin):
+        ends = np.append(np.searchsorted(piece, block), len(piece))
+        for index, (first, last) in zip(block, pairwise(ends), strict=True):
             if free[index]:
                 kept.append(index)
                 free[near[first:last]] = False
+        free[block] = False
     return np.array(kept, dtype=np.int64)
 
 
