@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from evalkit import metrics
 from evalkit.config.experiment import Experiment, Limits, MapperChoice, RunSpec
+from evalkit.core.arrays import keep_freed_memory
 from evalkit.core.errors import MachineFault, StoreError
 from evalkit.core.run_result import NO_STEPS, Cause, RunResult, Score
 from evalkit.execution import environment, run_process
@@ -189,6 +190,7 @@ def _can_start(pool: WorkerPool) -> bool:
 
 def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: RunSettings, core: int | None) -> None:
     """Score one run on the core it was executed on, and store the scores; runs in a process of the scoring pool."""
+    keep_freed_memory()
     if core is not None:
         os.sched_setaffinity(0, {core})
     mapper = registry.mapper(settings.mapper.name)

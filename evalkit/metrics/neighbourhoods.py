@@ -133,7 +133,7 @@ def _sum_cells(points: Floats, middles: Floats, radius_m: float) -> Floats:
 
 def _add_moments(at: Ints, moments: tuple[Floats, ...], count: int) -> Floats:
     """Return the sums (6, K) of moments (P,) at each of ``count`` middles."""
-    return np.stack([np.bincount(at, one, count) for one in moments])
+    return np.stack([np.bincount(at, one, count) for one in moments]).astype(np.float64, copy=False)
 
 
 def _list_moments(x: Floats, y: Floats) -> tuple[Floats, ...]:

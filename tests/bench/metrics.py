@@ -13,6 +13,7 @@ import numpy as np
 from evalkit import metrics
 from evalkit.commands.diff import benchmark
 from evalkit.commands.diff.benchmark import BenchmarkSeries
+from evalkit.core.arrays import keep_freed_memory
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
@@ -70,6 +71,7 @@ def time_metrics() -> dict[str, dict[str, float]]:
 def main() -> None:
     """Print the slowest twelve metrics and the sums, medians of the repeats, and store every sample."""
     ran_on = benchmark.describe_environment()
+    keep_freed_memory()  # as in the processes that score runs
     repeats = [time_metrics() for _ in range(REPEATS)]
     series = [
         BenchmarkSeries(name, "ms", tuple(found[group][name] for found in repeats))
