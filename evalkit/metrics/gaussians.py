@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.core.arrays import Ints
-from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.table import Evidence, make_metrics, make_score, with_true_grid
+from evalkit.metrics.table import NO_TRUE_MAP, Evidence, MissingMap, cached, make_metrics, make_score
 
 VOXEL_M = 1.0
 MIN_CELLS = 5
@@ -90,14 +89,28 @@ def spatial_consistency(at: Ints, apart: Floats) -> float:
 
 
 def _scored(measure: Callable[[Ints, Floats], float]) -> Callable[[Evidence], Score]:
-    def measure_grids(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
-        at, apart = voxel_distances(mapped.centres(mapped.occupied()), true.centres(true.occupied()))
+    def compute(evidence: Evidence) -> Score:
+        found = _compare_voxels(evidence)
+        if isinstance(found, Score):
+            return found
+        at, apart = found
         if len(apart) < MIN_VOXELS:
             reason = f"the maps share {len(apart)} squares with walls, at least {MIN_VOXELS} are needed"
             return Score(None, len(apart), reason)
         return make_score(measure(at, apart), len(apart), _NO_NEIGHBOURS)
 
-    return with_true_grid(measure_grids)
+    return compute
+
+
+@cached
+def _compare_voxels(evidence: Evidence) -> tuple[Ints, Floats] | Score:
+    """Return the voxels of both maps with their distances, or a score without value if a map is missing."""
+    true, mapped = evidence.truth.grid, evidence.grid
+    if true is None:
+        return Score(None, reason=NO_TRUE_MAP)
+    if isinstance(mapped, MissingMap):
+        return Score(None, reason=f"no map: {mapped.reason}")
+    return voxel_distances(mapped.centres(mapped.occupied()), true.centres(true.occupied()))
 
 
 _NO_NEIGHBOURS = "no square with walls has two neighbours with walls"
