@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import permutations
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.maps import nearest_distances_m
+from evalkit.metrics.lattice import distances_to_walls_m
 from evalkit.metrics.neighbourhoods import (
     PATCH_M,
     Neighbourhoods,
@@ -156,11 +157,14 @@ def split_distances(first: OccupancyGrid, second: OccupancyGrid) -> Floats:
 
     Only cells that the other map has observed count.
     """
-    cells = [grid.centres(grid.occupied()) for grid in (first, second)]
-    if not all(map(len, cells)):
+    walls = first.occupied(), second.occupied()
+    if not all(map(np.any, walls)):
         return np.zeros(0)
-    shared = [cells[0][look_up_cells(cells[0], second)[1]], cells[1][look_up_cells(cells[1], first)[1]]]
-    return np.concatenate([nearest_distances_m(shared[0], cells[1]), nearest_distances_m(shared[1], cells[0])])
+    distances = []
+    for (grid, own), (other, theirs) in permutations(zip((first, second), walls, strict=True)):
+        shared = np.flatnonzero(own)[look_up_cells(grid.centres(own), other)[1]]
+        distances.append(distances_to_walls_m(grid, shared, other, theirs))
+    return np.concatenate(distances)
 
 
 def collect_hits(mapped: PlacedScans) -> Floats:

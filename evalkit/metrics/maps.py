@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from evalkit.core.arrays import Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.neighbourhoods import build_kd_tree
+from evalkit.metrics.lattice import distances_to_walls_m
 from evalkit.metrics.table import (
     DIVERGED,
     NO_TRUE_MAP,
@@ -58,14 +57,11 @@ def compare_walls(mapped: OccupancyGrid, true: OccupancyGrid) -> WallDistances:
 
     The grids may differ in origin and resolution.
     """
-    ours, theirs = mapped.centres(mapped.occupied()), true.centres(true.occupied())
+    ours, theirs = mapped.occupied(), true.occupied()
     coarser = max(true, mapped, key=lambda grid: grid.resolution_m)
-    return WallDistances(ours, theirs, nearest_distances_m(ours, theirs), nearest_distances_m(theirs, ours), coarser)
-
-
-def nearest_distances_m(points: ArrayLike, others: ArrayLike) -> Floats:
-    """Return the distance (N,) from each point (N, 2) to the nearest of the others (M, 2), M > 0."""
-    return np.asarray(build_kd_tree(np.asarray(others)).query(np.asarray(points))[0], dtype=np.float64)
+    to_true = distances_to_walls_m(mapped, np.flatnonzero(ours), true, theirs)
+    to_mapped = distances_to_walls_m(true, np.flatnonzero(theirs), mapped, ours)
+    return WallDistances(mapped.centres(ours), true.centres(theirs), to_true, to_mapped, coarser)
 
 
 def precision(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.se2 import Floats
@@ -67,6 +68,11 @@ def build_kd_tree(points: Floats) -> cKDTree:
     from scipy.spatial import cKDTree
 
     return cKDTree(points, balanced_tree=False, compact_nodes=False)
+
+
+def nearest_distances_m(points: ArrayLike, others: ArrayLike) -> Floats:
+    """Return the distance (N,) from each point (N, 2) to the nearest of the others (M, 2), M > 0."""
+    return np.asarray(build_kd_tree(np.asarray(others)).query(np.asarray(points))[0], dtype=np.float64)
 
 
 def thin_evenly(points: Floats, max_rows: int) -> Floats:

@@ -13,7 +13,7 @@ from evalkit.core.arrays import Bools
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import CLEARED, NOISE_M
-from evalkit.metrics.maps import nearest_distances_m
+from evalkit.metrics.neighbourhoods import nearest_distances_m
 
 GHOST_M = 0.2
 """An occupied cell farther than this (m) from every true wall is a ghost: four times the range noise (1 sigma)."""

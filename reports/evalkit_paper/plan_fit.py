@@ -13,7 +13,7 @@ from evalkit.core.arrays import Ints
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
-from evalkit.metrics.maps import nearest_distances_m
+from evalkit.metrics.neighbourhoods import nearest_distances_m
 from evalkit_baselines.paper.icp import Icp
 
 CELL_M = 0.1

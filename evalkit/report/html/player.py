@@ -19,7 +19,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import CLEARED, look_up_cells
-from evalkit.metrics.maps import nearest_distances_m
+from evalkit.metrics.neighbourhoods import nearest_distances_m
 from evalkit.plugins.protocols import Sequence
 from evalkit.report.html.array_encoding import NONE, Steps, dequantise, pack_array, quantise
 from evalkit.report.html.corrected_runs import SUFFIX
