@@ -26,6 +26,7 @@ from evalkit.core.run_result import Cause, RunResult
 from evalkit.execution import dask_cluster, environment, run_archive, run_task
 from evalkit.execution.dask_cluster import Call, Cluster, Slot, WorkerLost
 from evalkit.execution.run_task import PendingRun, RunSettings, WorkerSlot
+from evalkit.execution.shared_frames import SharedFrames
 from evalkit.execution.subprocesses import WorkerPool
 from evalkit.plugins import registry
 from evalkit.results.store import Store
@@ -82,7 +83,7 @@ class LocalExecutor:
             core = cores.get()
             try:
                 progress.started(run.spec)
-                slot = WorkerSlot(core, scoring, lambda scans: progress.answered(run.spec, scans), stop)
+                slot = WorkerSlot(core, scoring, lambda scans: progress.answered(run.spec, scans), stop, frames)
                 return run.spec, run_task.execute_run(store, settings, run, slot)
             except BaseException:
                 stop.set()
@@ -90,7 +91,12 @@ class LocalExecutor:
             finally:
                 cores.put(core)  # after the scoring, which must not compete with a timed run
 
-        with WorkerPool([None] * self.jobs) as scoring, ThreadPoolExecutor(self.jobs) as threads:
+        specs = [run.spec for run in pending if not run.is_executed]
+        with (
+            WorkerPool([None] * self.jobs) as scoring,
+            SharedFrames(store.folder, specs, scoring, settings.limits.run_s) as frames,
+            ThreadPoolExecutor(self.jobs) as threads,
+        ):
             futures = [threads.submit(execute, run) for run in pending]
             try:
                 for future in as_completed(futures):

@@ -7,9 +7,10 @@ import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +23,13 @@ from evalkit.core.arrays import keep_freed_memory
 from evalkit.core.errors import MachineFault, StoreError
 from evalkit.core.run_result import NO_STEPS, Cause, RunResult, Score
 from evalkit.execution import environment, run_process
+from evalkit.execution.shared_frames import SharedFrames, open_kept
 from evalkit.execution.subprocesses import WorkerPool
 from evalkit.execution.worker import Request
 from evalkit.metrics import evaluate
 from evalkit.plugins import registry
-from evalkit.plugins.kept_sequence import KeptSequence
 from evalkit.plugins.known_map import load_known_map
-from evalkit.plugins.parameters import ALIGN_TRUTH, Value
+from evalkit.plugins.parameters import ALIGN_TRUTH
 from evalkit.plugins.specs import MapSpec
 from evalkit.results.store import Store
 
@@ -77,13 +78,14 @@ class PendingRun:
 class WorkerSlot:
     """Resources for one run: a core to pin to, processes for scoring, a callback with the number of answered scans.
 
-    ``stop``: ends the run early when set.
+    ``stop``: ends the run early when set. ``frames``: of the data that several runs share; None: each run reads them.
     """
 
     core: int | None
     scoring: WorkerPool
     report_answers: Callable[[int], None]
     stop: threading.Event
+    frames: SharedFrames | None = None
 
 
 def execute_run(store: Store, settings: RunSettings, pending: PendingRun, slot: WorkerSlot) -> RunResult:
@@ -140,11 +142,17 @@ def _execute(store: Store, settings: RunSettings, pending: PendingRun, slot: Wor
     if len(pending.attempts) >= MAX_ATTEMPTS:
         what = f"evalkit was killed twice while it ran ({', '.join(pending.attempts)})"
         return quarantine(store, settings, spec, what)
-    request = Request(
-        spec.method.backend, dict(spec.method.parameters), spec.sequence.dataset, spec.dataset_parameters, slot.core
-    )
     attempt = f"process {os.getpid()} on {environment.host_name()}"
-    with store.begin(spec.key, [*pending.attempts, attempt]) as folder:
+    shared = nullcontext() if slot.frames is None else slot.frames.of_run(spec, slot.core)
+    with shared as frames, store.begin(spec.key, [*pending.attempts, attempt]) as folder:
+        request = Request(
+            spec.method.backend,
+            dict(spec.method.parameters),
+            spec.sequence.dataset,
+            spec.dataset_parameters,
+            slot.core,
+            frames,
+        )
         result = run_process.run(request, folder, settings.limits, slot.report_answers, slot.stop)
         if slot.stop.is_set():
             raise CancelledError
@@ -195,7 +203,7 @@ def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: Run
         os.sched_setaffinity(0, {core})
     mapper = registry.mapper(settings.mapper.name)
     backend = None if len(result.steps) else registry.backend(spec.method.backend)  # only a map answers no scan
-    sequence = _open_kept(folder, spec.sequence.dataset, tuple(spec.dataset_parameters.items()))
+    sequence = open_kept(folder, spec.sequence.dataset, tuple(spec.dataset_parameters.items()))
     if isinstance(backend, MapSpec):
         scores = evaluate.evaluate_map(result, backend.make(**spec.method.parameters), sequence)
     else:
@@ -214,15 +222,6 @@ def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: Run
     store.save_scores(spec.key, scores, settings.scoring_code)
     if store.load_scores(spec.key) is None:
         raise RuntimeError(f"{store.run_folder(spec.key)}: scores were written but cannot be read back")
-
-
-@lru_cache(maxsize=1)
-def _open_kept(_folder: Path, dataset: str, parameters: tuple[tuple[str, Value], ...]) -> KeptSequence:
-    """The data of a run, kept for the next one: successive runs are of different methods on the same data.
-
-    ``_folder``: of the results; another experiment reads the data again, which may have changed in between.
-    """
-    return KeptSequence(registry.dataset(dataset).open(dict(parameters)))
 
 
 def _untimed(name: str, score: Score) -> Score:

@@ -36,7 +36,8 @@ from evalkit.plugins import registry
 from evalkit.plugins.nuisance import perturb_parameters
 from evalkit.plugins.parameters import MAP, NUISANCE, Value
 from evalkit.plugins.protocols import Odometry, Sequence
-from evalkit.plugins.specs import DatasetSpec, MapSpec, SlamSpec
+from evalkit.plugins.specs import MapSpec, SlamSpec
+from evalkit.plugins.stored_frames import FramesFile, StoredFrames
 from evalkit.results.final_files import format_final
 
 WARM_UP_SCANS = 5
@@ -58,20 +59,30 @@ NOT_IN_OUTCOME = ("steps", "provenance", "final", "loop_closures")
 
 @dataclass(frozen=True)
 class Request:
-    """What to run: only names and parameters pass from the parent process to this one. ``core``: to pin to."""
+    """What to run: only names and parameters pass from the parent process to this one.
+
+    ``core``: to pin to. ``frames``: the file with the frames of the data set, None where it is to be read.
+    """
 
     backend: str
     backend_parameters: dict[str, Value]
     dataset: str
     dataset_parameters: dict[str, Value]
     core: int | None = None
+    frames: FramesFile | None = None
+
+    @classmethod
+    def of(cls, values: dict[str, Any]) -> Request:
+        """The request of its JSON values."""
+        frames = values.get("frames")
+        return cls(**{**values, "frames": None if frames is None else FramesFile(**frames)})
 
 
 def main() -> int:
     """Execute the request in the folder named on the command line; write the outcome to ``outcome.json``."""
     end_with_parent()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
-    request = Request(**json.loads((folder / "request.json").read_text(encoding="utf-8")))
+    request = Request.of(json.loads((folder / "request.json").read_text(encoding="utf-8")))
     if request.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {request.core})
     result = execute_request(request, folder)
@@ -100,17 +111,15 @@ def execute_request(request: Request, folder: Path) -> RunResult:
         if why := spec.missing():
             raise NotInstalled(request.backend, "not installed", why)
         _write_json(folder / "started.json", {"reading": True})
-        dataset = registry.dataset(request.dataset)
-        sequence: Sequence = dataset.open(request.dataset_parameters)
+        sequence, every = _open_data(request)
         if isinstance(spec, MapSpec):
             spec.make(**request.backend_parameters)  # raises if the file cannot be read
             return RunResult(NO_STEPS, expected, peak_memory_bytes=_peak_memory_bytes())
         values = find_run_parameters(request)
         expected = len(sequence)
-        every = _find_scan_stride(dataset, request)
         started: dict[str, Any] = {"expected": expected, "every": every}
         make: Callable[[], Odometry] = partial(frontend.make_odometry, spec, values)
-        if MAP in request.dataset_parameters:
+        if MAP in request.dataset_parameters and not isinstance(sequence, StoredFrames):
             from evalkit.odometry.map_localisation import localise  # noqa: PLC0415 - most runs start faster without
 
             localised = localise(spec, values, request.dataset_parameters, sequence, folder)
@@ -161,16 +170,20 @@ def cause_of(error: Exception) -> tuple[Cause, str]:
     return Cause.EXCEPTION, f"{type(error).__name__}: {error}"
 
 
-def _find_scan_stride(dataset: DatasetSpec, request: Request) -> int:
-    """The sequence holds one in ``every`` scans of the sensor."""
-    return int(request.dataset_parameters.get(dataset.thinned_by, 1))
+def _open_data(request: Request) -> tuple[Sequence | StoredFrames, int]:
+    """The data of a run, and n where they hold one in n scans of the sensor."""
+    if request.frames is not None:
+        return StoredFrames(request.frames), request.frames.every
+    dataset = registry.dataset(request.dataset)
+    every = int(request.dataset_parameters.get(dataset.thinned_by, 1))
+    return dataset.open(request.dataset_parameters), every
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
     write_text(path, json.dumps(content))
 
 
-def _warm_up(odometry: Odometry, sequence: Sequence) -> int:
+def _warm_up(odometry: Odometry, sequence: Sequence | StoredFrames) -> int:
     """Run a separate odometry over the first scans; imports, first allocations and thread pools happen here.
 
     Returns the number of scans.
@@ -178,7 +191,7 @@ def _warm_up(odometry: Odometry, sequence: Sequence) -> int:
     return sum(1 for _ in run_odometry(odometry, islice(sequence.frames(), WARM_UP_SCANS)))
 
 
-def record_run(odometry: Odometry, sequence: Sequence, request: Request, steps: BinaryIO) -> None:
+def record_run(odometry: Odometry, sequence: Sequence | StoredFrames, request: Request, steps: BinaryIO) -> None:
     """Write a ``STEP`` record for every answered scan; raises BackendFailed where too many scans have no answer.
 
     A record's ``harness_ns`` is the time that the harness spent around the previous scan.

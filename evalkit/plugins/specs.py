@@ -245,7 +245,10 @@ class DatasetSpec:
     def open(self, parameters: Mapping[str, Value]) -> Sequence:
         """Make the sequence of a run, perturbed if the parameters contain the reserved ones of a perturbation."""
         own = {name: value for name, value in parameters.items() if name not in RESERVED}
-        sequence = self.make(**own)
+        return self.perturb(self.make(**own), parameters)
+
+    def perturb(self, sequence: Sequence, parameters: Mapping[str, Value]) -> Sequence:
+        """Return the sequence under the perturbation that the reserved parameters name, as it is if they name none."""
         if NUISANCE not in parameters:
             return sequence
         from evalkit.plugins.nuisance import perturb_sequence  # noqa: PLC0415 - loads NumPy

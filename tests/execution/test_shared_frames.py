@@ -1,0 +1,114 @@
+"""Frames that several runs read: from one file, written once, unchanged, and gone when no run needs it."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from evalkit.config.experiment import experiment_from_tables
+from evalkit.core.run_result import STEP
+from evalkit.execution import executors
+from evalkit.execution.executors import LocalExecutor
+from evalkit.execution.scheduler import Scheduler
+from evalkit.execution.shared_frames import FOLDER, SharedFrames
+from evalkit.execution.subprocesses import WorkerPool
+from evalkit.execution.worker import Request, execute_request
+from evalkit.plugins.stored_frames import StoredFrames
+from evalkit.results.store import STEPS, Store, read_steps
+
+pytestmark = pytest.mark.usefixtures("strangers")
+
+TIMES = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns", "preparation_ns")
+
+
+class NoProgress:
+    """Progress that reports nothing."""
+
+    def started(self, spec): ...
+
+    def answered(self, spec, scans): ...
+
+    def finished(self, spec, result): ...
+
+
+def plan(*methods, **sequence):
+    """Return an experiment of back ends on the data set "straight"."""
+    content = {
+        "method": [{"use": "faulty", "label": label, "fault": "none"} for label in methods],
+        "sequence": [{"use": "straight", "scans": 12, **sequence}],
+        "mapper": {"resolution_m": 0.25},
+    }
+    return experiment_from_tables(content, "t.toml", "t", "compare t.toml")
+
+
+def request_of(store, spec):
+    return Request.of(json.loads((store.run_folder(spec.key) / "request.json").read_text()))
+
+
+def test_all_methods_read_one_file_and_answer_as_without_it(tmp_path, monkeypatch):
+    opened = []
+
+    class Counted(SharedFrames):
+        def of_run(self, spec, core):
+            opened.append((tmp_path / FOLDER).exists())
+            return super().of_run(spec, core)
+
+    monkeypatch.setattr(executors, "SharedFrames", Counted)
+    store = Store(tmp_path)
+    results = list(Scheduler(store, NoProgress()).run(plan("a", "b"), LocalExecutor(1)))
+    files = {request_of(store, spec).frames for spec, _ in results}
+    assert len(files) == 1
+    assert None not in files
+    assert opened == [False, True]  # not yet for the first run, and still there for the last
+    assert not (tmp_path / FOLDER).exists()
+    for spec, result in results:
+        folder = tmp_path / f"{spec.method.label} again"
+        folder.mkdir()
+        again = execute_request(replace(request_of(store, spec), core=None, frames=None), folder)
+        steps = store.read_result(spec.key).steps
+        assert (
+            (result.expected, result.notes, result.every) == (again.expected, again.notes, again.every) == (12, {}, 1)
+        )
+        for name in set(STEP.names) - set(TIMES):
+            assert steps[name].tobytes() == read_steps(folder / STEPS)[name].tobytes(), name
+
+
+@pytest.fixture(scope="module")
+def scoring():
+    """One process of the scoring pool."""
+    with WorkerPool([None]) as pool:
+        yield pool
+
+
+def test_a_file_is_written_for_the_first_run_and_deleted_after_the_last(tmp_path, scoring):
+    specs = list(plan("a", "b").runs())
+    with SharedFrames(tmp_path, specs, scoring, 60.0) as shared:
+        with shared.of_run(specs[0], None) as first:
+            assert len(list(StoredFrames(first).frames())) == 12
+        with shared.of_run(specs[1], None) as second:
+            assert second == first
+            assert len(StoredFrames(second)) == 12
+        assert not list((tmp_path / FOLDER).iterdir())
+
+
+def test_files_of_a_killed_process_are_deleted(tmp_path, scoring):
+    (tmp_path / FOLDER).mkdir()
+    (tmp_path / FOLDER / "old").touch()
+    with SharedFrames(tmp_path, [], scoring, 60.0):
+        assert not (tmp_path / FOLDER).exists()
+
+
+@pytest.mark.parametrize("sequence", [{"file": __file__ + " is gone"}, {"reads_s": 5.0}])
+def test_a_run_reads_data_itself_that_cannot_be_read_in_time(tmp_path, scoring, sequence):
+    """The run then tells why: the file is gone, or the limit of a run is over."""
+    spec, *_ = plan("a", **{**sequence, "file": ""}).runs()
+    spec = replace(spec, sequence=replace(spec.sequence, parameters={**spec.sequence.parameters, **sequence}))
+    with SharedFrames(tmp_path, [spec], scoring, 0.5) as shared, shared.of_run(spec, None) as file:
+        assert file is None
+
+
+def test_a_run_in_a_known_map_reads_the_data_itself(tmp_path, scoring):
+    """Its start is searched with the ground truth, which the file does not hold."""
+    spec, *_ = plan("a", map="truth").runs()
+    with SharedFrames(tmp_path, [spec], scoring, 60.0) as shared, shared.of_run(spec, None) as file:
+        assert file is None
