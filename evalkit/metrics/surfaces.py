@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evalkit.core.arrays import Ints
+from evalkit.core.arrays import Bools, Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, collect_all_hits
@@ -135,7 +135,12 @@ def find_second_copies(hits: Floats, sensors: Floats, pieces: WallPieces) -> Flo
     stretches = pieces.at(_choose_spaced(pieces))
     if len(stretches) == 0:
         return np.zeros(0)
-    return np.array([_find_second_mode(density) for density in _compute_profiles(hits, sensors, stretches)])
+    densities, copies = _compute_profiles(hits, sensors, stretches), np.full(len(stretches), np.nan)
+    peaks = _mark_peaks(densities)
+    highest = np.max(densities, axis=1, where=peaks, initial=0.0)
+    several = np.count_nonzero(peaks & (densities >= MIN_SHARE * highest[:, None]), axis=1) > 1
+    copies[several] = [_find_second_mode(density) for density in densities[several]]
+    return copies
 
 
 def _choose_spaced(pieces: WallPieces) -> Ints:
@@ -191,11 +196,19 @@ def _count_across(hits: Floats, sensors: Floats, tree: cKDTree, middles: Floats,
     return counts.reshape(-1, width).astype(np.float64)
 
 
+def _mark_peaks(densities: Floats) -> Bools:
+    """Return which bins (..., B) of densities (..., B) are higher than the one before and not lower than the next."""
+    inner = densities[..., 1:-1]
+    peaks = np.zeros(densities.shape, np.bool_)
+    peaks[..., 1:-1] = (inner > densities[..., :-2]) & (inner >= densities[..., 2:])
+    return peaks
+
+
 def _find_second_mode(density: Floats) -> float:
     """Return the distance from the highest peak of a density (B,) to the highest other peak that is a separate mode
     (m).
     """
-    peaks = np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:])) + 1
+    peaks = np.flatnonzero(_mark_peaks(density))
     if len(peaks) < 2:
         return float("nan")
     peaks = peaks[np.argsort(-density[peaks], kind="stable")]
