@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from itertools import permutations
 
@@ -11,7 +12,7 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.lattice import distances_to_walls_m
+from evalkit.metrics.lattice import distances_to_walls_m, find_squared_distances
 from evalkit.metrics.neighbourhoods import (
     PATCH_M,
     Neighbourhoods,
@@ -41,6 +42,7 @@ _RIM = 8
 MIN_AREA_CELLS = 4
 CLEARED = -1.0
 NOISE_M = 0.1
+_HALF_DIAGONAL, _EDGE = math.sqrt(0.5), 1e-6  # of a cell
 """A hit at most this far from a wall of the other map counts as range noise, although its cell may be cleared."""
 MIN_SHARED = 100
 NO_HIT = "no mapped scan has a hit"
@@ -145,11 +147,16 @@ def cleared_share(hits: Floats, other: OccupancyGrid) -> tuple[float, int]:
     Free space: cells with log-odds < -1, without the centre of an occupied cell within 0.1 m.
     """
     log_odds, observed = look_up_cells(hits, other)
-    count = int(observed.sum())
-    suspects = hits[observed & (log_odds < CLEARED)]
-    walls = build_kd_tree(other.centres(other.occupied()))
-    far = np.isinf(walls.query(suspects, distance_upper_bound=NOISE_M)[0])
-    return (float(far.sum() / count), count) if count else (0.0, 0)
+    count = int(np.count_nonzero(observed))
+    suspects, walls = hits[observed & (log_odds < CLEARED)], other.occupied()
+    columns, rows = np.floor((suspects - [other.origin_x, other.origin_y]) / other.resolution_m).astype(np.int64).T
+    apart = other.resolution_m * np.sqrt(find_squared_distances(rows, columns, walls)[0])  # of the centres of cells
+    within_cell = other.resolution_m * (_HALF_DIAGONAL + _EDGE)
+    far = apart - within_cell > NOISE_M
+    unclear = np.flatnonzero(~far & (apart + within_cell > NOISE_M))
+    tree = build_kd_tree(other.centres(walls))
+    far[unclear] = np.isinf(tree.query(suspects[unclear], distance_upper_bound=NOISE_M)[0])
+    return (float(np.count_nonzero(far) / count), count) if count else (0.0, 0)
 
 
 def split_distances(first: OccupancyGrid, second: OccupancyGrid) -> Floats:
