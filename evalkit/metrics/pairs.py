@@ -36,16 +36,17 @@ def pair_errors(evidence: Evidence, truth: Trajectory, world_from_start: Floats)
 
     ``world_from_start`` (3,): the alignment of the placed scans.
     """
-    errors = []
-    for (earlier, world_from_earlier), (later, world_from_later) in evidence.successive:
-        stamps, points = np.array([earlier.stamp_ns, later.stamp_ns]), later.points()
-        if len(points) < 2 or not can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S).all():
-            continue
-        world_from_base = se2.compose(world_from_start, evidence.run.estimate.at(stamps))
-        base_from_sensor = se2.between(world_from_base, np.stack([world_from_earlier, world_from_later]))
-        true = se2.between(*se2.compose(truth.at(stamps), base_from_sensor))
-        errors.append(pair_error(points, true, se2.between(world_from_earlier, world_from_later)))
-    values = np.array(errors, dtype=np.float64)
+    pairs = evidence.successive
+    stamps = np.array([[scan.stamp_ns for scan, _ in pair] for pair in pairs], np.int64).reshape(-1, 2)
+    known = can_interpolate(truth.stamps_ns, stamps.ravel(), MAX_GAP_S).reshape(-1, 2).all(axis=1)
+    known &= np.array([np.count_nonzero(later.hits) > 1 for _, (later, _) in pairs], np.bool_)
+    at = stamps[known].ravel()
+    placed = np.array([[pose for _, pose in pair] for pair in pairs]).reshape(-1, 2, 3)[known]
+    world_from_base = se2.compose(world_from_start, evidence.run.estimate.at(at)).reshape(-1, 2, 3)
+    true = se2.compose(truth.at(at).reshape(-1, 2, 3), se2.between(world_from_base, placed))
+    steps = (se2.between(poses[:, 0], poses[:, 1]) for poses in (true, placed))
+    scans = [pairs[index][1][0] for index in np.flatnonzero(known)]
+    values = np.array([pair_error(scan.points(), *of) for scan, *of in zip(scans, *steps, strict=True)], np.float64)
     return np.asarray(values[~np.isnan(values)])
 
 
