@@ -7,6 +7,7 @@ from collections.abc import Callable
 from itertools import permutations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
@@ -103,14 +104,27 @@ def find_corners(grid: OccupancyGrid) -> Floats:
     x, y = (ndimage.gaussian_filter(edges, 1.0, order=order) for order in ((0, 1), (1, 0)))
     xx, xy, yy = (ndimage.gaussian_filter(product, 1.5) for product in (x * x, x * y, y * y))
     response = xx * yy - xy * xy - 0.05 * (xx + yy) ** 2
-    reach = max(int(np.ceil(CORNER_APART_M / grid.resolution_m)), 1)
-    peaks = (response > CORNER_RESPONSE) & (response == ndimage.maximum_filter(response, 2 * reach + 1))
+    places = _find_peaks(response, max(int(np.ceil(CORNER_APART_M / grid.resolution_m)), 1))
+    peaks = np.zeros(image.shape, np.bool_)
+    peaks[places] = True
     labels, count = ndimage.label(peaks, np.ones((3, 3)))
-    cluster, places = labels[peaks] - 1, np.argwhere(peaks)
+    cluster = labels[places] - 1
     sizes = np.bincount(cluster, minlength=count)
-    at = np.stack([np.bincount(cluster, along, minlength=count) / sizes for along in places.T], axis=-1)
+    at = np.stack([np.bincount(cluster, along, minlength=count) / sizes for along in places], axis=-1)
     cells = at[:, ::-1] - _RIM + [columns[0], rows[0]]
     return np.asarray([grid.origin_x, grid.origin_y] + (cells + 0.5) * grid.resolution_m)
+
+
+def _find_peaks(response: NDArray[np.float32], reach: int) -> tuple[Ints, Ints]:
+    """Return row and column (K,) of the cells above the threshold with no higher response (H, W) within ``reach`` rows
+    and columns: few are above it, so that no filter passes over all cells.
+    """
+    rows, columns = np.divmod(np.flatnonzero(response > CORNER_RESPONSE), response.shape[1])
+    around = np.pad(response, reach, constant_values=-np.inf)
+    for down, right in np.ndindex(2 * reach + 1, 2 * reach + 1):
+        highest = around[rows + down, columns + right] <= response[rows, columns]
+        rows, columns = rows[highest], columns[highest]
+    return rows, columns
 
 
 @cached
