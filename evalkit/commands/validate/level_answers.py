@@ -224,7 +224,8 @@ def _describe_cause(text: str, families: Mapping[str, Mapping[str, Any]], start:
     if clear["wrong"]:
         return _describe_clear(text, clear, mispaired)
     if limits["wrong"]:
-        which = "the outlier rule or the search of neighbours differs: " if " pairs against " in text else ""
+        counted = "not both report their pairs" in text  # in an iteration before which the poses are equal
+        which = "the outlier rule or the search of neighbours differs: " if counted else ""
         return f"{which}well separated points give equal answers, pairs near the limits do not"
     if any(families[name]["wrong"] for name in CROWDED if name in families):
         which = "the neighbours differ: " if mispaired else ""

@@ -69,7 +69,7 @@ def compare_pairs(a: Plugin, b: Plugin, on: Data, count: int, exact: bool, margi
         question = pair.question
         note_place(f"{on['label']}, pair {question.scan} ({question.stage})")
         match = first.register(question.target, question.source, question.guess)
-        answered.append(lockstep.answer(second, question, match))
+        answered.append(lockstep.answer(second, question, match, first if alone else None))
     unrepeated = _count_unrepeated(lambda: sides[1].registrations()["s2m"] if alone else TwoScans(sides[1]), answered)
     answers = [one.a.target_from_source for one in answered]
     residuals = [scan_pairs.residual_m(one.question, answer) for one, answer in zip(answered, answers, strict=True)]

@@ -97,9 +97,9 @@ def _ask_all(sides: tuple[ComparedBackend, ComparedBackend], drawn: list[DrawnQu
 
         def ask(question: Question, first: Registration = first, key: Key = key) -> AnswerPair:
             match = first.register(question.target, question.source, question.guess)
-            return _answer(lambda: made(1, key), question, match)
+            return _answer(lambda: made(1, key), question, match, first)
 
-        answers = _answer(lambda key=key: made(1, key), one.question, match)
+        answers = _answer(lambda key=key: made(1, key), one.question, match, first)
         asked.append(Asked(one, answers, others, _effect(made, one, answers), True, first, ask))
         bits.append(None if answers.b is None else match_bits(answers.b))
     return _ask_again(asked, bits, made)
@@ -120,12 +120,12 @@ def _ask_again(asked: list[Asked], bits: list[Any], made: Any) -> list[Asked]:
     return again
 
 
-def _answer(make: Any, question: Question, match: Match) -> AnswerPair:
+def _answer(make: Any, question: Question, match: Match, reference: Registration) -> AnswerPair:
     try:
         registration: Registration = make()
     except Exception as error:  # noqa: BLE001 - a third party's exception is a difference to report
         return AnswerPair(question, match, None, f"cannot be created: {error}")
-    return lockstep.answer(registration, question, match)
+    return lockstep.answer(registration, question, match, reference)
 
 
 def _effect(made: Any, one: DrawnQuestion, answers: AnswerPair) -> Effect:
@@ -193,7 +193,7 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
             "examples": {name: examples[name] for name in fields},
             **_describe_differences([each for each in members if each[0] not in dict(wrong)]),
             "recounted": sum(_is_recounted(*each) for each in wrong),
-            "counted": all(one.answers.b and one.answers.a.iterations and one.answers.b.iterations for one, _ in wrong),
+            "counted": all(_is_counted(one.answers) for one, _ in wrong),
             "mispaired": any(_is_mispaired(*each, margin_of[each[0]]) for each in wrong[:MAX_MOVED]),
             "what": wrong[0][0].drawn.what if wrong else "", "first": as_plain(asdict(wrong[0][1])) if wrong else None,
         }  # fmt: skip
@@ -256,6 +256,12 @@ def _distance_m(answers: AnswerPair) -> float:
         return math.inf
     a, b = answers.a.target_from_source, answers.b.target_from_source
     return math.hypot(b.x - a.x, b.y - a.y)
+
+
+def _is_counted(answers: AnswerPair) -> bool:
+    """Whether the answers show if only their stops differ: as many iterations, or the poses of the first answer."""
+    a, b = answers.a, answers.b
+    return b is not None and b.iterations > 0 and (a.iterations == b.iterations or bool(a.history))
 
 
 def _is_recounted(one: Asked, divergence: Divergence) -> bool:

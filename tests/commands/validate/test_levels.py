@@ -305,6 +305,14 @@ def test_a_difference_without_a_name_gets_it_from_the_drawn_questions(questions,
     assert level_answers._name_by_questions([UNNAMED], {"seed 1": KILLED}, TERMS) == [UNNAMED]
 
 
+def test_numbers_of_pairs_of_the_last_answer_alone_name_no_rule():
+    last = replace(UNNAMED, observed="pair 1, answer: different: 7 pairs against 6; not both report their iterations")
+    (named,) = level_answers._name_by_questions([last], drawn(limits=1), TERMS)
+    assert named.observed.removeprefix(last.observed) == (
+        "; well separated points give equal answers, pairs near the limits do not"
+    )
+
+
 def test_pairs_that_differ_before_a_step_are_not_explained_by_it():
     early = replace(
         UNNAMED, observed="pair 1, iteration 1, pairs: different: 7 pairs against 6; not both report their pairs"

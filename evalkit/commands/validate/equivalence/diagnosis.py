@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -98,7 +98,31 @@ def mistakes_in_step(before: Floats, source: Floats, target: Floats, everything:
     ]
     composed = [Mistake(one.kind, one.what, se2.compose(one.row, before)) for one in steps]
     wrong_side = Mistake("different", "the step is composed on the wrong side", se2.compose(before, step))
-    return [*composed, wrong_side]
+    return [*composed, wrong_side, *_turned_steps(before, p_bar, q_bar, theta)]
+
+
+def _turned_steps(before: Floats, p_bar: Floats, q_bar: Floats, theta: float) -> Iterator[Mistake]:
+    """The step about centroids (2,) with a sine of its degrees: for the pose before, for the centroid, or for both."""
+    cosine, sine = math.cos(theta), math.sin(theta)
+
+    def turned(point: Floats, first: float, second: float) -> Floats:
+        return np.array([cosine * point[0] - first * point[1], second * point[0] + cosine * point[1]])
+
+    for where, first, second in wrong_sines(theta):
+        what = f"the step is turned with {where} of its angle in degrees"
+        for of_pose in ((sine, sine), (first, second)):
+            for of_centroid in ((sine, sine), (first, second)):
+                shift = q_bar + turned(before[:2], *of_pose) - turned(p_bar, *of_centroid)
+                if (of_pose, of_centroid) != ((sine, sine), (sine, sine)):
+                    yield Mistake("units", what, np.array([*shift, float(se2.wrap(before[2] + theta))]))
+
+
+def wrong_sines(angle: float) -> Iterator[tuple[str, float, float]]:
+    """Rotations by an angle (rad) with a sine of its degrees: which one, and the sines of their rows for x and y."""
+    right, wrong = math.sin(angle), math.sin(math.degrees(angle))
+    yield "the sine", wrong, wrong
+    yield "the sine for x", wrong, right
+    yield "the sine for y", right, wrong
 
 
 def best_step(source: Floats, target: Floats) -> Floats:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from evalkit.commands.validate.equivalence import correspondences
 from evalkit.commands.validate.equivalence.diagnosis import (
@@ -21,10 +22,18 @@ from evalkit.commands.validate.equivalence.hypotheses import ObservedStep
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale, float32_margin
 from evalkit.commands.validate.equivalence.other_points import written_decimals
+from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.match import Iteration, Match
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
+from evalkit.plugins.protocols import Registration
+
+MAX_RESTARTS = 50
+"""Times that a reference is asked again from its last pose, for its poses after more iterations."""
+
+EXACT = 1e-13
+"""The distance of exactly placed points, as a share of the largest coordinate."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +72,7 @@ def first_divergence(answered: AnswerPair, margin: Margin, explain: bool = True)
     if wrong and not any(each <= set(wrong) for each in explained):
         what = f"the pose is equal, but not {', '.join(wrong)}: {_format_field(wrong[0], a, b)}"
         return Divergence(question.scan, question.stage, None, "answer", "field", what)
-    comparison = _AnswerComparison(question, a, b, margin, explain)
+    comparison = _AnswerComparison(answered, b, margin, explain)
     return comparison.in_iterations() or comparison.at_the_end()
 
 
@@ -96,9 +105,16 @@ def _format_field(name: str, a: Match, b: Match) -> str:
 class _AnswerComparison:
     """Two answers to one question."""
 
-    def __init__(self, question: Question, a: Match, b: Match, margin: Margin, explain: bool) -> None:
-        self._question, self._a, self._b, self._margin, self._explain = question, a, b, margin, explain
-        self._scale = Scale.of(question.target, question.source, question.guess)
+    def __init__(self, answered: AnswerPair, b: Match, margin: Margin, explain: bool) -> None:
+        self._question, self._a, self._b, self._margin, self._explain = (
+            answered.question,
+            answered.a,
+            b,
+            margin,
+            explain,
+        )
+        self._reference = answered.reference
+        self._scale = Scale.of(self._question.target, self._question.source, self._question.guess)
         self._rounding = float32_margin(self._scale)
         self._lever_m = max(self._scale.radius_m, 0.1)
 
@@ -118,19 +134,25 @@ class _AnswerComparison:
 
     def at_the_end(self) -> Divergence | None:
         """The difference in the number of iterations, or in the answer itself."""
-        counted = bool(self._a.history and self._b.history) or bool(self._a.iterations and self._b.iterations)
         same = self._margin.holds(self._a.target_from_source, self._b.target_from_source)
-        stopped = self._compare_stops() if counted else None
-        if not (
-            self._a.history and self._b.history
-        ):  # without iterations, a mistake in the answer explains more than the count
-            divergence = None if same else self._mistaken_answer() or stopped or self._unexplained_answer()
-            return divergence or stopped or self._compare_final_costs()
+        if not (self._a.history and self._b.history):
+            return self._compare_ends(same)
+        stopped = self._compare_stops()
         if stopped or same:
             return stopped
         return self._mistaken_answer() or self._divergence(
             None, "answer", "different", f"the same iterations, another answer ({self._gap()})"
         )
+
+    def _compare_ends(self, same: bool) -> Divergence | None:
+        """The difference where not both report their iterations; ``same``: the pose is equal."""
+        ended = self._compare_stops() if self._a.iterations and self._b.iterations else None
+        if ended and ended.kind != "different" and self._stops_on_path():
+            return ended
+        failed = ended if ended and ended.kind == "different" else None
+        if same:
+            return failed or self._compare_counts() or self._compare_final_costs()
+        return self._mistaken_answer() or failed or self._unexplained_answer()
 
     def _compare_pairs(
         self, number: int, before_a: Pose, before_b: Pose, a: Iteration, b: Iteration
@@ -199,6 +221,21 @@ class _AnswerComparison:
         what = f"{name} stops after {at} iterations{_last_change(shorter)}, {other} continues to {on}"
         return self._divergence(at, "iterations", "stop rule", what)
 
+    def _stops_on_path(self) -> bool:
+        """Whether B's answer is the pose of the reference after as many iterations: only the stop differs then."""
+        pose = _pose_after(self._b.iterations, self._a, self._question, self._reference)
+        other = self._b.target_from_source
+        return pose is not None and (self._margin.holds(pose, other) or self._rounding.holds(pose, other))
+
+    def _compare_counts(self) -> Divergence | None:
+        """The difference of numbers of iterations, or of their end, that no stop explains."""
+        a, b = self._a, self._b
+        names = [name for name in ("converged", "iterations") if getattr(a, name) != getattr(b, name)]
+        if not (a.iterations and b.iterations and names):
+            return None
+        what = f"the pose is equal, but not {', '.join(names)}: {_format_field(names[-1], a, b)}"
+        return self._divergence(None, "answer", "field", what)
+
     def _mistaken_answer(self) -> Divergence | None:
         right, other = self._a.target_from_source.row, self._b.target_from_source.row
         guess = self._question.guess
@@ -225,7 +262,9 @@ class _AnswerComparison:
         if a.inliers != b.inliers:
             what = f"{a.inliers} pairs against {b.inliers}; not both report their iterations ({self._gap()})"
             return self._divergence(None, "answer", "different", what)
-        return self._divergence(None, "answer", "different", f"not both report their iterations ({self._gap()})")
+        counts = f"{a.iterations} iterations against {b.iterations}; " if a.iterations and b.iterations else ""
+        what = f"{counts if a.iterations != b.iterations else ''}not both report their iterations ({self._gap()})"
+        return self._divergence(None, "answer", "different", what)
 
     def _compare_final_costs(self) -> Divergence | None:
         if _close(self._a.error, self._b.error, self._margin.metres):
@@ -247,11 +286,24 @@ class _AnswerComparison:
         return observed.explain()
 
     def _written(self, right: Pose, other: Pose) -> str:
-        """That a pose was written with few decimals, in words; "" if it was not."""
+        """That a pose was written with few decimals, in words; "" if it was not.
+
+        Its numbers differ by at most one in the last place, and it does not place the points exactly: a true motion
+        may have few decimals.
+        """
         decimals = written_decimals(other.row)
         if decimals is None or other == self._question.guess or written_decimals(right.row) == decimals:
             return ""
+        apart = max(abs(other.x - right.x), abs(other.y - right.y), abs(float(se2.wrap(other.theta - right.theta))))
+        if apart > (1.0 + 1e-9) * 10.0**-decimals or self._is_exact(other):
+            return ""
         return f"the numbers of the pose are written with {decimals} decimals: rounded"
+
+    def _is_exact(self, pose: Pose) -> bool:
+        """Whether a pose places most of the source points on target points, but for rounding."""
+        tree = cKDTree(self._question.target.points)
+        distance = tree.query(pose.transform(self._question.source.points))[0]
+        return float(np.median(distance)) <= EXACT * self._scale.reach_m
 
     def _least_squares_side(self, before: Pose, a: Iteration, b: Iteration) -> str:
         if a.pairs is None or not len(a.pairs):
@@ -290,6 +342,21 @@ class _AnswerComparison:
 
     def _divergence(self, number: int | None, quantity: str, kind: DivergenceKind, what: str) -> Divergence:
         return Divergence(self._question.scan, self._question.stage, number, quantity, kind, what)
+
+
+def _pose_after(count: int, match: Match, question: Question, reference: Registration | None) -> Pose | None:
+    """The pose of the reference after a number of iterations: of its trace, or asked again from where it stopped.
+
+    None if it has no trace, or does not go on.
+    """
+    for _ in range(MAX_RESTARTS):
+        if count <= len(match.history):
+            return match.history[count - 1].target_from_source if count > 0 else None
+        if not match.history or reference is None:
+            return None
+        count -= len(match.history)
+        match = reference.register(question.target, question.source, match.target_from_source)
+    return None
 
 
 def _close(a: float, b: float, tolerance: float) -> bool:

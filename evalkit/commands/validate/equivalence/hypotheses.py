@@ -67,11 +67,7 @@ class ObservedStep:
     def _simple(self) -> Iterator[Mistake]:
         moved = se2.transform(self.before, self.source)
         yield from mistakes_in_step(self.before, moved[self.pairs[:, 0]], self.target[self.pairs[:, 1]], moved)
-        for kind, what, target, other in mistaken_points(self.before, self.target, self.source):
-            pairs = self._filtered(*_nearest(other, target))
-            if len(pairs) >= MIN_PAIRS:
-                step = best_step(other[pairs[:, 0]], target[pairs[:, 1]])
-                yield Mistake(kind, what, se2.compose(step, self.before))
+        yield from self._of_points(moved)
         for share in LIMIT_SHARES:
             for kind, what, pairs in replace(self, limit_share=share)._other_pairs(moved):
                 if len(pairs) >= MIN_PAIRS:
@@ -84,6 +80,19 @@ class ObservedStep:
                 for pairs in (self._filtered(*found), self._counted(*found)):
                     if len(pairs) >= MIN_PAIRS and not np.array_equal(pairs, right_start):
                         yield Mistake("start", f"another start: {mistake.what}", self._after(mistake.row, pairs))
+
+    def _of_points(self, moved: Floats) -> Iterator[Mistake]:
+        """Steps of other points; after another motion also by as many pairs as are reported, if they are others."""
+        right = self._counted(*_nearest(moved, self.target))
+        for kind, what, target, other in mistaken_points(self.before, self.target, self.source):
+            found = _nearest(other, target)
+            others = [self._filtered(*found)]
+            if kind == "step" and not np.array_equal(counted := self._counted(*found), right):
+                others.append(counted)
+            for pairs in others:
+                if len(pairs) >= MIN_PAIRS:
+                    step = best_step(other[pairs[:, 0]], target[pairs[:, 1]])
+                    yield Mistake(kind, what, se2.compose(step, self.before))
 
     def _exchanged(self) -> Iterator[Mistake]:
         """The step of the target onto the source, inverted."""

@@ -61,12 +61,16 @@ class Question:
 
 @dataclass(frozen=True, eq=False)
 class AnswerPair:
-    """A question with both answers; ``b`` is None if the second has none, and ``failure`` gives the reason."""
+    """A question with both answers; ``b`` is None if the second has none, and ``failure`` gives the reason.
+
+    ``reference``: what gave the first answer, to be asked again from it; None if it is no registration.
+    """
 
     question: Question
     a: Match
     b: Match | None
     failure: str = ""
+    reference: Registration | None = None
 
     @property
     def disturbed(self) -> bool:
@@ -124,7 +128,7 @@ def answer_pairs(
             for stage, (target, source, guess, match) in (zip(estimate.stages, calls, strict=True) if estimate else ())
         ]
         for question, match in answered:
-            yield answer(registrations_b[question.stage], question, match)
+            yield answer(registrations_b[question.stage], question, match, registrations_a[question.stage])
         if disturbed and answered:
             stage = answered[-1][0].stage
             question = _disturb(answered[-1][0], rng)
@@ -132,7 +136,7 @@ def answer_pairs(
                 match = registrations_a[stage].register(question.target, question.source, question.guess)
             except Exception as error:  # a third party's code
                 raise BackendFailed(a.label, f"scan {scan}, disturbed: {format_exception(error)}", REMEDY) from error
-            yield answer(registrations_b[stage], question, match)
+            yield answer(registrations_b[stage], question, match, registrations_a[stage])
 
 
 def _disturb(question: Question, rng: np.random.Generator) -> Question:
@@ -148,15 +152,17 @@ def draw_motion(rng: np.random.Generator, metres: float, radians: float) -> Pose
     return Pose(metres * float(np.cos(bearing)), metres * float(np.sin(bearing)), turn)
 
 
-def answer(registration: Registration, question: Question, a: Match) -> AnswerPair:
-    """The answer of a registration to a question that has been answered by another one."""
+def answer(
+    registration: Registration, question: Question, a: Match, reference: Registration | None = None
+) -> AnswerPair:
+    """The answer of a registration to a question that has been answered by another one, the reference."""
     try:
         b: Any = registration.register(question.target, question.source, question.guess)
     except Exception as error:  # noqa: BLE001 - a third party's exception is a difference to report
-        return AnswerPair(question, a, None, format_exception(error))
+        return AnswerPair(question, a, None, format_exception(error), reference)
     if not isinstance(b, Match):
-        return AnswerPair(question, a, None, f"returns a {type(b).__name__}, expected an evalkit.Match")
-    return AnswerPair(question, a, b)
+        return AnswerPair(question, a, None, f"returns a {type(b).__name__}, expected an evalkit.Match", reference)
+    return AnswerPair(question, a, b, reference=reference)
 
 
 def pose_pairs(a: ComparedBackend, b: ComparedBackend, sequence: Sequence, scans: int) -> Iterator[PosePair]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from evalkit.commands.validate.equivalence.diagnosis import DivergenceKind
+from evalkit.commands.validate.equivalence.diagnosis import DivergenceKind, wrong_sines
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
 
@@ -74,6 +74,8 @@ def _other_motions(before: Floats, source: Floats) -> Iterator[tuple[str, Floats
         sine, cosine = _series(theta, terms)
         what = f"points are moved by sine and cosine as series of {terms} terms: the rotation is inexact"
         yield what, by(cosine, -sine, sine, cosine)
+    for where, first, second in wrong_sines(theta):
+        yield f"points are turned with {where} of the angle in degrees", by(c, -first, second, c)
     yield "x is overwritten before y is computed from it", by(c, -s, s * c, c - s * s)
     yield "points are shifted before they are turned", se2.transform(np.array([0.0, 0.0, theta]), source + shift)
     yield "points are not shifted", by(c, -s, s, c) - shift

@@ -1,6 +1,7 @@
 """The first difference of two answers, written by hand, is found at its place and named by its cause."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,6 +24,8 @@ RIGHT = Pose.of(best_step(SOURCE, TARGET))
 NEAR = RIGHT @ Pose(1e-6, 0.0, 0.0)  # within rounding to float32 at 4 m, beyond that to float64
 OTHER = RIGHT @ Pose(0.02, 0.013, 0.004)
 ROUNDED = Pose.of(np.round(RIGHT.row, 3))
+PATH = [Pose(0.3, 0.1, 0.07), OTHER, RIGHT]
+"""The poses of a reference after one iteration, two and three."""
 
 
 def match(pose=RIGHT, history=(), iterations=0, error=0.01, inliers=6, converged=True):
@@ -33,8 +36,8 @@ def entry(pose=RIGHT, error=0.01, inliers=6, pairs=None):
     return Iteration(error, inliers, pose, pairs)
 
 
-def difference(a, b):
-    found = first_divergence(AnswerPair(QUESTION, a, b), Margin())
+def difference(a, b, question=QUESTION, reference=None):
+    found = first_divergence(AnswerPair(question, a, b, reference=reference), Margin())
     return found and str(found)
 
 
@@ -68,6 +71,53 @@ def test_stops_are_compared_where_both_count_their_iterations():
     failed = match(OTHER, iterations=1, error=math.nan, converged=False)
     said = "scan 1, s2s, iteration 1, iterations: different: B fails after 1 iterations, A continues to 2"
     assert difference(match(iterations=2), failed) == said
+
+
+class OneAtATime:
+    """A reference that goes to the next pose of the path, and ends there; the last one leads nowhere."""
+
+    def register(self, _target, _source, guess):
+        at = PATH.index(guess) + 1
+        return match(PATH[at], [entry(PATH[at])], iterations=1) if at < len(PATH) else Match.not_converged(guess)
+
+
+FAR = OTHER @ Pose(0.01, 0.02, 0.03)
+STOPS = {  # the length of the first answer, the second one, without iterations, and what is said
+    "earlier": (3, match(PATH[1], iterations=2), "stop rule: B stops after 2 iterations, A continues to 3"),
+    "capped": (3, match(PATH[1], iterations=2, converged=False), "iteration cap: B ends unconverged after 2 iter"),
+    "later": (1, match(PATH[2], iterations=3), "stop rule: A stops after 1 iterations, B continues to 3"),
+    "elsewhere": (3, match(FAR, iterations=2), "different: 3 iterations against 2; not both report"),
+    "elsewhere, later": (1, match(FAR, iterations=3), "different: 1 iterations against 3; not both report"),
+    "later than known": (2, match(FAR, iterations=5), "different: 2 iterations against 5; not both report"),
+    "elsewhere, unconverged": (3, match(FAR, iterations=3, converged=False), "different: not both report"),
+    "counted wrongly": (3, match(PATH[2], iterations=2), "field: the pose is equal, but not iterations: iterations 3"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STOPS)
+def test_a_stop_is_the_cause_only_where_the_reference_had_the_other_pose_after_as_many_iterations(name):
+    length, b, said = STOPS[name]
+    question = replace(QUESTION, guess=Pose(0.5, 0.4, 0.3))  # no pose of the path
+    a = match(PATH[length - 1], [entry(pose) for pose in PATH[:length]], iterations=length)
+    found = difference(a, b, question, OneAtATime())
+    assert found.partition(": ")[2].startswith(said), found
+
+
+def test_without_the_poses_of_the_reference_no_stop_is_named():
+    found = difference(match(iterations=3), match(OTHER, iterations=2))
+    assert found.startswith("scan 1, s2s, answer: different: 3 iterations against 2; not both report their iterations")
+
+
+def test_few_decimals_of_a_pose_that_rounding_does_not_lead_to_are_not_its_cause():
+    """An ICP that ends before it is exact, against one that finds the true motion, and against a far one."""
+    true = Pose(0.2, -0.15, -0.2)
+    question = replace(QUESTION, source=Cloud(true.inverse().transform(TARGET)))
+    near = true @ Pose(3e-3, -2e-3, 1e-3)
+    assert "not both report their iterations" in difference(match(near), match(true), question)
+    assert "3 decimals: rounded" in difference(match(near), match(Pose.of(np.round(near.row, 3))), question)
+    assert "not both report their iterations" in difference(match(), match(Pose(0.5, 0.0, 0.0)))
+    cut = match(Pose.of(np.trunc(RIGHT.row * 1e3) / 1e3))
+    assert "written with 3 decimals: rounded" in difference(match(), cut)
 
 
 def test_the_error_of_an_equal_answer_is_compared_where_one_counts_no_iterations():

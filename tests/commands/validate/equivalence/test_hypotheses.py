@@ -64,6 +64,24 @@ def test_a_scaled_or_weighted_step_is_named(after, said):
     assert explained(step(after)) == ("step", said)
 
 
+def test_a_sine_of_degrees_is_named_with_its_place():
+    """BEFORE turns by 0.9 rad: 51.57 degrees, whose sine as of radians is 0.996 instead of 0.783."""
+    c, s, wrong = math.cos(0.9), math.sin(0.9), math.sin(math.degrees(0.9))
+    other = SOURCE @ np.array([[c, -s], [wrong, c]]).T + BEFORE[:2]
+    nearest = np.argmin(np.linalg.norm(other[:, None] - TARGET, axis=2), axis=1)
+    kept = np.unique(nearest, return_index=True)[1]
+    observed = step(best_step(other[kept], TARGET[nearest[kept]]), count=len(kept))
+    said = "points are turned with the sine for y of the angle in degrees"
+    assert explained(observed) == ("step", said)
+
+    theta = LEAST_SQUARES[2]
+    wrong = math.sin(math.degrees(theta))
+    turned = np.array([[math.cos(theta), -wrong], [wrong, math.cos(theta)]])
+    shift = TARGET.mean(axis=0) + turned @ (BEFORE[:2] - MOVED.mean(axis=0))
+    after = se2.compose(np.array([*shift, BEFORE[2] + theta]), se2.inverse(BEFORE))
+    assert explained(step(after)) == ("units", "the step is turned with the sine of its angle in degrees")
+
+
 def test_a_step_of_no_known_rule_is_not_named():
     assert step(np.array([0.9, -0.7, 0.6])).explain() is None
     moved_only = MOVED - MOVED.mean(axis=0) + TARGET.mean(axis=0)  # its centroids agree ...
