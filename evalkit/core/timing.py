@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 Answer = TypeVar("Answer")
 Clock = Literal["wall", "cpu"]
@@ -33,6 +33,8 @@ class Cost:
     preparation_ns: int = 0
 
     def __add__(self, other: Cost) -> Cost:
+        if other is NO_COST:
+            return self
         return Cost(
             self.conversion_ns + other.conversion_ns,
             self.program_cpu_ns + other.program_cpu_ns,
@@ -45,8 +47,7 @@ class Cost:
 NO_COST = Cost()
 
 
-@dataclass(frozen=True, slots=True)
-class CallTiming:
+class CallTiming(NamedTuple):
     """Time of one call in nanoseconds; 0 where not measured.
 
     ``conversion_ns`` and ``preparation_ns`` are parts of ``cpu_ns``. ``device_ns``: time that the back end reports.
@@ -60,6 +61,8 @@ class CallTiming:
 
     def including(self, cost: Cost) -> CallTiming:
         """Return this timing with the cost that the back end reports."""
+        if cost is NO_COST:
+            return self
         return CallTiming(
             0 if "wall" in cost.withheld else self.wall_ns,
             0 if "cpu" in cost.withheld else self.cpu_ns + cost.program_cpu_ns,

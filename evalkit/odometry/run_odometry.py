@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from evalkit.core.timing import CallTiming, timed
 from evalkit.plugins.protocols import NoAnswer, Odometry
 
 
-@dataclass(frozen=True, slots=True)
-class OdometryStep:
+class OdometryStep(NamedTuple):
     """One scan: its frame, the estimate and the time of the call.
 
     ``estimate`` is None where the odometry raised ``NoAnswer``; ``reason`` then holds the text.

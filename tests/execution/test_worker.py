@@ -17,6 +17,8 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Score
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.timing import CallTiming
 from evalkit.execution import worker
 from evalkit.execution.worker import Request
 from evalkit.metrics.table import Evidence
@@ -135,6 +137,17 @@ def test_an_odometry_can_report_its_stages(tmp_path, monkeypatch):
     assert set(steps[["s2s_iterations", "s2s_inliers", "s2s_accepted", "s2s_converged"]].tolist()) == {(7, 90, 1, 1)}
     assert set(steps[["s2m_iterations", "s2m_inliers", "s2m_accepted", "s2m_converged"]].tolist()) == {(40, 12, 0, 0)}
     assert set(steps["s2m_error"].tolist()) == {0.05}
+
+
+@pytest.mark.parametrize("number", [(bool, int, float), (np.bool_, np.int64, np.float32), (int, float, np.float64)])
+def test_a_record_holds_what_numpy_makes_of_its_values(number):
+    flag, count, real = number
+    stage = StageEstimate(flag(1), flag(0), count(7), real(0.25), count(300))
+    estimate = OdometryEstimate(Pose(real(1.5), 2.0, -0.5), {"s2s": stage, "s2m": stage}, corrected=flag(1))
+    frame = Frame(Scan(123, np.ones(2), np.zeros(2), 0.1, 9.0))
+    record = worker._record_step(frame, estimate, CallTiming(5, 4, 3, 2, 1), 6)
+    expected = (123, 1.5, 2.0, -0.5, 5, 4, 3, 6, 2, 1, 0.25, 7, 300, 0.25, 7, 300, 1, 0, 1, 0, 1)
+    assert np.frombuffer(record, STEP).tolist() == [expected]
 
 
 def test_a_slam_leaves_its_corrected_poses_and_loop_closures_beside_its_steps(tmp_path):
