@@ -21,11 +21,13 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import importlib
 import importlib.metadata
 import importlib.util
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import ModuleType
 from typing import Any
 
 from evalkit.core.errors import NotInstalled
@@ -42,6 +44,7 @@ INSTALL = "pip install 'evalkit[open3d]'"
 SYSTEM_LIBRARIES = ("libGL.so.1", "libEGL.so.1", "libX11.so.6", "libusb-1.0.so.0")
 INSTALL_SYSTEM = "apt-get install -y --no-install-recommends libgl1 libegl1 libx11-6 libusb-1.0-0"
 OLDEST = (0, 20)
+DRAWING = "open3d.visualization.draw_plotly"
 
 Describe = Callable[[Any, Cloud, AdapterClocks], None]
 """Adds normals or covariances to an Open3D cloud made of evalkit's cloud."""
@@ -179,6 +182,7 @@ def _make_loss(methods: Any, settings: Open3DPlaneSettings) -> Any:
 
 
 def _import_open3d() -> Any:
+    _defer_drawing()
     try:
         import open3d  # noqa: PLC0415 - heavy: imported only for a run
     except (ImportError, OSError) as error:
@@ -186,6 +190,33 @@ def _import_open3d() -> Any:
     open3d.utility.set_max_threads(1)
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)  # the Match reports what Open3D would print
     return open3d
+
+
+def _defer_drawing() -> None:
+    """Let Open3D import its drawing in a browser on first use: it loads plotly and dash, half of the time of all."""
+    deferred: list[str] = []
+
+    def load() -> ModuleType:
+        if sys.modules.get(DRAWING) is placeholder:
+            del sys.modules[DRAWING]
+            drawing = importlib.import_module(DRAWING)
+            vars(sys.modules[DRAWING.rpartition(".")[0]]).update({name: getattr(drawing, name) for name in deferred})
+        return sys.modules[DRAWING]
+
+    def defer(name: str) -> Callable[..., Any]:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        deferred.append(name)
+
+        def draw(*arguments: Any, **keywords: Any) -> Any:
+            return getattr(load(), name)(*arguments, **keywords)
+
+        return draw
+
+    placeholder = ModuleType(DRAWING)
+    vars(placeholder)["__getattr__"] = defer
+    if "open3d" not in sys.modules:
+        sys.modules[DRAWING] = placeholder
 
 
 def _read_version() -> tuple[int, ...]:

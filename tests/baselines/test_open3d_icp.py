@@ -1,5 +1,6 @@
 """Open3D on planar clouds: each method recovers a known motion, and none is degraded by z = 0."""
 
+import subprocess
 import sys
 
 import numpy as np
@@ -134,6 +135,23 @@ def test_the_time_of_the_normals_is_reported_apart_from_the_conversion():
     cost = backend("point-to-plane").register(target, source, Pose()).cost
     assert cost.preparation_ns > 0
     assert backend("point-to-point").register(target, source, Pose()).cost.preparation_ns == 0
+
+
+@needs_open3d
+def test_open3d_loads_its_drawing_in_a_browser_only_where_it_draws():
+    """In a process of its own; afterwards the names of Open3D are its own functions again."""
+    program = (
+        "import sys, numpy\nfrom evalkit_baselines import open3d_icp\n"
+        "open3d_icp.POINT_TO_POINT.make()\nimport open3d\n"
+        "points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(numpy.zeros((7, 3))))\n"
+        "for name in ('dash', 'plotly'): print(name in sys.modules)\n"
+        "print(len(open3d.visualization.get_plotly_fig([points]).data[0].x), 'dash' in sys.modules)\n"
+        "print(open3d.visualization.draw_plotly.__module__, open3d.visualization.draw_plotly_server.__name__)"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == [
+        "False", "False", "7", "True", "open3d.visualization.draw_plotly", "draw_plotly_server",
+    ]  # fmt: skip
 
 
 @needs_open3d
