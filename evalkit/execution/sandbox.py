@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 import sys
@@ -14,7 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from evalkit.execution.subprocesses import ChildProcess, end_with_parent
+from evalkit.execution.parent import end_with_parent
+from evalkit.execution.subprocesses import ChildProcess
 from evalkit.execution.task import AnyTask, Result, Task, make_task
 from evalkit.execution.task_store import read_result, write_result
 from evalkit.execution.usage import Usage
@@ -70,6 +72,7 @@ def note_place(place: str) -> None:
 def main() -> int:
     """Runs the task in the folder named on the command line."""
     end_with_parent()
+    gc.enable()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     os.environ[PLACE_VARIABLE] = str(folder / PLACE)
     path = pickle.loads((folder / SYSTEM_PATH).read_bytes())

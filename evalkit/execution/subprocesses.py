@@ -7,7 +7,6 @@ that descendants that leave its session are found as well.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import platform
 import signal
@@ -20,7 +19,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from io import RawIOBase
-from multiprocessing import parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -33,6 +31,7 @@ import psutil
 from evalkit.core.errors import MachineFault, NotInstalled
 from evalkit.execution import supervisor
 from evalkit.execution.environment import SINGLE_THREAD
+from evalkit.execution.parent import poll_parent
 from evalkit.execution.supervisor import PARENT
 from evalkit.execution.usage import Usage, read_waited_s
 from evalkit.plugins.registry import MARK
@@ -54,8 +53,6 @@ MAX_OUTPUT_BYTES = 16 * 2**20
 
 OUTPUT = "output.txt"
 """File in the folder of a child with its standard output and standard error."""
-
-_PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 
 class ChildProcess:
@@ -197,32 +194,6 @@ def _require_process_groups() -> None:
     if os.name != "posix":
         what = f"runs are not supported on {platform.system()}: it has no process groups to end a back end with"
         raise NotInstalled("evalkit", what, "use Linux, macOS, or Linux within Windows (WSL)")
-
-
-def end_with_parent() -> None:
-    """Terminate this process when its parent dies; for processes that run foreign code.
-
-    On Linux the kernel does it, whatever foreign code does here; the thread that started this process must stay alive.
-    """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    else:
-        poll_parent()
-    if os.environ.get(PARENT, str(os.getppid())) != str(os.getppid()):  # dead already
-        os._exit(1)
-
-
-def poll_parent() -> None:
-    """Terminate this process when its parent dies, by polling in a thread; for processes without foreign code."""
-    started_by = parent_process()  # its process id is known even if it is dead already
-    parent = started_by.pid if started_by else os.getppid()
-
-    def poll() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os._exit(1)
-
-    threading.Thread(target=poll, daemon=True).start()
 
 
 class WorkerPool:

@@ -6,6 +6,7 @@ scan begins, so that nothing computed is lost if the process dies.
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import os
@@ -28,7 +29,7 @@ from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
 from evalkit.core.scan import Frame
 from evalkit.core.timing import CallTiming
 from evalkit.execution.conditions import WaitingMeter, measure_own_threads
-from evalkit.execution.subprocesses import end_with_parent
+from evalkit.execution.parent import end_with_parent
 from evalkit.io.output_files import write_bytes, write_text
 from evalkit.odometry import frontend
 from evalkit.odometry.corrections import read_corrections
@@ -132,7 +133,9 @@ def execute_request(request: Request, folder: Path) -> RunResult:
             if localised is not None:
                 make, sequence, started["start"] = localised.make, localised.sequence, localised.start.as_dict()
         _write_json(folder / "started.json", started)  # in case the back end kills this process in its warm-up
-        warm = _warm_up(make(), sequence)
+        rehearsal = make()
+        _collect_garbage()
+        warm = _warm_up(rehearsal, sequence)
         odometry = make()
         _write_json(folder / "started.json", started | {"warm_up_scans": warm})
         waiting = WaitingMeter()
@@ -187,6 +190,13 @@ def _open_data(request: Request) -> tuple[Sequence | StoredFrames, int]:
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
     write_text(path, json.dumps(content))
+
+
+def _collect_garbage() -> None:
+    """Enable the collection of garbage, which the supervisor has disabled; it need not look through what is loaded."""
+    if not gc.isenabled():
+        gc.enable()
+        gc.freeze()
 
 
 def _warm_up(odometry: Odometry, sequence: Sequence | StoredFrames) -> int:

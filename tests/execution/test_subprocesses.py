@@ -82,13 +82,13 @@ def test_nothing_starts_on_a_system_without_process_groups(tmp_path, monkeypatch
 
 ORPHAN = """
 import multiprocessing, os, signal, time
-from evalkit.execution import subprocesses, usage
+from evalkit.execution import parent
 
 def late():
     os.kill(multiprocessing.parent_process().pid, signal.SIGKILL)
     while os.getppid() == multiprocessing.parent_process().pid:
         time.sleep(0.01)
-    subprocesses.poll_parent()
+    parent.poll_parent()
     time.sleep(600)
 
 if __name__ == "__main__":

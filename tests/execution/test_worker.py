@@ -1,6 +1,7 @@
 """A run executed by the worker, in this process: its times, files and notes."""
 
 import errno
+import gc
 import io
 import json
 import os
@@ -61,6 +62,20 @@ def test_a_run_loads_no_library_that_it_does_not_use(tmp_path):
     assert reason == ""
     heavy = {"scipy", "pandas", "matplotlib", "numpy.ma", "evalkit.odometry.map_localisation", "evalkit.metrics"}
     assert heavy & set(loaded) == set()
+
+
+def test_garbage_is_collected_from_the_warm_up_on_and_not_among_what_is_loaded(tmp_path):
+    frozen = gc.get_freeze_count()
+    execute_request(tmp_path)
+    assert gc.get_freeze_count() == frozen  # a process that collects garbage already goes on as it is
+    gc.disable()
+    try:
+        execute_request(tmp_path)
+        assert gc.isenabled()
+        assert gc.get_freeze_count() > frozen + 1000
+    finally:
+        gc.enable()
+        gc.unfreeze()
 
 
 def test_a_sequence_shorter_than_the_warm_up_is_all_warm_up_and_all_run(tmp_path):

@@ -6,6 +6,7 @@ check and the result after it, so that a crash can be attributed to a rule.
 
 from __future__ import annotations
 
+import gc
 import json
 import sys
 import tempfile
@@ -21,7 +22,8 @@ from evalkit.commands.validate.rules.registration_rules import RegistrationFixtu
 from evalkit.commands.validate.rules.rule import Rule, RuleReport, RuleResult, check_rule
 from evalkit.commands.validate.rules.slam_rules import SlamFixture
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
-from evalkit.execution.subprocesses import ChildProcess, end_with_parent
+from evalkit.execution.parent import end_with_parent
+from evalkit.execution.subprocesses import ChildProcess
 from evalkit.execution.usage import Usage
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, address_of, spec_at
@@ -196,6 +198,7 @@ def _process_rule(name: str, ends: list[str]) -> RuleResult:
 def main() -> int:
     """Checks the rules of the request in the folder named on the command line, writing lines to ``results.jsonl``."""
     end_with_parent()
+    gc.enable()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     sys.path.extend(entry for entry in request["path"] if entry not in sys.path)
