@@ -34,7 +34,7 @@ class Voxels:
 def fit_voxels(points: Floats, size_m: float = VOXEL_M, at_least: int = MIN_CELLS) -> Voxels:
     """Return the Gaussians of points (N, 2) in squares of ``size_m``; one square has a corner at the origin."""
     squares_of = np.floor(points / size_m).astype(np.int64)
-    flat = squares_of[:, 0] * _FAR + squares_of[:, 1]
+    flat = _number_squares(squares_of)
     keys_of_squares, which, counts = np.unique(flat, return_inverse=True, return_counts=True)
     count = len(keys_of_squares)
     x, y = points.T
@@ -46,6 +46,11 @@ def fit_voxels(points: Floats, size_m: float = VOXEL_M, at_least: int = MIN_CELL
     keys = np.stack([(keys_of_squares - rows) // _FAR, rows], axis=1)
     kept = counts >= at_least
     return Voxels(keys[kept], means[kept], squares[kept] / counts[kept][:, None, None])
+
+
+def _number_squares(at: Ints) -> Ints:
+    """Return one number (K,) for each column and row (K, 2), in the order of columns, then rows."""
+    return at[:, 0] * _FAR + at[:, 1]
 
 
 def wasserstein_distances(means: Floats, covariances: Floats, others: Floats, other_covariances: Floats) -> Floats:
@@ -65,9 +70,7 @@ def wasserstein_distances(means: Floats, covariances: Floats, others: Floats, ot
 def voxel_distances(mapped: Floats, true: Floats, size_m: float = VOXEL_M) -> tuple[Ints, Floats]:
     """Return column and row (K, 2) of the voxels with a Gaussian in both clouds, and their distances (K,)."""
     ours, theirs = fit_voxels(mapped, size_m), fit_voxels(true, size_m)
-    index = {(int(column), int(row)): place for place, (column, row) in enumerate(theirs.at)}
-    pairs = [(i, index[int(c), int(r)]) for i, (c, r) in enumerate(ours.at) if (int(c), int(r)) in index]
-    one, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    _, one, other = np.intersect1d(_number_squares(ours.at), _number_squares(theirs.at), True, return_indices=True)
     apart = wasserstein_distances(
         ours.means[one], ours.covariances[one], theirs.means[other], theirs.covariances[other]
     )
@@ -80,10 +83,18 @@ def spatial_consistency(at: Ints, apart: Floats) -> float:
     Around a voxel: itself and its up to 8 neighbours. Voxels with fewer than three distances around them are omitted;
     nan if all are.
     """
-    near = np.abs(at[:, None, :] - at[None, :, :]).max(axis=-1) <= 1
-    counts = near.sum(axis=1)
-    means = (near @ apart) / counts
-    spread = np.sqrt(np.maximum((near @ apart**2) / counts - means**2, 0.0))
+    keys, steps = _number_squares(at), range(-1, 2)
+    order = np.argsort(keys)
+    counts, sums, squares = np.zeros((3, len(keys)))
+    for shift in (column * _FAR + row for column in steps for row in steps):
+        places = np.searchsorted(keys, keys + shift, sorter=order)
+        beside = order[np.minimum(places, len(keys) - 1)]
+        met = keys[beside] == keys + shift
+        counts += met
+        sums += np.where(met, apart[beside], 0.0)
+        squares += np.where(met, apart[beside] ** 2, 0.0)
+    means = sums / counts
+    spread = np.sqrt(np.maximum(squares / counts - means**2, 0.0))
     kept = (counts >= MIN_VOXELS) & (means > 0.0)
     return float(np.mean(spread[kept] / means[kept])) if kept.any() else float("nan")
 
