@@ -26,6 +26,7 @@ from evalkit.metrics.table import (
     MissingMap,
     PlacedScans,
     cached,
+    find_probabilities,
     make_metrics,
     make_score,
     place_hits,
@@ -54,7 +55,7 @@ _NO_HALVES = "the two halves of the run have no maps"
 
 def map_entropy(grid: OccupancyGrid) -> float:
     """Return the mean entropy of the observed cells in nats: 0 if all are certain, ln 2 if nothing is known."""
-    p = grid.probability()[grid.observed]
+    p = find_probabilities(grid)[grid.observed]
     p = np.clip(p, 1e-12, 1.0 - 1e-12)
     return float(-np.mean(p * np.log(p) + (1.0 - p) * np.log(1.0 - p)))
 
@@ -83,7 +84,7 @@ def occupied_share(grid: OccupancyGrid) -> float:
     """Return the number of occupied cells divided by the number of occupied and free cells, of which there is at least
     one.
     """
-    occupied, free = grid.occupied().sum(), grid.free().sum()
+    occupied, free = np.count_nonzero(grid.occupied()), np.count_nonzero(grid.free())
     return float(occupied / (occupied + free))
 
 
@@ -257,12 +258,20 @@ def _compute_thicknesses(evidence: Evidence) -> tuple[Floats, float]:
     return _measure_thicknesses(sample_all_neighbourhoods(evidence))
 
 
+@cached
+def _find_mapped_areas(grid: OccupancyGrid) -> tuple[Ints, int]:
+    """Return the sizes (K,) of the enclosed areas, and the number of free cells."""
+    return find_enclosed_areas(grid), int(np.count_nonzero(grid.free()))
+
+
 def _score_enclosed_areas(grid: OccupancyGrid) -> Score:
-    return make_score(len(find_enclosed_areas(grid)), int(grid.free().sum()))
+    areas, cells = _find_mapped_areas(grid)
+    return make_score(len(areas), cells)
 
 
 def _score_enclosed_size(grid: OccupancyGrid) -> Score:
-    return make_score(find_enclosed_areas(grid).sum() * grid.resolution_m**2, int(grid.free().sum()))
+    areas, cells = _find_mapped_areas(grid)
+    return make_score(areas.sum() * grid.resolution_m**2, cells)
 
 
 def _score_cleared(evidence: Evidence) -> Score:
@@ -288,7 +297,7 @@ def _score_split(evidence: Evidence) -> Score:
 
 
 def _count_cells(grid: OccupancyGrid) -> int:
-    return int((grid.occupied() | grid.free()).sum())
+    return int(np.count_nonzero(grid.occupied() | grid.free()))
 
 
 METRICS = make_metrics(

@@ -12,7 +12,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.maps import find_cells
-from evalkit.metrics.table import make_metrics, make_score, with_true_grid
+from evalkit.metrics.table import find_probabilities, make_metrics, make_score, with_true_grid
 
 Cell = TypeVar("Cell", bound=np.generic)
 
@@ -71,7 +71,7 @@ def _resample(grid: OccupancyGrid, rows: Ints, columns: Ints, shape: tuple[int, 
     """
     lines = [np.flatnonzero((at >= 0) & (at < size)) for at, size in zip((rows, columns), shape, strict=True)]
     own = tuple(slice(at[0], at[-1] + 1) if len(at) else slice(0) for at in lines)  # rows and columns ascend
-    observed, p = grid.observed[own], grid.probability()[own]
+    observed, p = grid.observed[own], find_probabilities(grid)[own]
     rows, columns = rows[own[0]], columns[own[1]]
     if all((np.diff(at) == 1).all() for at in (rows, columns)) and observed.size:  # one cell of the grid in each
         mean, seen = np.full(shape, 0.5), np.zeros(shape, np.bool_)

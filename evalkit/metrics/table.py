@@ -159,20 +159,29 @@ def make_metrics(
     )
 
 
+Given = TypeVar("Given", Evidence, OccupancyGrid)
 Computed = TypeVar("Computed")
 
 
-def cached(compute: Callable[[Evidence], Computed]) -> Callable[[Evidence], Computed]:
-    """Cache a function of the evidence; the value is released together with the evidence."""
-    values: WeakKeyDictionary[Evidence, Computed] = WeakKeyDictionary()
+def cached(compute: Callable[[Given], Computed]) -> Callable[[Given], Computed]:
+    """Cache a function of the evidence, or of a map; the value is released together with it."""
+    values: WeakKeyDictionary[Given, Computed] = WeakKeyDictionary()
 
     @wraps(compute)
-    def cached_compute(evidence: Evidence) -> Computed:
-        if evidence not in values:
-            values[evidence] = compute(evidence)
-        return values[evidence]
+    def cached_compute(given: Given) -> Computed:
+        if given not in values:
+            values[given] = compute(given)
+        return values[given]
 
     return cached_compute
+
+
+@cached
+def find_probabilities(grid: OccupancyGrid) -> Floats:
+    """Return the probability of occupancy (H, W) of a map, read-only, computed once for all metrics."""
+    probabilities = grid.probability()
+    probabilities.flags.writeable = False
+    return probabilities
 
 
 def place_hits(placed: PlacedScan) -> Floats:
