@@ -13,7 +13,7 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.lattice import distances_to_walls_m, find_squared_distances
+from evalkit.metrics.lattice import REACH, distances_to_walls_m, find_squared_distances
 from evalkit.metrics.neighbourhoods import (
     PATCH_M,
     Neighbourhoods,
@@ -165,10 +165,13 @@ def cleared_share(hits: Floats, other: OccupancyGrid) -> tuple[float, int]:
     count = int(np.count_nonzero(observed))
     suspects, walls = hits[observed & (log_odds < CLEARED)], other.occupied()
     columns, rows = np.floor((suspects - [other.origin_x, other.origin_y]) / other.resolution_m).astype(np.int64).T
-    apart = other.resolution_m * np.sqrt(find_squared_distances(rows, columns, walls)[0])  # of the centres of cells
-    within_cell = other.resolution_m * (_HALF_DIAGONAL + _EDGE)
-    far = apart - within_cell > NOISE_M
-    unclear = np.flatnonzero(~far & (apart + within_cell > NOISE_M))
+    squares, beyond = find_squared_distances(rows, columns, walls)
+    apart, within_cell = np.sqrt(squares), _HALF_DIAGONAL + _EDGE  # of the centres of cells; of a hit from its centre
+    apart[beyond] = REACH  # or more
+    near = (apart + within_cell) * other.resolution_m <= NOISE_M
+    near[beyond] = False
+    far = (apart - within_cell) * other.resolution_m > NOISE_M
+    unclear = np.flatnonzero(~near & ~far)
     tree = build_kd_tree(other.centres(walls))
     far[unclear] = np.isinf(tree.query(suspects[unclear], distance_upper_bound=NOISE_M)[0])
     return (float(np.count_nonzero(far) / count), count) if count else (0.0, 0)

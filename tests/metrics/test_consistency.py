@@ -203,6 +203,19 @@ def test_only_observed_cells_of_the_other_map_below_minus_one_are_free_space() -
     assert consistency.cleared_share(hits[2:], other) == (0.0, 0)
 
 
+@pytest.mark.parametrize(("resolution_m", "walls"), [(0.004, 3), (0.03, 100), (0.05, 100), (0.3, 600)])
+def test_the_share_of_hits_in_free_space_equals_brute_force(resolution_m: float, walls: int) -> None:
+    rng = np.random.default_rng(0)
+    log_odds = np.full((60, 70), -3.0, np.float32)
+    log_odds.flat[rng.choice(log_odds.size, walls, replace=False)] = 3.0
+    other = OccupancyGrid(log_odds, np.ones(log_odds.shape, np.bool_), resolution_m, -0.4, 0.7)
+    hits = np.array([-0.4, 0.7]) + rng.uniform(0.0, 1.0, (3000, 2)) * resolution_m * np.array([70.0, 60.0])
+    free = consistency.look_up_cells(hits, other)[0] < 0.0
+    apart = np.linalg.norm(hits[:, None] - other.centres(other.occupied())[None], axis=2).min(axis=1)
+    assert 100 < np.count_nonzero(free & (apart > 0.1)) < 2900
+    assert consistency.cleared_share(hits, other) == (np.count_nonzero(free & (apart > 0.1)) / 3000, 3000)
+
+
 def test_cells_are_looked_up_up_to_the_edges_of_the_grid() -> None:
     """A grid of one cell from (10, 20) to (11, 21)."""
     one = OccupancyGrid(np.array([[3.0]], np.float32), np.array([[True]]), 1.0, 10.0, 20.0)
