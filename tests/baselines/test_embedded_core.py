@@ -34,27 +34,39 @@ TABLES = (registration.PARAMETERS, frontend.PARAMETERS, mapper.PARAMETERS)
 LAB = {p.name: p.default for p in registry.dataset("lab").parameters} | {"laps": 0.12, "seed": 5}
 
 
+PARTS = ("refusals", "scan", "index", "icp", "grid", "pipeline", "scanlog", "drive", "slam_solve", "sizes", "status")
+"""Tests of the core that compile and run in moments without optimisation."""
+
+needs_tools = pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOOLS)}; the core's own tests need them")
+
+
+def build_core(folder, options, targets=()):
+    options = [*options, "-DEK_WERROR=ON", "-DCMAKE_BUILD_TYPE=Debug", "-DEK_BUILD_PROGRAMS=OFF"]
+    run_tool("cmake", "-S", str(FOLDER), "-B", str(folder), *options)
+    run_tool("cmake", "--build", str(folder), *(["--target", *targets] if targets else []))
+
+
+def run_tool(*command):
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert answer.returncode == 0, f"{' '.join(command)}\n{answer.stdout[-4000:]}\n{answer.stderr[-4000:]}"
+    return answer.stdout
+
+
+@needs_tools
+def test_the_quickest_tests_of_the_core_pass_without_a_warning(tmp_path):
+    targets = [f"test_{part}" for part in PARTS]
+    build_core(tmp_path, ["-DEK_BUILD_FLOAT=OFF", "-DCMAKE_C_FLAGS_DEBUG=-O0"], targets)
+    for target in targets:
+        run_tool(str(tmp_path / target))
+
+
 @pytest.mark.slow(40)
-@pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOOLS)}; the core's own tests need them")
-@pytest.mark.parametrize(
-    "checks", ["-DEK_BUILD_FLOAT=OFF", pytest.param("-DEK_SANITIZE=ON", marks=pytest.mark.thorough)]
-)
+@pytest.mark.thorough
+@needs_tools
+@pytest.mark.parametrize("checks", ["-DEK_BUILD_FLOAT=OFF", "-DEK_SANITIZE=ON"])
 def test_the_tests_of_the_core_pass_without_a_warning(tmp_path, checks):
-    options = [
-        checks,
-        "-DEK_WERROR=ON",
-        "-DCMAKE_BUILD_TYPE=Debug",
-        "-DCMAKE_C_FLAGS_DEBUG=-O1",
-        "-DEK_BUILD_PROGRAMS=OFF",
-    ]
-    for command in (
-        ["cmake", "-S", str(FOLDER), "-B", str(tmp_path), *options],
-        ["cmake", "--build", str(tmp_path)],
-        ["ctest", "--test-dir", str(tmp_path), "--output-on-failure"],
-    ):
-        answer = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-        assert answer.returncode == 0, f"{' '.join(command)}\n{answer.stdout[-4000:]}\n{answer.stderr[-4000:]}"
-    assert "100% tests passed" in answer.stdout
+    build_core(tmp_path, [checks, "-DCMAKE_C_FLAGS_DEBUG=-O1"])
+    assert "100% tests passed" in run_tool("ctest", "--test-dir", str(tmp_path), "--output-on-failure")
 
 
 def test_every_header_begins_with_its_name_and_purpose():

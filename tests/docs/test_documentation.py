@@ -32,7 +32,7 @@ SLOW_PAGES = frozenset(
     f"{name}.md"
     for name in ("back-end", "basins", "board", "c-port", "cluster", "diff", "experiment", "exports", "lidar-3d",
                  "paper", "paper-table", "python", "real-recording", "realtime", "recording", "slam", "slam-results",
-                 "studies", "text-log", "validate")
+                 "studies", "text-log", "tutorial", "validate")
 )  # fmt: skip
 """Pages whose commands take 4 s to 25 s of CPU time: followed in the thorough run."""
 

@@ -229,10 +229,8 @@ def test_nobody_without_the_keys_reaches_the_cluster_that_evalkit_starts(workers
         distributed.Client(workers.scheduler_address, timeout=1.0, set_as_default=False, security=other)
 
 
-@pytest.mark.parametrize(
-    "number",
-    [*(pytest.param(one, marks=pytest.mark.thorough) for one in (signal.SIGINT, signal.SIGTERM)), signal.SIGKILL],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_no_worker_survives_the_end_of_evalkit(strangers, tmp_path, number):
     pytest.importorskip("distributed")
     (tmp_path / "small.toml").write_text(
