@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -219,13 +220,18 @@ def _summary(driven: Sequence[Driven], margin: MarginChoice, cause: str) -> dict
     beyond, unanswered, first = 0, 0, None
     for family in dict.fromkeys(one.family for one in driven):
         members = [one for one in driven if one.family == family]
-        wrong = [one for one in members if one.failure or (one.apart_m() > _limit_m(one, margin)).any()]
+        differs = [bool(one.failure or (one.apart_m() > _limit_m(one, margin)).any()) for one in members]
+        wrong = list(compress(members, differs))
         missing = sum(bool(one.failure) for one in members)
+        equal = (one for one, other in zip(members, differs, strict=True) if not other)
+        apart = [(float(one.apart_m().max(initial=0.0)), _limit_m(one, margin)) for one in equal]
+        largest_m, allowed_m = max(apart, key=lambda each: each[0] / each[1], default=(0.0, 0.0))
         beyond, unanswered = beyond + len(wrong), unanswered + missing
         divergence = None if not wrong else as_plain(asdict(_divergence(wrong[0], margin, cause)))
         families[family] = {
             "asked": len(members), "wrong": len(wrong), "unanswered": missing, "fields": {}, "examples": {},
             "what": wrong[0].what if wrong else "", "first": divergence,
+            "largest_m": largest_m, "allowed_m": allowed_m, "excepted": 0,
         }  # fmt: skip
         first = first or divergence
     widest = Margin() if isinstance(margin, str) else margin

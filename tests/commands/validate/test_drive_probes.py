@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit.commands.validate import drive_probes
+from evalkit.commands.validate import drive_probes, level_answers
+from evalkit.commands.validate.comparison_terms import ComparisonTerms
 from evalkit.commands.validate.drive_probes import compare_drives
 from evalkit.commands.validate.equivalence.comparison import load_backend
 from evalkit.commands.validate.equivalence.margins import Margin
@@ -46,6 +47,13 @@ def test_the_same_odometry_is_equal_on_every_drive():
     assert {name: one["wrong"] for name, one in found["families"].items()} == dict.fromkeys(
         ("drive", "mounting", "beams", "ranges", "returns", "wheel odometry"), 0
     )
+    terms = ComparisonTerms("B", "A", "exact", 0.5)
+    checks = level_answers.registrations_level({}, {}, terms, {"seed 5": {"exact": found}}).checks
+    observed = [one.observed for one in checks if one.name.partition(": ")[2] in found["families"]]
+    limit_m = Margin().metres + drive_probes.LEVER_M * Margin().radians
+    assert len(observed) == len(found["families"])
+    assert all("questions, all answers are equal: at most " in text for text in observed)
+    assert all(text.endswith(f" m apart where {limit_m:.2g} m are allowed") for text in observed)
 
 
 @pytest.mark.parametrize(
