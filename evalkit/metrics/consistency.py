@@ -7,6 +7,7 @@ from collections.abc import Callable
 from itertools import permutations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from evalkit.core.arrays import Bools, Ints
@@ -39,6 +40,9 @@ MIN_WALL_SHARE = 0.05
 CORNER_APART_M = 0.2
 CORNER_RESPONSE = 1.8e-5
 """In units of (occupied - free)^4. Right angles of walls 2 to 5 cells thick give 2e-5 to 1e-4, slanted walls less."""
+_WINDOW_CELLS = 1.5
+_BLOCK = 4096
+"""Cells whose surroundings are in memory at once."""
 _RIM = 8
 """Empty cells added around the image in which corners are detected."""
 MIN_AREA_CELLS = 4
@@ -103,9 +107,7 @@ def find_corners(grid: OccupancyGrid) -> Floats:
     image = np.pad(occupied[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], _RIM).astype(np.float32)
     edges = -ndimage.gaussian_laplace(image, 1.0)
     x, y = (ndimage.gaussian_filter(edges, 1.0, order=order) for order in ((0, 1), (1, 0)))
-    xx, xy, yy = (ndimage.gaussian_filter(product, 1.5) for product in (x * x, x * y, y * y))
-    response = xx * yy - xy * xy - 0.05 * (xx + yy) ** 2
-    places = _find_peaks(response, max(int(np.ceil(CORNER_APART_M / grid.resolution_m)), 1))
+    places = _find_peaks(_compute_responses(x, y), max(int(np.ceil(CORNER_APART_M / grid.resolution_m)), 1))
     peaks = np.zeros(image.shape, np.bool_)
     peaks[places] = True
     labels, count = ndimage.label(peaks, np.ones((3, 3)))
@@ -114,6 +116,27 @@ def find_corners(grid: OccupancyGrid) -> Floats:
     at = np.stack([np.bincount(cluster, along, minlength=count) / sizes for along in places], axis=-1)
     cells = at[:, ::-1] - _RIM + [columns[0], rows[0]]
     return np.asarray([grid.origin_x, grid.origin_y] + (cells + 0.5) * grid.resolution_m)
+
+
+def _compute_responses(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the Harris response (H, W) of gradients (H, W), or 0 in cells where it does not exceed the threshold.
+
+    Only in the few cells where it could, the products of both gradients are smoothed.
+    """
+    from scipy import ndimage
+
+    xx, yy = (ndimage.gaussian_filter(square, _WINDOW_CELLS) for square in (x * x, y * y))
+    products, traces, reach = xx * yy, 0.05 * (xx + yy) ** 2, int(4.0 * _WINDOW_CELLS + 0.5)  # the filter's reach
+    rows, columns = np.divmod(np.flatnonzero(products - traces > 0.999 * CORNER_RESPONSE), x.shape[1])
+    around = sliding_window_view(np.pad(x * y, reach, mode="symmetric"), (2 * reach + 1, 2 * reach + 1))
+    responses = np.zeros_like(x)
+    for begin in range(0, len(rows), _BLOCK):
+        at = rows[begin : begin + _BLOCK], columns[begin : begin + _BLOCK]
+        xy = around[at]
+        for _ in range(2):  # along columns, then along rows; only the middle is wanted
+            xy = ndimage.gaussian_filter1d(xy, _WINDOW_CELLS, axis=1)[:, reach]
+        responses[at] = products[at] - xy * xy - traces[at]
+    return responses
 
 
 def _find_peaks(response: NDArray[np.float32], reach: int) -> tuple[Ints, Ints]:
