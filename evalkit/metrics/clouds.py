@@ -17,7 +17,14 @@ from evalkit.metrics.consistency import (
     sample_all_neighbourhoods,
     sample_neighbourhoods,
 )
-from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, Neighbourhoods, compute_neighbourhoods, thin_evenly
+from evalkit.metrics.neighbourhoods import (
+    MIN_HITS,
+    PATCH_M,
+    Neighbourhoods,
+    compute_neighbourhoods,
+    sort_into_cells,
+    thin_evenly,
+)
 from evalkit.metrics.surfaces import find_all_wall_pieces
 from evalkit.metrics.table import Evidence, make_metrics, make_score
 
@@ -61,13 +68,13 @@ def joint_minus_separate(first: Floats, second: Floats, radius_m: float = PATCH_
     cancels. Only places where both clouds have five points within the radius count.
     """
     first, second = thin_evenly(first, MAX_HITS // 2), thin_evenly(second, MAX_HITS // 2)
-    both = np.concatenate([first, second])
+    one, two, both = (sort_into_cells(hits, radius_m) for hits in (first, second, np.concatenate([first, second])))
     added, places = 0.0, 0
-    for own, other in ((first, second), (second, first)):
-        middles = thin_evenly(own, MAX_PLACES // 2)
-        separate, enough = entropies(compute_neighbourhoods(own, middles, radius_m))
-        shared = enough & (compute_neighbourhoods(other, middles, radius_m).counts >= MIN_HITS)
-        joint, _ = entropies(compute_neighbourhoods(both, middles, radius_m))
+    for hits, own, other in ((first, one, two), (second, two, one)):
+        middles = thin_evenly(hits, MAX_PLACES // 2)
+        separate, enough = entropies(compute_neighbourhoods(own, middles))
+        shared = enough & (compute_neighbourhoods(other, middles).counts >= MIN_HITS)
+        joint, _ = entropies(compute_neighbourhoods(both, middles))
         added, places = added + float((joint - separate)[shared].sum()), places + int(shared.sum())
     return (added / places if places else 0.0), places
 

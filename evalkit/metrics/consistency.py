@@ -18,8 +18,10 @@ from evalkit.metrics.lattice import REACH, distances_to_walls_m, find_squared_di
 from evalkit.metrics.neighbourhoods import (
     PATCH_M,
     Neighbourhoods,
+    PointCells,
     build_kd_tree,
     compute_neighbourhoods,
+    sort_into_cells,
     thin_evenly,
 )
 from evalkit.metrics.table import (
@@ -234,9 +236,16 @@ def collect_all_hits(evidence: Evidence) -> Floats:
 
 
 @cached
+def sample_all_hits(evidence: Evidence) -> PointCells:
+    """Return at most 20,000 hits of all mapped scans, of which there is at least one, in cells."""
+    return sort_into_cells(thin_evenly(collect_all_hits(evidence), MAX_HITS))
+
+
+@cached
 def sample_all_neighbourhoods(evidence: Evidence) -> Neighbourhoods:
     """Return the neighbourhoods of the hits of all mapped scans, of which there is at least one."""
-    return sample_neighbourhoods(collect_all_hits(evidence))
+    points = thin_evenly(collect_all_hits(evidence), MAX_HITS)
+    return compute_neighbourhoods(sample_all_hits(evidence), thin_evenly(points, MAX_PLACES))
 
 
 def look_up_cells(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:

@@ -74,5 +74,5 @@ def _count_rows(marked: Bools) -> NDArray[np.uint8]:
 
 def _centres(grid: OccupancyGrid, rows: Ints, columns: Ints) -> Floats:
     """Return the centres (N, 2) of cells in the world (m)."""
-    cells = np.stack([columns, rows], axis=-1)
+    cells = np.stack([columns, rows], axis=-1).astype(np.float64)
     return np.asarray([grid.origin_x, grid.origin_y] + (cells + 0.5) * grid.resolution_m)

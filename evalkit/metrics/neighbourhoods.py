@@ -52,9 +52,46 @@ class Neighbourhoods:
         return np.asarray((self.counts >= MIN_HITS) & (self.large > FLATNESS * self.small))
 
 
-def compute_neighbourhoods(points: Floats, middles: Floats, radius_m: float = PATCH_M) -> Neighbourhoods:
+@dataclass(frozen=True, eq=False)
+class PointCells:
+    """Points in square cells, for neighbourhoods of one radius around several sets of middles.
+
+    ``radius_m``: of the neighbourhoods. ``x``, ``y`` (N,): the points in the order of cells (m). ``starts``, ``sizes``
+    (C,): the points of each cell. ``centre_x``, ``centre_y`` (C,): of cells (m). ``moments``: sums of 1, x, y, xx, xy
+    and yy (C,) of the points of each cell, relative to its centre. ``tree``: of the centres.
+    """
+
+    radius_m: float
+    x: Floats
+    y: Floats
+    starts: Ints
+    sizes: Ints
+    centre_x: Floats
+    centre_y: Floats
+    moments: tuple[Floats, ...]
+    tree: cKDTree
+
+
+def sort_into_cells(points: Floats, radius_m: float = PATCH_M) -> PointCells:
+    """Return the cells of points (N, 2), N > 0; a radius is eight cells long."""
+    side = radius_m / CELLS
+    cells = np.floor(points / side)
+    order = np.lexsort(cells.T)
+    points, cells = points[order], cells[order]
+    starts = np.flatnonzero(np.concatenate([[True], (cells[1:] != cells[:-1]).any(axis=1)]))
+    sizes, centres = np.diff(np.append(starts, len(points))), (cells[starts] + 0.5) * side
+    (x, y), (cx, cy) = (np.ascontiguousarray(one.T) for one in (points, centres))
+    offsets = x - np.repeat(cx, sizes), y - np.repeat(cy, sizes)
+    moments = tuple(np.add.reduceat(one, starts) for one in _list_moments(*offsets))
+    return PointCells(radius_m, x, y, starts, sizes, cx, cy, moments, build_kd_tree(centres))
+
+
+def compute_neighbourhoods(points: Floats | PointCells, middles: Floats, radius_m: float = PATCH_M) -> Neighbourhoods:
     """Return the neighbourhoods of points (N, 2), N > 0, around ``middles`` (K, 2), K > 0; without a point,
-    variances are nan."""
+    variances are nan.
+
+    ``points``: their cells if they are asked for several times; these have a radius of their own.
+    """
     counts, *sums = _sum_moments(points, middles, radius_m)
     small, large, direction = np.full((3, len(middles)), np.nan)
     some = counts > 0
@@ -81,12 +118,14 @@ def thin_evenly(points: Floats, max_rows: int) -> Floats:
     return np.asarray(points[rows[np.diff(rows, prepend=-1) > 0]])  # np.unique takes a hundred times as long
 
 
-def _sum_moments(points: Floats, middles: Floats, radius_m: float) -> Floats:
+def _sum_moments(points: Floats | PointCells, middles: Floats, radius_m: float) -> Floats:
     """Return the sums (6, K) of 1, x, y, xx, xy and yy of the points within the radius, relative to each middle."""
+    if isinstance(points, PointCells):
+        return _sum_cells(points, middles)
     if len(points) * len(middles) <= MAX_EXAMINED:
         at, dx, dy = _find_offsets(points, middles, radius_m)
         return _add_moments(at, _list_moments(dx, dy), len(middles))
-    return _sum_cells(points, middles, radius_m)
+    return _sum_cells(sort_into_cells(points, radius_m), middles)
 
 
 def _find_offsets(points: Floats, middles: Floats, radius_m: float) -> tuple[Ints, Floats, Floats]:
@@ -102,27 +141,18 @@ def _find_offsets(points: Floats, middles: Floats, radius_m: float) -> tuple[Int
     return at, dx, dy
 
 
-def _sum_cells(points: Floats, middles: Floats, radius_m: float) -> Floats:
+def _sum_cells(points: PointCells, middles: Floats) -> Floats:
     """Return the sums (6, K) within the radius.
 
     A cell that lies within the radius as a whole contributes its own sums; only points in cells on the border are
     examined one by one.
     """
-    side = radius_m / CELLS
-    reach = side * math.sqrt(0.5) * (1.0 + 1e-9)
-    cells = np.floor(points / side)
-    order = np.lexsort(cells.T)
-    points, cells = points[order], cells[order]
-    starts = np.flatnonzero(np.concatenate([[True], (cells[1:] != cells[:-1]).any(axis=1)]))
-    sizes, centres = np.diff(np.append(starts, len(points))), (cells[starts] + 0.5) * side
-    (px, py), (cx, cy), (mx, my) = (np.ascontiguousarray(one.T) for one in (points, centres, middles))
-    own = [np.add.reduceat(one, starts) for one in _list_moments(px - np.repeat(cx, sizes), py - np.repeat(cy, sizes))]
-    pairs = build_kd_tree(middles).sparse_distance_matrix(
-        build_kd_tree(centres), radius_m + reach, output_type="ndarray"
-    )
+    radius_m, cx, cy, starts, (mx, my) = points.radius_m, points.centre_x, points.centre_y, points.starts, middles.T
+    reach = radius_m / CELLS * math.sqrt(0.5) * (1.0 + 1e-9)
+    pairs = build_kd_tree(middles).sparse_distance_matrix(points.tree, radius_m + reach, output_type="ndarray")
     whole = pairs["v"] <= radius_m - reach
     at, cell = pairs["i"][whole], pairs["j"][whole]
-    count, x, y, xx, xy, yy = (one[cell] for one in own)
+    count, x, y, xx, xy, yy = (one[cell] for one in points.moments)
     dx, dy = cx[cell] - mx[at], cy[cell] - my[at]
     moved = (
         count, x + count * dx, y + count * dy, xx + (2.0 * x + count * dx) * dx,
@@ -130,9 +160,9 @@ def _sum_cells(points: Floats, middles: Floats, radius_m: float) -> Floats:
     )  # fmt: skip
     total = _add_moments(at, moved, len(middles))
     at, cell = pairs["i"][~whole], pairs["j"][~whole]
-    count = sizes[cell]
+    count = points.sizes[cell]
     rows = np.arange(count.sum()) + np.repeat(starts[cell] - np.cumsum(count) + count, count)
-    dx, dy = px[rows] - np.repeat(mx[at], count), py[rows] - np.repeat(my[at], count)
+    dx, dy = points.x[rows] - np.repeat(mx[at], count), points.y[rows] - np.repeat(my[at], count)
     near = np.flatnonzero(dx * dx + dy * dy <= radius_m * radius_m)
     return total + _add_moments(np.repeat(at, count)[near], _list_moments(dx[near], dy[near]), len(middles))
 

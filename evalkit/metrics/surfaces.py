@@ -11,8 +11,15 @@ import numpy as np
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.consistency import NO_HIT, collect_all_hits
-from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, build_kd_tree, compute_neighbourhoods, thin_evenly
+from evalkit.metrics.consistency import NO_HIT, collect_all_hits, sample_all_hits
+from evalkit.metrics.neighbourhoods import (
+    MIN_HITS,
+    PATCH_M,
+    PointCells,
+    build_kd_tree,
+    compute_neighbourhoods,
+    thin_evenly,
+)
 from evalkit.metrics.table import Evidence, PlacedScans, cached, make_metrics, make_score, place_hits
 
 if TYPE_CHECKING:
@@ -20,10 +27,9 @@ if TYPE_CHECKING:
 
 MAX_SCANS = 100
 PLACES_A_SCAN = 40
-MAX_HITS = 20_000
 MAX_PLACES = 500
 MAX_CROSSED = 40_000
-"""At most MAX_HITS hits are used for variances and MAX_CROSSED for profiles across walls, evenly spaced."""
+"""At most this many hits are used for profiles across walls, evenly spaced."""
 
 MIN_PLACES = 20
 MIN_STRETCHES = 20
@@ -100,7 +106,7 @@ def find_orthogonal_families(directions: Floats) -> tuple[Ints, Ints]:
     return max(pairs, key=lambda pair: (min(map(len, pair)), sum(map(len, pair))))
 
 
-def mean_variance(hits: Floats, middles: Floats) -> tuple[float, int]:
+def mean_variance(hits: Floats | PointCells, middles: Floats) -> tuple[float, int]:
     """Return the mean lambda_min (m2) of the hits (N, 2) within 0.5 m of the middles (K, 2), K > 0, and their number.
 
     Only middles with at least five hits count; (nan, 0) without any.
@@ -110,7 +116,7 @@ def mean_variance(hits: Floats, middles: Floats) -> tuple[float, int]:
     return (float(small.mean()) if len(small) else float("nan")), len(small)
 
 
-def orthogonal_variance(hits: Floats, pieces: WallPieces) -> tuple[float, int]:
+def orthogonal_variance(hits: Floats | PointCells, pieces: WallPieces) -> tuple[float, int]:
     """Return the mean lambda_min (m2) of the hits around pieces of wall, summed over two orthogonal families, and a
     number.
 
@@ -246,17 +252,16 @@ def _score_mean_variance(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, reason=NO_HIT)
-    value, places = mean_variance(thin_evenly(points, MAX_HITS), thin_evenly(points, 2 * MAX_PLACES))
+    value, places = mean_variance(sample_all_hits(evidence), thin_evenly(points, 2 * MAX_PLACES))
     if places < MIN_PLACES:
         return Score(None, places, f"only {places} places have {MIN_HITS} hits within {PATCH_M:g} m")
     return make_score(CM2 * value, places)
 
 
 def _score_orthogonal(evidence: Evidence) -> Score:
-    points = collect_all_hits(evidence)
-    if len(points) == 0:
+    if len(collect_all_hits(evidence)) == 0:
         return Score(None, reason=NO_HIT)
-    value, places = orthogonal_variance(thin_evenly(points, MAX_HITS), find_all_wall_pieces(evidence))
+    value, places = orthogonal_variance(sample_all_hits(evidence), find_all_wall_pieces(evidence))
     if places < MIN_PLACES:
         return Score(None, places, _NO_ORTHOGONAL)
     return make_score(CM2 * value, places)
