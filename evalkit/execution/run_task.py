@@ -152,6 +152,7 @@ def _execute(store: Store, settings: RunSettings, pending: PendingRun, slot: Wor
             spec.dataset_parameters,
             slot.core,
             frames,
+            registry.find_address("backends", spec.method.backend),
         )
         result = run_process.run(request, folder, settings.limits, slot.report_answers, slot.stop)
         if slot.stop.is_set():

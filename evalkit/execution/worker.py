@@ -68,7 +68,8 @@ NOT_IN_OUTCOME = ("steps", "provenance", "final", "loop_closures")
 class Request:
     """What to run: only names and parameters pass from the parent process to this one.
 
-    ``core``: to pin to. ``frames``: the file with the frames of the data set, None where it is to be read.
+    ``core``: to pin to. ``frames``: the file with the frames of the data set, None where it is to be read. ``plug_in``:
+    "module:SPEC" of a registered back end, "" where the installed packages are to be searched.
     """
 
     backend: str
@@ -77,6 +78,7 @@ class Request:
     dataset_parameters: dict[str, Value]
     core: int | None = None
     frames: FramesFile | None = None
+    plug_in: str = ""
 
     @classmethod
     def of(cls, values: dict[str, Any]) -> Request:
@@ -114,7 +116,7 @@ def execute_request(request: Request, folder: Path) -> RunResult:
     cause, reason = Cause.COMPLETED, ""
     conditions = None
     try:
-        spec = registry.backend(request.backend)
+        spec = registry.backend(request.backend, request.plug_in)
         if why := spec.missing():
             raise NotInstalled(request.backend, "not installed", why)
         _write_json(folder / "started.json", {"reading": True})
@@ -157,7 +159,7 @@ def find_run_parameters(request: Request) -> dict[str, Value]:
     """The parameters of the back end in this run: perturbed if the recording is."""
     if NUISANCE not in request.dataset_parameters:
         return request.backend_parameters
-    known = frontend.settable_parameters(registry.backend(request.backend))
+    known = frontend.settable_parameters(registry.backend(request.backend, request.plug_in))
     return perturb_parameters(request.backend_parameters, known, int(request.dataset_parameters[NUISANCE]))
 
 

@@ -9,7 +9,6 @@ import re
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -155,6 +154,8 @@ def _statements(nodes: Iterable[ast.AST], runs: bool) -> Iterator[tuple[ast.AST,
 
 @cache
 def _version(distribution: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415 - loads much, and a run needs no digest
+
     try:
         return version(distribution)
     except PackageNotFoundError:

@@ -10,8 +10,8 @@ import os
 import re
 import subprocess
 import sys
-from functools import cache
-from importlib.metadata import Distribution, EntryPoint, entry_points
+from functools import cache, reduce
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from types import FunctionType
@@ -23,6 +23,8 @@ from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, OdometrySpec, spec_of_class
 
 if TYPE_CHECKING:
+    from importlib.metadata import Distribution, EntryPoint
+
     from evalkit.plugins.protocols import Odometry
 
 Spec = TypeVar("Spec")
@@ -46,11 +48,14 @@ def names(kind: str) -> list[str]:
     return sorted(_points(kind))
 
 
-def backend(name: str) -> BackendSpec:
+def backend(name: str, address: str = "") -> BackendSpec:
     """Return the back end of a name: registered, of a scheme ("exec:./my_icp --fast"), or in a module ("my.icp:SPEC").
 
-    Raises UnknownName (UnknownModule for a module), or NotInstalled where the plug-in does not load.
+    ``address``: what ``find_address`` returns, where it is known: the installed packages are then not searched. Raises
+    UnknownName (UnknownModule for a module), or NotInstalled where the plug-in does not load.
     """
+    if address:
+        return _load_address(name, address, BackendSpec)
     scheme, colon, rest = name.partition(":")
     if not colon:
         return load("backends", name, BackendSpec)
@@ -120,6 +125,12 @@ def plug_in_of(kind: str, name: str) -> EntryPoint:
     return _module_point(name) or _point("schemes", scheme)
 
 
+def find_address(kind: str, name: str) -> str:
+    """Return "module:SPEC" of a registered name, "" of a name that is none."""
+    point = _points(kind).get(name)
+    return "" if point is None else _address(point)
+
+
 def load(kind: str, name: str, wanted: type[Spec]) -> Spec:
     """Load what is registered under a name; raises UnknownName (with the known names) or NotInstalled."""
     return _load_point(name, _point(kind, name), wanted)
@@ -131,6 +142,8 @@ def _points(kind: str) -> dict[str, EntryPoint]:
 
 @cache  # searching all installed packages takes 30 ms, and a plan does it hundreds of times
 def _find_points(_path: tuple[str, ...]) -> dict[str, dict[str, EntryPoint]]:
+    from importlib.metadata import entry_points  # noqa: PLC0415 - loads much, and a run searches nothing
+
     found = entry_points()
     return {kind: {point.name: point for point in found.select(group=f"evalkit.{kind}")} for kind in KINDS}
 
@@ -144,6 +157,8 @@ def _point(kind: str, name: str) -> EntryPoint:
 
 def _module_point(name: str) -> EntryPoint | None:
     """Return the entry point of a name "module:SPEC", None for any other name; schemes take precedence."""
+    from importlib.metadata import EntryPoint  # noqa: PLC0415 - as above
+
     module, _, attribute = name.partition(":")
     if module in _points("schemes") or not _MODULE_AND_NAME.fullmatch(name):
         return None
@@ -163,14 +178,22 @@ def _find_here(module: str) -> str:
 def _load_point(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:
     if _needs_trial_import(point) and (reason := _import_failure(point.module)):
         raise NotInstalled(name, f"its plug-in {point.value} does not load ({reason})", "repair or remove its package")
+    return _load_address(name, _address(point), wanted)
+
+
+def _address(point: EntryPoint) -> str:
+    return f"{point.module}:{point.attr}"
+
+
+def _load_address(name: str, address: str, wanted: type[Spec]) -> Spec:
+    """Load a spec from "module:SPEC"; see ``load``."""
+    module, _, attributes = address.partition(":")
     try:
-        spec = _as_spec(point.load(), wanted)
+        spec = _as_spec(reduce(getattr, attributes.split("."), import_module(module)), wanted)
     except Exception as error:  # third-party code may raise anything; the other plug-ins stay usable
-        raise NotInstalled(
-            name, f"its plug-in {point.value} does not load ({error})", "reinstall its package"
-        ) from error
+        raise NotInstalled(name, f"its plug-in {address} does not load ({error})", "reinstall its package") from error
     if not isinstance(spec, wanted):
-        raise NotInstalled(name, f"{point.value} is a {type(spec).__name__}", f"expected a {wanted.__name__}")
+        raise NotInstalled(name, f"{address} is a {type(spec).__name__}", f"expected a {wanted.__name__}")
     return spec
 
 

@@ -26,6 +26,7 @@ from evalkit.metrics.table import Evidence
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.specs import OdometrySpec
+from evalkit.plugins.stored_frames import write_frames
 from evalkit.results.final_files import CLOSURES, FINAL, parse_final
 from evalkit.results.store import read_steps, whole_records
 
@@ -49,18 +50,24 @@ def test_the_warm_up_is_another_instance_so_the_first_answer_is_the_identity(tmp
     assert json.loads((tmp_path / "started.json").read_text()) == {"expected": 12, "every": 1, "warm_up_scans": 5}
 
 
-def test_a_run_loads_no_library_that_it_does_not_use(tmp_path):
-    parameters = {one.name: one.default for one in registry.dataset("room").parameters} | ROOM
+def test_a_run_of_a_comparison_loads_no_library_that_it_does_not_use(tmp_path):
+    """Neither what reads or simulates the data, nor what searches the installed packages, nor pools of processes."""
+    sha256 = write_frames(registry.dataset("room").open(ROOM), tmp_path / "frames", tmp_path)
+    address = registry.find_address("backends", "wheel-odometry")
     program = (
         "import json, sys\nfrom pathlib import Path\nfrom evalkit.execution import worker\n"
-        f"request = worker.Request('wheel-odometry', {{}}, 'room', {parameters!r})\n"
+        f"frames = worker.FramesFile({str(tmp_path / 'frames')!r}, {sha256!r})\n"
+        f"request = worker.Request('wheel-odometry', {{}}, 'room', {ROOM!r}, None, frames, {address!r})\n"
         "result = worker.execute_request(request, Path(sys.argv[1]))\n"
         "print(json.dumps([result.reason, *sys.modules]))"
     )
     ended = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True)
     reason, *loaded = json.loads(ended.stdout)
     assert reason == ""
-    heavy = {"scipy", "pandas", "matplotlib", "numpy.ma", "evalkit.odometry.map_localisation", "evalkit.metrics"}
+    heavy = {
+        "scipy", "pandas", "matplotlib", "numpy.ma", "evalkit.odometry.map_localisation", "evalkit.metrics",
+        "evalkit_datasets", "importlib.metadata", "multiprocessing", "concurrent.futures",
+    }  # fmt: skip
     assert heavy & set(loaded) == set()
 
 
@@ -131,7 +138,7 @@ class Doubtful:
 
 def test_an_odometry_can_report_whether_its_result_is_accepted(tmp_path, monkeypatch):
     spec = OdometrySpec(Doubtful, "for a test", "none", "MIT")
-    monkeypatch.setattr(registry, "backend", lambda name: spec)
+    monkeypatch.setattr(registry, "backend", lambda *_: spec)
     outcome, steps = execute_request(tmp_path)
     assert steps["s2m_accepted"].tolist() == [-1, *[1, 0] * 5, 1]
     assert (steps["s2s_accepted"] == -1).all()
@@ -147,7 +154,7 @@ class TwoStaged:
 
 
 def test_an_odometry_can_report_its_stages(tmp_path, monkeypatch):
-    monkeypatch.setattr(registry, "backend", lambda name: OdometrySpec(TwoStaged, "a test", "none", "MIT"))
+    monkeypatch.setattr(registry, "backend", lambda *_: OdometrySpec(TwoStaged, "a test", "none", "MIT"))
     _, steps = execute_request(tmp_path)
     assert set(steps[["s2s_iterations", "s2s_inliers", "s2s_accepted", "s2s_converged"]].tolist()) == {(7, 90, 1, 1)}
     assert set(steps[["s2m_iterations", "s2m_inliers", "s2m_accepted", "s2m_converged"]].tolist()) == {(40, 12, 0, 0)}

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+from importlib import metadata
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
@@ -37,7 +38,7 @@ def loaded_by(statement):
 def points(monkeypatch):
     """Replace all entry points."""
     known = []
-    monkeypatch.setattr(registry, "entry_points", lambda: EntryPoints(known))
+    monkeypatch.setattr(metadata, "entry_points", lambda: EntryPoints(known))
     registry._find_points.cache_clear()
     yield known
     registry._find_points.cache_clear()
@@ -70,6 +71,17 @@ def test_every_shipped_name_resolves_to_its_spec(kind, load, spec):
     assert names
     assert names == sorted(names)
     assert all(isinstance(load(name), spec) for name in names)
+
+
+def test_a_back_end_is_loaded_from_its_address_without_a_search(points):
+    address = "evalkit_baselines.wheel_odometry:SPEC"
+    assert registry.backend("wheel-odometry", address).summary.startswith("wheel odometry")
+    assert registry.find_address("backends", "wheel-odometry") == ""  # nothing is installed
+    points.append(EntryPoint("wheel-odometry", f"{address} [extra]", "evalkit.backends"))
+    registry._find_points.cache_clear()
+    assert registry.find_address("backends", "wheel-odometry") == address
+    with pytest.raises(NotInstalled, match=r"wheel_odometry:NOTHING does not load"):
+        registry.backend("wheel-odometry", "evalkit_baselines.wheel_odometry:NOTHING")
 
 
 def test_names_are_sorted_independent_of_package_order(points):
