@@ -94,6 +94,7 @@ def occupied_share(grid: OccupancyGrid) -> float:
     return float(occupied / (occupied + free))
 
 
+@cached
 def find_corners(grid: OccupancyGrid) -> Floats:
     """Return the corners (K, 2) of the occupied cells in the world (m).
 
@@ -153,14 +154,8 @@ def _find_peaks(response: NDArray[np.float32], reach: int) -> tuple[Ints, Ints]:
     return rows, columns
 
 
-@cached
-def find_mapped_corners(evidence: Evidence) -> Floats:
-    """Return the corners (K, 2) of the map (m); none without a map."""
-    return np.zeros((0, 2)) if isinstance(evidence.grid, MissingMap) else find_corners(evidence.grid)
-
-
-def _score_corners(evidence: Evidence) -> Score:
-    return with_cells(lambda grid: make_score(len(find_mapped_corners(evidence)), int(grid.occupied().sum())))(evidence)
+def _score_corners(grid: OccupancyGrid) -> Score:
+    return make_score(len(find_corners(grid)), int(np.count_nonzero(grid.occupied())))
 
 
 def find_enclosed_areas(grid: OccupancyGrid) -> Ints:
@@ -260,13 +255,12 @@ def look_up_cells(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
 
 def with_cells(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], Score]:
     """Return ``measure`` of a map with occupied and free cells as a function of the evidence."""
+    return with_grid(lambda grid: measure(grid) if _has_cells(grid) else Score(None, reason=_NO_CELLS))
 
-    def check(grid: OccupancyGrid) -> Score:
-        if not grid.occupied().any() or not grid.free().any():
-            return Score(None, reason=_NO_CELLS)
-        return measure(grid)
 
-    return with_grid(check)
+@cached
+def _has_cells(grid: OccupancyGrid) -> bool:
+    return bool(grid.occupied().any() and grid.free().any())
 
 
 def _make_thickness_score(statistic: Callable[[Floats], np.floating | float]) -> Callable[[Evidence], Score]:
@@ -338,14 +332,14 @@ def _count_cells(grid: OccupancyGrid) -> int:
 METRICS = make_metrics(
     "consistency",
     {
-        "map_entropy": with_cells(lambda grid: make_score(map_entropy(grid), int(grid.observed.sum()))),
+        "map_entropy": with_cells(lambda grid: make_score(map_entropy(grid), int(np.count_nonzero(grid.observed)))),
         "wall_thickness_m": _make_thickness_score(np.mean),
         "wall_thickness_p95_m": _make_thickness_score(lambda values: np.percentile(values, 95)),
         "wall_share_percent": _score_wall_share,
         "split_distance_m": _score_split,
         "cleared_percent": _score_cleared,
         "occupied_percent": with_cells(lambda grid: make_score(100.0 * occupied_share(grid), _count_cells(grid))),
-        "corners": _score_corners,
+        "corners": with_cells(_score_corners),
         "enclosed_areas": with_cells(_score_enclosed_areas),
         "enclosed_m2": with_cells(_score_enclosed_size),
     },

@@ -118,7 +118,7 @@ def mean_similarity(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, 
     both = _crop_shifted(seen, step) & _crop_shifted(known, back)
     if not both.any():
         return float("nan"), 0
-    return float(ssim(_crop_shifted(p, step), _crop_shifted(q, back))[both].mean()), int(both.sum())
+    return float(ssim(_crop_shifted(p, step), _crop_shifted(q, back))[both].mean()), int(np.count_nonzero(both))
 
 
 def _score_similarity(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.consistency import NO_HIT, find_corners, find_mapped_corners
+from evalkit.metrics.consistency import NO_HIT, find_corners
 from evalkit.metrics.maps import NO_TRUE_WALL
 from evalkit.metrics.neighbourhoods import build_kd_tree
 from evalkit.metrics.table import (
@@ -65,14 +65,11 @@ def signed_offsets(mapped: PlacedScans, true: OccupancyGrid, within_m: float = B
     return np.asarray(np.copysign(apart[near], np.sum(from_wall * beams, axis=1)))
 
 
-def _score_corners(evidence: Evidence) -> Score:
-    def measure(_mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
-        mapped_corners, true_corners = find_mapped_corners(evidence), find_corners(true)
-        if not len(true_corners):
-            return Score(None, len(mapped_corners), _NO_CORNER)
-        return make_score(ospa(mapped_corners, true_corners), len(mapped_corners) + len(true_corners))
-
-    return with_true_grid(measure)(evidence)
+def _score_corners(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
+    mapped_corners, true_corners = find_corners(mapped), find_corners(true)
+    if not len(true_corners):
+        return Score(None, len(mapped_corners), _NO_CORNER)
+    return make_score(ospa(mapped_corners, true_corners), len(mapped_corners) + len(true_corners))
 
 
 def _score_offset(evidence: Evidence) -> Score:
@@ -94,7 +91,7 @@ METRICS = make_metrics(
     "landmarks",
     {
         "map_wall_offset_m": _score_offset,
-        "map_corner_ospa_m": _score_corners,
+        "map_corner_ospa_m": with_true_grid(_score_corners),
     },
     BESIDE_M=BESIDE_M,
     CUTOFF_M=CUTOFF_M,

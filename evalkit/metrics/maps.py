@@ -177,7 +177,7 @@ def find_cells(grid: OccupancyGrid, other: OccupancyGrid) -> tuple[Ints, Ints]:
 def _score_coverage(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
     if not true.observed.any():
         return Score(None, reason=_NOTHING_OBSERVED)
-    return make_score(100.0 * map_coverage(mapped, true), int(true.observed.sum()))
+    return make_score(100.0 * map_coverage(mapped, true), int(np.count_nonzero(true.observed)))
 
 
 _NOTHING_OBSERVED = "the ground-truth map has no observed cell"

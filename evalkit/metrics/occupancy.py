@@ -39,7 +39,7 @@ def log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
         return float("nan"), 0
     log_odds = mapped.log_odds[known].astype(np.float64)
     signed = np.where(occupied[known], -log_odds, log_odds)
-    return float(np.logaddexp(0.0, signed).mean()), int(known.sum())
+    return float(np.logaddexp(0.0, signed).mean()), int(np.count_nonzero(known))
 
 
 def wall_width_m(mapped: OccupancyGrid, threshold: float = 0.65) -> float:
@@ -101,7 +101,7 @@ def _score_log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
 
 
 def _score_wall_width(grid: OccupancyGrid) -> Score:
-    width, cells = wall_width_m(grid), int(grid.occupied().sum())
+    width, cells = wall_width_m(grid), int(np.count_nonzero(grid.occupied()))
     return make_score(width, cells, _NO_LINE)
 
 
