@@ -10,11 +10,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
 import threading
 from collections.abc import Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -30,8 +29,10 @@ from evalkit.plugins.parameters import MAP, RESERVED, Value
 from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.stored_frames import FramesFile, write_frames
 
-FOLDER = "frames"
+FOLDER = ".frames"
 """In the results folder, while an experiment runs."""
+
+SUFFIX = ".frames"
 
 Parameters = tuple[tuple[str, Value], ...]
 
@@ -87,7 +88,7 @@ class SharedFrames:
     def _write(self, spec: RunSpec, core: int | None) -> FramesFile | None:
         if MAP in spec.dataset_parameters:  # the start is searched with the ground truth
             return None
-        path, parameters = self._folder / FOLDER / _name(spec), tuple(spec.dataset_parameters.items())
+        path, parameters = self._folder / FOLDER / f"{_name(spec)}{SUFFIX}", tuple(spec.dataset_parameters.items())
         try:
             return self._scoring.run(
                 write_frames_file, self._folder, path, spec.sequence.dataset, parameters, core, self._limit_s
@@ -96,7 +97,12 @@ class SharedFrames:
             return None
 
     def _clear(self) -> None:
-        shutil.rmtree(self._folder / FOLDER, ignore_errors=True)
+        """Delete the files, also those of a killed process, and nothing else: a user may have a folder of this name."""
+        place = self._folder / FOLDER
+        with suppress(OSError):
+            for file in () if place.is_symlink() else place.glob(f"*{SUFFIX}*"):
+                file.unlink()
+            place.rmdir()
 
 
 def write_frames_file(
@@ -110,7 +116,7 @@ def write_frames_file(
         os.sched_setaffinity(0, {core})
     try:
         create_folder(path.parent, folder)
-        with time_limit(path.with_suffix(".limit"), limit_s):
+        with time_limit(path.with_suffix(f"{SUFFIX}.limit"), limit_s):
             sha256 = write_frames(open_kept(folder, dataset, parameters), path, folder)
             every = int(dict(parameters).get(registry.dataset(dataset).thinned_by, 1))
     except Exception:  # noqa: BLE001 - code of a third party, or a full disk: the run meets it again, and reports it

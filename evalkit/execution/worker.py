@@ -82,9 +82,11 @@ class Request:
 
     @classmethod
     def of(cls, values: dict[str, Any]) -> Request:
-        """The request of its JSON values."""
+        """The request of its JSON values; a back end may change the working directory before the frames are read."""
         frames = values.get("frames")
-        return cls(**{**values, "frames": None if frames is None else FramesFile(**frames)})
+        if frames is not None:
+            frames = FramesFile(**{**frames, "path": str(Path(frames["path"]).absolute())})
+        return cls(**{**values, "frames": frames})
 
 
 def main() -> int:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -91,11 +92,31 @@ def test_a_file_is_written_for_the_first_run_and_deleted_after_the_last(tmp_path
         assert not list((tmp_path / FOLDER).iterdir())
 
 
-def test_files_of_a_killed_process_are_deleted(tmp_path, scoring):
+def test_files_of_a_killed_process_are_deleted_and_nothing_else(tmp_path, scoring):
+    spec, *_ = plan("a").runs()
+    killed = SharedFrames(tmp_path, [spec], scoring, 60.0)
+    with killed.of_run(spec, None) as file:
+        Path(f"{file.path}.0123.part").touch()
+        kept = Path(file.path).read_bytes()
+        with SharedFrames(tmp_path, [], scoring, 60.0):
+            assert not (tmp_path / FOLDER).exists()
     (tmp_path / FOLDER).mkdir()
-    (tmp_path / FOLDER / "old").touch()
+    Path(file.path).write_bytes(kept)
+    (tmp_path / FOLDER / "of the user.txt").touch()
     with SharedFrames(tmp_path, [], scoring, 60.0):
-        assert not (tmp_path / FOLDER).exists()
+        assert [path.name for path in (tmp_path / FOLDER).iterdir()] == ["of the user.txt"]
+
+
+def test_a_link_in_place_of_the_folder_is_not_followed(tmp_path, scoring):
+    elsewhere, results = tmp_path / "elsewhere", tmp_path / "results"
+    elsewhere.mkdir()
+    results.mkdir()
+    (elsewhere / "a.frames").touch()
+    (results / FOLDER).symlink_to(elsewhere)
+    spec, *_ = plan("a").runs()
+    with SharedFrames(results, [spec], scoring, 60.0) as shared, shared.of_run(spec, None) as file:
+        assert file is None  # nothing is written through the link either
+    assert [path.name for path in elsewhere.iterdir()] == ["a.frames"]
 
 
 @pytest.mark.parametrize("sequence", [{"file": __file__ + " is gone"}, {"reads_s": 5.0}])
