@@ -156,11 +156,17 @@ class Experiment:
         )
 
     def command(self, spec: RunSpec) -> str:
-        """The command line that reproduces one run alone in a folder of its own; other results stay untouched."""
+        """The command line that reproduces one run alone in a folder of its own; other results stay untouched.
+
+        It sets PYTHONPATH where a plug-in is found by it.
+        """
+        path = registry.find_search_path(spec.method.backend, spec.sequence.dataset)
+        environment = f"PYTHONPATH={shlex.quote(path)} " if path else ""
         seed = "" if spec.seed is None else f" --seed {spec.seed}"
         sequence, method = shlex.quote(spec.sequence.label), shlex.quote(spec.method.label)
         folder = shlex.quote(f"{RESULTS}/{self.name}-one")
-        return f"evalkit {self.source} --sequence {sequence} --method {method}{seed} --no-page --out {folder}"
+        words = f"evalkit {self.source} --sequence {sequence} --method {method}{seed} --no-page --out {folder}"
+        return environment + words
 
     def untimed(self) -> Experiment:
         """The same experiment with times that do not count."""

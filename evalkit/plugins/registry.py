@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import site
 import subprocess
 import sys
 from functools import cache, reduce
@@ -129,6 +130,26 @@ def find_address(kind: str, name: str) -> str:
     """Return "module:SPEC" of a registered name, "" of a name that is none."""
     point = _points(kind).get(name)
     return "" if point is None else _address(point)
+
+
+def find_search_path(method: str, dataset: str) -> str:
+    """Return the entries of PYTHONPATH that hold the plug-ins of a run, joined as there; "" for installed ones."""
+    entries = dict.fromkeys(filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)))
+    if not entries:
+        return ""
+    found = {_find_root(point) for point in (plug_in_of("backends", method), plug_in_of("datasets", dataset))}
+    found -= {Path(folder).resolve() for folder in (*site.getsitepackages(), site.getusersitepackages())}
+    kept = (entry for entry in entries if Path(entry).resolve() in found)
+    return os.pathsep.join("." if Path(entry).resolve() == Path.cwd() else entry for entry in kept)
+
+
+def _find_root(point: EntryPoint) -> Path | None:
+    """Return the folder that makes a plug-in known: of its package's metadata, or of a module without any."""
+    if dist := getattr(point, "dist", None):
+        return Path(str(dist.locate_file(""))).resolve()
+    found = find_spec(point.module.partition(".")[0])
+    places = [] if found is None else [*(found.submodule_search_locations or ()), found.origin]
+    return Path(places[0]).resolve().parent if places and places[0] else None
 
 
 def load(kind: str, name: str, wanted: type[Spec]) -> Spec:

@@ -241,6 +241,21 @@ def test_the_command_of_a_run_selects_that_run_alone(wide):
         assert given["--out"] == ["evalkit-results/exp-one"]  # never the folder of the whole experiment
 
 
+def test_the_command_of_a_run_sets_the_path_of_its_plug_in(tmp_path, monkeypatch):
+    """As a stranger would copy it: with the folder of a module that is not installed."""
+    folder = tmp_path / "my code"
+    folder.mkdir()
+    (folder / "my_icp.py").write_text("from evalkit_baselines.wheel_odometry import SPEC")
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+    path = tmp_path / "own.toml"
+    path.write_text(WHEELS + '[[method]]\nuse = "my_icp:SPEC"\n' + ROOM)
+    plan = load_experiment(path)
+    commands = {spec.method.label: plan.command(spec) for spec in plan.runs()}
+    assert commands["my_icp:SPEC"].startswith(f"PYTHONPATH='{folder}' evalkit compare ")
+    assert commands["wheel-odometry"].startswith("evalkit compare ")
+
+
 def test_a_file_name_with_blanks_is_quoted_in_the_command(tmp_path):
     path = tmp_path / "my first.toml"
     path.write_text(WHEELS + ROOM)

@@ -1,6 +1,8 @@
 """Plug-in names from entry points, found without heavy imports."""
 
+import os
 import signal
+import site
 import subprocess
 import sys
 from importlib import metadata
@@ -195,3 +197,16 @@ def test_the_default_mapper_is_the_one_that_declares_itself_the_default(points, 
     registry._find_points.cache_clear()
     with pytest.raises(NotInstalled, match="no installed mapper is declared as the default"):
         defaults.find_default_mapper()
+
+
+def test_the_search_path_of_a_run_holds_what_only_pythonpath_finds(strangers, tmp_path, monkeypatch):
+    own = Path(__file__).parents[1] / "strangers"
+    assert registry.find_search_path("faulty", "room") == registry.find_search_path("paper", "straight") == str(own)
+    assert registry.find_search_path("paper", "room") == ""
+    (tmp_path / "my_icp.py").touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(["/nowhere", str(tmp_path), *site.getsitepackages()]))
+    assert registry.find_search_path("my_icp:SPEC", "room") == "."
+    monkeypatch.delenv("PYTHONPATH")
+    assert registry.find_search_path("my_icp:SPEC", "room") == ""
