@@ -69,10 +69,16 @@ class UnknownName(EvalkitError):
     def __str__(self) -> str:
         kind, name, known, where = self.args
         name = name if len(name) <= 100 else f"{name[:100]}[...]"
-        close = difflib.get_close_matches(name, known, n=1)
-        hint = f" (did you mean '{close[0]}'?)" if close else ""
+        close = difflib.get_close_matches(name, known, n=1) or _find_longer(name, known)
+        hint = f" (did you mean {' or '.join(repr(one) for one in close)}?)" if close else ""
         place = f"{where}: " if where else ""
         return plain(f"{place}no {kind} named '{name}'{hint}; known: {', '.join(known) or 'none'}")
+
+
+def _find_longer(name: str, known: Iterable[str]) -> list[str]:
+    """Return up to three names that begin with a name, or else contain it."""
+    begin = [one for one in known if name and one.startswith(name)]
+    return (begin or [one for one in known if name and name in one])[:3]
 
 
 class UnknownModule(UnknownName):

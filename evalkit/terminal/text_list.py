@@ -18,7 +18,7 @@ def print_list(console: Console, title: str, rows: Iterable[tuple[str, str]], st
     width = console.width if console.is_terminal else 0
     console.print(Text(title, style=style), highlight=False)
     for name, text in pairs:
-        console.print(Text(format_row(name, text, column, width)), highlight=False)
+        console.print(Text(format_row(name, text, column, width)), highlight=False, soft_wrap=True)
 
 
 def print_hanging(console: Console, text: str, style: str = "") -> None:
@@ -26,16 +26,22 @@ def print_hanging(console: Console, text: str, style: str = "") -> None:
     wrapped = textwrap.fill(
         text, console.width, subsequent_indent=" " * 2 * INDENT, break_long_words=False, break_on_hyphens=False
     )
-    console.print(Text(wrapped if console.is_terminal else text, style=style), highlight=False)
+    console.print(Text(wrapped if console.is_terminal else text, style=style), highlight=False, soft_wrap=True)
 
 
 def format_row(name: str, text: str, column: int, width: int) -> str:
     """Return a name and a text that begins at a column; lines of at most ``width``, 0: a single one.
 
-    A word that is longer than the space keeps its line to itself.
+    A word that is longer than the space keeps its line to itself, which begins further left.
     """
     head = f"{' ' * INDENT}{name}".ljust(column)
     if not width:
         return f"{head}{text}".rstrip()
-    lines = textwrap.wrap(text, max(width - column, 20), break_long_words=False, break_on_hyphens=False)
-    return "\n".join(f"{head if at == 0 else ' ' * column}{line}" for at, line in enumerate(lines or [""])).rstrip()
+    space = max(width - column, 20)
+    first, *others = textwrap.wrap(text, space, break_long_words=False, break_on_hyphens=False) or [""]
+    if len(first) > space:
+        first, others = "", [first, *others]
+    indents = (" " * max(min(column, width - len(line)), 2 * INDENT) for line in others)
+    return "\n".join(
+        [f"{head}{first}".rstrip(), *(f"{indent}{line}" for indent, line in zip(indents, others, strict=True))]
+    )

@@ -48,6 +48,10 @@ def test_every_error_survives_pickling_with_all_its_arguments(kind):
 
 
 def test_a_name_unlike_all_known_names_gets_no_suggestion():
+    several = ["ate_max_m", "ate_rmse_m", "cpu_max_ms", "late_percent"]
+    assert "'ate' (did you mean 'ate_max_m' or 'ate_rmse_m'?); known" in str(UnknownName("metric", "ate", several))
+    assert "(did you mean 'ate_rmse_m'?); known" in str(UnknownName("metric", "rmse", several))
+    assert "did you mean" not in str(UnknownName("metric", "", several))
     assert str(UnknownName("mapper", "zzz", ["log-odds"])) == "no mapper named 'zzz'; known: log-odds"
 
 

@@ -7,7 +7,7 @@ import os
 import shlex
 import tomllib
 import tracemalloc
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,7 +25,7 @@ from evalkit_datasets.example_bag import write_example
 from evalkit_datasets.inspection import findings, odometry_stats
 from evalkit_datasets.inspection.command import inspect
 from evalkit_datasets.inspection.frame_tree import FrameTree, LidarMounting
-from evalkit_datasets.inspection.inspector import inspect_recording
+from evalkit_datasets.inspection.inspector import field_of_view_deg, inspect_recording
 from evalkit_datasets.inspection.odometry_stats import TwistComparison, compare_turns, measure_odometry
 from evalkit_datasets.inspection.page import build_document
 from evalkit_datasets.inspection.range_stats import find_no_return_codes, measure_ranges
@@ -304,6 +304,29 @@ def test_a_comparison_takes_what_the_inspection_finds_except_what_is_given(tmp_p
     assert chosen == {"range_max_m": 30.0, "relations": str(tmp_path / "truth.relations")}
     given = {"path": str(path), "range_max_m": 25.0, "relations": ""}
     assert list(registry.dataset("carmen").choose(given)) == []
+
+
+@pytest.mark.parametrize(
+    ("beams", "step_deg", "field_deg"),
+    [(181, 1.0, 180.0), (361, 0.5, 180.0), (360, 1.0, 360.0), (361, 1.0, 360.0), (270, 1.0, 269.0), (1, 1.0, 0.0)],
+)
+def test_the_field_of_view_is_from_the_first_beam_to_the_last_or_a_full_circle(beams, step_deg, field_deg):
+    angles = np.radians(-90.0 + step_deg * np.arange(beams)).tolist()
+    assert field_of_view_deg(angles) == pytest.approx(field_deg)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [
+        (0.1, 8.0, "0.1 to 8 m"),
+        (None, 8.0, "up to 8 m"),
+        (0.1, None, "from 0.1 m"),
+        (None, None, "no range limits stated"),
+    ],
+)
+def test_range_limits_that_are_not_stated_are_not_made_up(low, high, said):
+    given = dict.fromkeys((one.name for one in fields(findings.LidarStats)), 0)
+    assert findings.LidarStats(**{**given, "range_min_m": low, "range_max_m": high}).limits == said
 
 
 def test_map_cells_grow_with_the_distance_of_the_beams(tmp_path):

@@ -11,7 +11,8 @@ from evalkit.terminal.text_list import format_row, print_hanging, print_list
 
 def test_a_text_is_wrapped_beside_its_name_and_a_long_word_stays_whole():
     assert format_row("ab", "one two three", 6, 26) == "  ab  one two three"
-    assert format_row("ab", f"one {'x' * 30} two", 6, 26) == f"  ab  one\n      {'x' * 30}\n      two"
+    assert format_row("ab", f"one {'x' * 30} two", 6, 26) == f"  ab  one\n    {'x' * 30}\n      two"
+    assert format_row("ab", f"{'x' * 21} two", 6, 26) == f"  ab\n     {'x' * 21}\n      two"
     assert format_row("ab", "one " * 30, 6, 0) == "  ab  " + ("one " * 30).rstrip()
     assert format_row("ab", "", 6, 26) == "  ab"
 

@@ -143,11 +143,10 @@ def _describe_streams(recording: Inspection) -> Iterator[str]:
     """Yield one text for each lidar, odometry and mounting."""
     for lidar in recording.lidars:
         time, returns = lidar.timing, lidar.returns
-        low, high = ("?" if limit is None else f"{limit:g}" for limit in (lidar.range_min_m, lidar.range_max_m))
         yield (
             f"lidar {lidar.topic}, frame '{lidar.frame}': {time.count} scans in {time.duration_s:.1f} s "
             f"({time.rate_hz:.2f} Hz, jitter {1e3 * time.jitter_s:.1f} ms, {format_count(time.gap_count, 'gap')}), "
-            f"{lidar.beams} beams over {lidar.field_of_view_deg:.0f} deg, {low} to {high} m, "
+            f"{lidar.beams} beams over {lidar.field_of_view_deg:.0f} deg, {lidar.limits}, "
             f"{100 * returns.hits:.1f} % hits, {100 * returns.invalid:.1f} % invalid"
         )
     for one in recording.odometries:

@@ -46,7 +46,7 @@ _note = partial(InspectionFinding, "note")
 
 @dataclass(frozen=True, slots=True)
 class LidarStats:
-    """Statistics of one lidar. ``field_of_view_deg`` includes one beam width; limits are None if unknown."""
+    """Statistics of one lidar. ``field_of_view_deg``: from the first beam to the last; limits are None if unknown."""
 
     topic: str
     kind: str
@@ -63,6 +63,15 @@ class LidarStats:
     returns: RangeStats
     damaged: int
     unstamped: int
+
+    @property
+    def limits(self) -> str:
+        """The range limits in words."""
+        low, high = self.range_min_m, self.range_max_m
+        if low is None or high is None:
+            least = "" if low is None else f"from {low:g} m"
+            return least or ("no range limits stated" if high is None else f"up to {high:g} m")
+        return f"{low:g} to {high:g} m"
 
 
 MAX_MEDIAN_M, MIN_MEDIAN_M = 200.0, 0.02

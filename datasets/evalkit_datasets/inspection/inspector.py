@@ -98,8 +98,9 @@ def measured_directions(lidar: LidarStats) -> float:
 
 
 def field_of_view_deg(angles: Sequence[float]) -> float:
-    """Return the field of view (deg) of beam angles, including one beam width."""
-    return min(math.degrees(abs(angles[-1] - angles[0])) * len(angles) / max(len(angles) - 1, 1), 360.0)
+    """Return the angle (deg) from the first beam to the last; 360 where one more step leads back to the first."""
+    span = math.degrees(abs(angles[-1] - angles[0]))
+    return 360.0 if span + 1.5 * span / max(len(angles) - 1, 1) > 360.0 else span
 
 
 def _measure_lidar(laser: LaserStream) -> LidarStats:

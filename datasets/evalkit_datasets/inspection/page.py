@@ -92,7 +92,7 @@ def _render_config(advice: SuggestedConfig | None) -> Iterator[Block]:
 def _render_lidar_table(lidars: tuple[LidarStats, ...]) -> Table:
     columns = (
         "lidar", Column("scans", number=True), Column("beams", number=True), Column("field of view", "deg", True),
-        Column("limits", "m"), Column("rate", "Hz", True), Column("jitter", "ms", True), Column("hits", "%", True),
+        Column("limits"), Column("rate", "Hz", True), Column("jitter", "ms", True), Column("hits", "%", True),
         Column("no return", "%", True), Column("invalid", "%", True), Column("99 % of hits within", "m", True),
         Column("step", "mm", True), Column("sweep", "s", True),
     )  # fmt: skip
@@ -100,11 +100,10 @@ def _render_lidar_table(lidars: tuple[LidarStats, ...]) -> Table:
 
 
 def _make_lidar_row(lidar: LidarStats) -> list[str | Cell]:
-    low, high = (f"{limit:g}" if limit is not None else "?" for limit in (lidar.range_min_m, lidar.range_max_m))
     stats = lidar.returns
     no_return = stats.infinite + stats.at_maximum + stats.beyond_maximum + sum(code.share for code in stats.codes)
     return [
-        lidar.topic, str(lidar.timing.count), str(lidar.beams), f"{lidar.field_of_view_deg:.1f}", f"{low} to {high}",
+        lidar.topic, str(lidar.timing.count), str(lidar.beams), f"{lidar.field_of_view_deg:.1f}", lidar.limits,
         f"{lidar.timing.rate_hz:.2f}", f"{1e3 * lidar.timing.jitter_s:.1f}", f"{100 * stats.hits:.1f}",
         f"{100 * no_return:.1f}", f"{100 * stats.invalid:.1f}", f"{stats.p99_m:.2f}", f"{1e3 * stats.step_m:g}",
         f"{lidar.sweep_s:.3f}",
