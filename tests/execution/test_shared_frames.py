@@ -1,13 +1,14 @@
 """Frames that several runs read: from one file, written once, unchanged, and gone when no run needs it."""
 
 import json
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from evalkit.config.experiment import experiment_from_tables
-from evalkit.core.run_result import STEP
+from evalkit.core.run_result import STEP, Cause
 from evalkit.execution import executors
 from evalkit.execution.executors import LocalExecutor
 from evalkit.execution.scheduler import Scheduler
@@ -72,6 +73,24 @@ def test_all_methods_read_one_file_and_answer_as_without_it(tmp_path, monkeypatc
         )
         for name in set(STEP.names) - set(TIMES):
             assert steps[name].tobytes() == read_steps(folder / STEPS)[name].tobytes(), name
+
+
+def test_a_run_refuses_frames_that_a_back_end_has_changed(tmp_path, monkeypatch):
+    class Changed(SharedFrames):
+        @contextmanager
+        def of_run(self, spec, core):
+            with super().of_run(spec, core) as file:
+                if spec.method.label == "b":
+                    path = Path(file.path)
+                    path.write_bytes(path.read_bytes()[:-1] + b"?")
+                yield file
+
+    monkeypatch.setattr(executors, "SharedFrames", Changed)
+    runs = Scheduler(Store(tmp_path), NoProgress()).run(plan("a", "b"), LocalExecutor(1))
+    results = {spec.method.label: result for spec, result in runs}
+    assert (results["a"].status, len(results["a"].steps)) == ("complete", 12)
+    assert (results["b"].cause, len(results["b"].steps)) == (Cause.EXCEPTION, 0)
+    assert "sha256" in results["b"].reason
 
 
 @pytest.fixture(scope="module")
