@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -92,8 +93,27 @@ def compute_neighbourhoods(points: Floats | PointCells, middles: Floats, radius_
 
     ``points``: their cells if they are asked for several times; these have a radius of their own.
     """
-    counts, *sums = _sum_moments(points, middles, radius_m)
-    small, large, direction = np.full((3, len(middles)), np.nan)
+    return _describe_moments(_sum_moments(points, middles, radius_m))
+
+
+def compute_neighbourhoods_each(clouds: Iterable[tuple[Floats, Floats]], radius_m: float = PATCH_M) -> Neighbourhoods:
+    """Return the neighbourhoods of several clouds, one after the other: points (N, 2), N > 0, around middles (K, 2).
+
+    For few middles in each: all points are examined.
+    """
+    found, count = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))], 0
+    for points, middles in clouds:
+        at, dx, dy = _find_offsets(points, middles, radius_m)
+        found.append((at + count, dx, dy))
+        count += len(middles)
+    at, dx, dy = (np.concatenate(one) for one in zip(*found, strict=True))
+    return _describe_moments(_add_moments(at, _list_moments(dx, dy), count))
+
+
+def _describe_moments(moments: Floats) -> Neighbourhoods:
+    """Return the neighbourhoods with these sums (6, K) of 1, x, y, xx, xy and yy."""
+    counts, *sums = moments
+    small, large, direction = np.full((3, len(counts)), np.nan)
     some = counts > 0
     small[some], large[some], direction[some] = _compute_ellipses(*(one[some] / counts[some] for one in sums))
     return Neighbourhoods(counts.astype(np.int64), small, large, direction)
