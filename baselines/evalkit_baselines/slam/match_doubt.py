@@ -1,8 +1,10 @@
-"""How far a step between two keyframes may be wrong because its matches fit poorly.
+"""How far a step between two keyframes may be wrong because its matches fit poorly or contradict the wheels.
 
 Where a scan fits the map worse than usual, the match or the map is wrong, and the truth may be anywhere between the
-match and the pose that wheel odometry predicts. A step whose error is thought to be that of the drift alone keeps the
-search windows of all later loops away from the true motion. A prediction at constant velocity says nothing about it.
+match and the pose that wheel odometry predicts. The same holds where the two are farther apart than usual: the wheels
+slip, or the match follows somebody who walks along a corridor. A step whose error is thought to be that of the drift
+alone keeps the search windows of all later loops away from the true motion. A prediction at constant velocity says
+nothing about it.
 """
 
 from __future__ import annotations
@@ -15,10 +17,16 @@ from evalkit.core.pose import Pose
 from evalkit_baselines.slam.second_try import MIN_SHARE
 
 USUAL_SCANS = 50.0
-"""Scans over which the usual error of matches is averaged."""
+"""Scans over which the usual error of matches, and their usual gap to the prediction, are averaged."""
 
 DOUBTED = 2.0
 """A match with more than this many times the usual error is doubted, with twice that wholly."""
+
+APART = 3.0
+"""The same for its gap to the prediction, in times the usual gap."""
+
+GAP_M, GAP_SHARE = 0.01, 0.05
+"""Odometry is thought to be no better than this, and this share of its step."""
 
 
 class Doubt(NamedTuple):
@@ -33,6 +41,7 @@ class MatchDoubt:
 
     def __init__(self) -> None:
         self._usual_m = 0.0
+        self._usual_gap_m = 0.0
         self._sum = Doubt()
 
     @property
@@ -40,21 +49,30 @@ class MatchDoubt:
         """Usual error of matches, a recent mean (m); 0 before the first one."""
         return self._usual_m
 
-    def observe(self, predicted: Pose | None, matched: Pose, match: StageEstimate, points: int) -> None:
-        """Add a scan of so many points, by its accepted match with the map and the pose by odometry, if any."""
+    def observe(self, last: Pose, predicted: Pose | None, matched: Pose, match: StageEstimate, points: int) -> None:
+        """Add a scan of so many points, by its accepted match with the map and the pose by odometry, if any.
+
+        ``last``: pose of the scan before.
+        """
         usual = self._usual_m if self._usual_m > 0.0 else match.residual_m
-        over = match.residual_m / (DOUBTED * usual) - 1.0 if usual > 0.0 else 0.0
-        share = 1.0 if match.inliers < MIN_SHARE * points else min(max(over, 0.0), 1.0)
+        share = 1.0 if match.inliers < MIN_SHARE * points else _share(match.residual_m, DOUBTED * usual)
         self._usual_m = usual + (min(match.residual_m, DOUBTED * usual) - usual) / USUAL_SCANS
         if predicted is None:
             return
         gap = predicted.inverse() @ matched
-        self._sum = Doubt(
-            self._sum.position_m2 + share**2 * math.hypot(gap.x, gap.y) ** 2,
-            self._sum.heading_rad2 + share**2 * gap.theta**2,
-        )
+        gap_m = math.hypot(gap.x, gap.y)
+        step = last.inverse() @ predicted
+        usual_m = max(self._usual_gap_m, GAP_M + GAP_SHARE * math.hypot(step.x, step.y))
+        self._usual_gap_m += (min(gap_m, 2.0 * usual_m) - self._usual_gap_m) / USUAL_SCANS
+        apart = max(share, _share(gap_m, APART * usual_m))
+        self._sum = Doubt(self._sum.position_m2 + apart**2 * gap_m**2, self._sum.heading_rad2 + share**2 * gap.theta**2)
 
     def take(self) -> Doubt:
         """Return the doubt of the step that ends now, and begin the next one."""
         taken, self._sum = self._sum, Doubt()
         return taken
+
+
+def _share(value: float, limit: float) -> float:
+    """Return 0 up to the limit, 1 from twice the limit on, and between them in proportion."""
+    return min(max(value / limit - 1.0, 0.0), 1.0) if limit > 0.0 else 0.0

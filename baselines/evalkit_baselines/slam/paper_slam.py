@@ -144,7 +144,8 @@ class PaperSlam:
         self._front.keep(frame, source, estimate.pose)
         self._continuity.keep()
         if match is not None and match.accepted:
-            self._doubt.observe(predicted if measured else None, estimate.pose, match, int(frame.scan.hits.sum()))
+            last = Pose.of(self._odom_from_base[-1])
+            self._doubt.observe(last, predicted if measured else None, estimate.pose, match, int(frame.scan.hits.sum()))
         new = self._map.take() or (NewKeyframe(points, estimate.pose) if lost else None)
         if new is not None:
             new = NewKeyframe(voxel_means(new.points, _STORED_VOXEL_M), new.odom_from_base)

@@ -7,11 +7,12 @@ from evalkit_baselines.slam.keyframes import DriftModel
 from evalkit_baselines.slam.match_doubt import Doubt, MatchDoubt
 from evalkit_baselines.slam.observability import Openness
 
+PREDICTED = Pose(1.0, 1.0, 0.1)
 
-def observe(doubt, residual_m, inliers=100, gap=(0.3, 0.4, 0.2)):
-    doubt.observe(
-        Pose(1.0, 1.0, 0.1), Pose(1.0, 1.0, 0.1) @ Pose(*gap), StageEstimate(True, True, 5, residual_m, inliers), 100
-    )
+
+def observe(doubt, residual_m, inliers=100, gap=(0.3, 0.4, 0.2), step_m=4.0):
+    last = PREDICTED @ Pose(0.0, -step_m, 1.0)
+    doubt.observe(last, PREDICTED, PREDICTED @ Pose(*gap), StageEstimate(True, True, 5, residual_m, inliers), 100)
 
 
 @pytest.mark.parametrize(
@@ -33,7 +34,7 @@ def test_without_odometry_no_gap_is_doubted_and_of_a_far_larger_error_twice_the_
     doubt = MatchDoubt()
     assert doubt.usual_m == 0.0
     for residual_m in (0.1, 0.3):
-        doubt.observe(None, Pose(), StageEstimate(True, True, 5, residual_m, 10), 100)
+        doubt.observe(Pose(), None, Pose(), StageEstimate(True, True, 5, residual_m, 10), 100)
     assert doubt.usual_m == pytest.approx(0.1 + (0.2 - 0.1) / 50.0)
     assert doubt.take() == (0.0, 0.0)
 
@@ -44,6 +45,30 @@ def test_the_doubts_of_several_scans_add_up_and_a_bad_stretch_does_not_become_us
     for _ in range(5):
         observe(doubt, 0.2)
     assert doubt.take() == pytest.approx((5 * 0.25, 5 * 0.04))
+
+
+@pytest.mark.parametrize(
+    ("gap_m", "share"),
+    # odometry is thought to be no better than 0.01 m and 5 % of its step of 0.6 m: 0.04 m
+    [(0.12, 0.0), (0.18, 0.5), (0.24, 1.0), (0.6, 1.0)],
+)
+def test_a_match_is_doubted_where_it_is_three_times_as_far_from_the_prediction_as_usual(gap_m, share):
+    doubt = MatchDoubt()
+    observe(doubt, 0.02, gap=(gap_m, 0.0, 0.3), step_m=0.6)
+    assert doubt.take() == pytest.approx((share**2 * gap_m**2, 0.0))  # nothing is said of the heading
+
+
+def test_a_gap_that_is_usual_is_not_doubted_and_one_that_is_larger_by_far_becomes_usual_slowly():
+    doubt = MatchDoubt()
+    for _ in range(400):
+        observe(doubt, 0.02, gap=(0.0, 0.1, 0.0), step_m=0.6)
+    assert doubt.take() == (0.0, 0.0)
+    observe(doubt, 0.02, gap=(0.0, 0.29, 0.0), step_m=0.6)
+    assert doubt.take() == (0.0, 0.0)
+    fresh = MatchDoubt()
+    for _ in range(10):
+        observe(fresh, 0.02, gap=(0.0, 0.6, 0.0), step_m=0.6)
+    assert fresh.take() == pytest.approx((10 * 0.36, 0.0))
 
 
 def test_the_doubt_is_added_to_the_variance_of_the_drift_in_all_directions():

@@ -24,7 +24,7 @@ ek_loop_settings ek_loop_default(void)
     settings.score = EK_R(0.55);
     settings.ambiguity = EK_R(0.92);
     settings.near = EK_R(0.15);
-    settings.overlap = EK_R(0.8);
+    settings.overlap = EK_R(0.7);
     settings.degenerate = EK_R(0.13);
     settings.gate = EK_R(11.345);
     settings.quick_gate = EK_R(6.25);

@@ -21,8 +21,11 @@
 #define STRICT_THETA (EK_R(20.0) * EK_PI / EK_R(180.0)) /* and by the other one beyond FARTHEST, */
 #define CLEAR EK_R(0.04)     /* m: unless it has converged to a smaller error with CLEAR_SHARE of the points in pairs */
 #define CLEAR_SHARE EK_R(0.9)
-#define USUAL_SCANS EK_R(50.0) /* scans over which the usual error of matches is averaged */
+#define USUAL_SCANS EK_R(50.0) /* scans over which the usual error of matches, and gap to the odometry, are averaged */
 #define DOUBTED EK_R(2.0)    /* times the usual error: beyond it a match is doubted, beyond twice that wholly */
+#define APART EK_R(3.0)      /* the same for its gap to the odometry, in times the usual gap */
+#define FIRST_GAP EK_R(0.01) /* m: odometry is thought to be no better than this, */
+#define GAP_SHARE EK_R(0.05) /* and this share of its step */
 #define FEWEST 40u           /* a match of a scan with fewer points is not believed by the strict gate either */
 
 static const ek_real TURNS[] = {EK_R(0.0), EK_R(-12.0), EK_R(12.0), EK_R(-24.0), EK_R(24.0)}; /* deg: of further tries */
@@ -187,18 +190,34 @@ int ek_slam_is_believed(int strict, size_t points, ek_pose guess, ek_pose answer
     return !(strict && points < FEWEST) && (clear || !far);
 }
 
+/* 0 up to a limit, 1 from twice the limit on, and between them in proportion. */
+static ek_real share_over(ek_real value, ek_real limit)
+{
+    const ek_real over = limit > EK_R(0.0) ? value / limit - EK_R(1.0) : EK_R(0.0);
+    return over > EK_R(1.0) ? EK_R(1.0) : over > EK_R(0.0) ? over : EK_R(0.0);
+}
+
+/* Move a recent mean towards a value, of which at most `most` counts. */
+static ek_real take_mean(ek_real mean, ek_real value, ek_real most)
+{
+    return mean + ((value < most ? value : most) - mean) / USUAL_SCANS;
+}
+
 void ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match)
 {
     const ek_real usual = slam->usual_error > EK_R(0.0) ? slam->usual_error : match->error;
-    const ek_real most = DOUBTED * usual, counted = match->error < most ? match->error : most;
     const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
-    const ek_real over = usual > EK_R(0.0) ? match->error / most - EK_R(1.0) : EK_R(0.0);
-    const ek_real share = !paired || over > EK_R(1.0) ? EK_R(1.0) : over > EK_R(0.0) ? over : EK_R(0.0);
-    slam->usual_error = usual + (counted - usual) / USUAL_SCANS;
+    const ek_real share = paired ? share_over(match->error, DOUBTED * usual) : EK_R(1.0);
+    slam->usual_error = take_mean(usual, match->error, DOUBTED * usual);
     if (!predicted) {
         return;
     }
-    const ek_pose gap = ek_se2_between(*predicted, matched);
-    slam->doubt.position += share * share * (gap.x * gap.x + gap.y * gap.y);
+    const ek_pose step = ek_se2_between(slam->motion.start_from_base, *predicted), gap = ek_se2_between(*predicted, matched);
+    const ek_real squared = gap.x * gap.x + gap.y * gap.y, metres = EK_SQRT(squared);
+    const ek_real least = FIRST_GAP + GAP_SHARE * EK_SQRT(step.x * step.x + step.y * step.y);
+    const ek_real usual_gap = slam->usual_gap > least ? slam->usual_gap : least;
+    const ek_real over = share_over(metres, APART * usual_gap), apart = over > share ? over : share;
+    slam->usual_gap = take_mean(slam->usual_gap, metres, EK_R(2.0) * usual_gap);
+    slam->doubt.position += apart * apart * squared;
     slam->doubt.heading += share * share * gap.theta * gap.theta;
 }

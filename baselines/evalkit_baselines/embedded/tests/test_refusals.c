@@ -603,7 +603,7 @@ static void of_defaults(void)
         {whole.drift.sigma_theta, 0.3 * degree}, {closing.path, 15.0},     {closing.spacing, 1.0},
         {closing.radius, 7.0},           {closing.submap, 3.0},            {closing.cell, 0.1},
         {closing.score, 0.55},           {closing.ambiguity, 0.92},        {closing.near, 0.15},
-        {closing.overlap, 0.8},          {closing.degenerate, 0.13},       {closing.gate, 11.345},
+        {closing.overlap, 0.7},          {closing.degenerate, 0.13},       {closing.gate, 11.345},
         {closing.quick_gate, 6.25}};
     for (size_t k = 0; k < sizeof numbers / sizeof *numbers; k++) {
         CHECK_NEAR(numbers[k].found, numbers[k].expected, 1e-7 * fabs(numbers[k].expected));

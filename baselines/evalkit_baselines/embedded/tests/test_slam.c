@@ -269,6 +269,7 @@ static void a_step_is_doubted_where_its_matches_fit_poorly(void)
         ek_match none = match;
         none.inliers = 0;
         slam.usual_error = EK_R(0.02);
+        slam.usual_gap = EK_R(0.5); /* the gap is usual */
         slam.doubt.position = slam.doubt.heading = EK_R(1.0);
         ek_slam_doubt(&slam, &predicted, pose_of(1.3, 1.4, 0.3), &match);
         ek_slam_doubt(&slam, NULL, pose_of(9.0, 9.0, 0.3), &none); /* without odometry no gap is doubted */
@@ -284,6 +285,32 @@ static void a_step_is_doubted_where_its_matches_fit_poorly(void)
     slam.usual_error = EK_R(0.1); /* of an error that is larger by far, 0.2 counts */
     ek_slam_doubt(&slam, NULL, origin, &first);
     CHECK_NEAR((double)slam.usual_error, 0.102, 1e-7);
+    free(arena.memory);
+}
+
+/* After a step of 0.6 m odometry is thought to be no better than 0.04 m: a gap of 0.12 m is not doubted, one of 0.18 m by half,
+ * and wholly from 0.24 m on. Of a gap that is larger by far twice the usual one counts for what is usual. */
+static void a_step_is_doubted_where_its_matches_are_far_from_the_odometry(void)
+{
+    static const double gaps[] = {0.12, 0.18, 0.24, 0.6}, shares[] = {0.0, 0.5, 1.0, 1.0};
+    const ek_slam_parameters parameters = parameters_of(0);
+    ek_arena arena = start(&parameters);
+    const ek_pose predicted = pose_of(0.0, 0.6, 0.0);
+    const ek_match match = {pose_of(0.0, 0.0, 0.0), 1, 5, 100, EK_R(0.02), 0u};
+    slam.scan.count = 100u;
+    for (size_t k = 0; k < 4u; k++) {
+        slam.usual_error = EK_R(0.02);
+        slam.usual_gap = EK_R(0.0);
+        slam.doubt.position = slam.doubt.heading = EK_R(0.0);
+        ek_slam_doubt(&slam, &predicted, pose_of(gaps[k], 0.6, 0.3), &match);
+        CHECK_NEAR((double)slam.doubt.position, shares[k] * shares[k] * gaps[k] * gaps[k], 1e-6);
+        CHECK_NEAR((double)slam.doubt.heading, 0.0, 1e-12);
+        CHECK_NEAR((double)slam.usual_gap, 0.08 / 50.0, 1e-7);
+    }
+    slam.usual_gap = EK_R(0.1); /* then 0.3 m are not doubted */
+    slam.doubt.position = EK_R(0.0);
+    ek_slam_doubt(&slam, &predicted, pose_of(0.29, 0.6, 0.0), &match);
+    CHECK_NEAR((double)slam.doubt.position, 0.0, 1e-12);
     free(arena.memory);
 }
 
@@ -1031,6 +1058,7 @@ int main(void)
     a_carried_robot_finds_its_place();
     a_covered_lidar_keeps_its_track_for_a_while();
     a_step_is_doubted_where_its_matches_fit_poorly();
+    a_step_is_doubted_where_its_matches_are_far_from_the_odometry();
     a_match_far_from_the_odometry_must_be_clear();
     the_gate_believes_the_odometry_before_few_points();
     a_lost_robot_is_looked_for_at_all_places_in_turn();

@@ -112,6 +112,7 @@ typedef struct {
     ek_wheels wheels;
     ek_doubt doubt;          /* of the step since the last keyframe */
     ek_real usual_error;     /* m: of matches with the map */
+    ek_real usual_gap;       /* m: between them and the odometry */
     int64_t fitted_ns;       /* stamp of the last scan that fitted */
     ek_real *smoothed, *scratch;
     int32_t undecided, corrected, full, rounds;
