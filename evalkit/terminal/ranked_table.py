@@ -97,7 +97,7 @@ def _rows_of_sequence(analysis: Analysis, sequence: SequenceAnalysis) -> tuple[s
     base = next((score.median for label in baselines if (score := ranking.of(label)) and score.median), None)
     rows = []
     for score in (*ranking.ranked, *(one for one in ranking.scores if one not in ranking.ranked and one.values)):
-        value, bounds = score.median or 0.0, score.band or score.interval
+        value, bounds = score.median or 0.0, score.spread
         note = "worse than the baseline" if sequence.is_behind(score.method) else _note(analysis, ranking, score.method)
         rows.append(
             RankedRow(

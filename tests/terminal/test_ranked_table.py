@@ -73,6 +73,12 @@ def test_the_bar_of_a_recording_is_the_range_of_its_repeated_runs_as_on_the_page
     assert (row.low, row.high) == (0.100, 0.106)
 
 
+def test_the_bar_of_two_runs_is_their_range_as_on_the_page(record, build):
+    two = [record("icp", "room", {"ate_rmse_m": error_m}, seed=seed) for seed, error_m in enumerate((0.104, 0.100))]
+    _, (row,) = build_rows(analyse(build(two)))
+    assert (row.low, row.high) == (0.100, 0.104)
+
+
 def test_without_a_verdict_the_methods_are_still_listed(record, build):
     """Two methods with the same spread of four runs, and a data set that is not here."""
     runs = [

@@ -126,8 +126,7 @@ def _dot(panel: _Panel, method: str) -> Markup:
                 class_="grid")
         for tick in panel.ticks
     ]  # fmt: skip
-    spread = score.band or score.interval
-    bounds = (spread.low, spread.high) if spread else (min(score.values), max(score.values))
+    bounds = (score.spread.low, score.spread.high) if score.spread else (median(score.values),) * 2
     low, high = (_percent(panel.scale.share(bound)) for bound in bounds)
     parts.append(element("line", x1=low, x2=high, y1=ROW / 2, y2=ROW / 2, class_="span"))
     if kind in SHAPES:

@@ -48,7 +48,7 @@ def find_hardest(analysis: Analysis) -> int | None:
 
 
 def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[str, str]]:
-    """Return method and role of each map, best first: the answer, the best peer, the baseline, the worst, others."""
+    """Return method and role of each map, best first: the answer, a peer, the baseline, the worst, others."""
     comparison, ranking = analysis.comparison, sequence.deciding
     if ranking is None:
         return []
@@ -61,7 +61,7 @@ def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[s
     wanted = (
         *([("answer", [winner]) for winner in winners[:2]] or [("best here", ordered)]),
         ("worst", ordered[::-1]),
-        ("best peer", [method for method in ordered if comparison.methods[method].role == "peer"]),
+        ("established method", [method for method in ordered if comparison.methods[method].role == "peer"]),
         ("baseline", comparison.methods_with_role("baseline")),
         ("reference", comparison.methods_with_role("reference")),
         *[("", ordered)] * MAX_TILES,
