@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import re
+import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -106,18 +107,26 @@ def load_results_json(folder: Path) -> dict[str, Any]:
 def check_same_experiment(folder: Path, experiment: Experiment) -> None:
     """Raise StoreError if a folder holds the report of another experiment, which a new one would replace.
 
-    Another experiment has another command and no sequence of the same label: methods, parameters and sequences may be
-    added to an experiment and removed. A report that cannot be read is no obstacle, as a run writes it again.
+    Another experiment has another command and either no sequence of the same label, or another file name and another
+    title: methods, parameters and sequences may be added to an experiment and removed, and its file may be moved or
+    renamed. A report that cannot be read is no obstacle, as a run writes it again.
     """
     path = folder / "results.json"
     try:
         content = _load_object(path)
         labels, command, title = content["sequences"].keys(), content["command"], content["title"]
-    except (StoreError, KeyError, AttributeError):
+        mine = f"evalkit {experiment.source}"
+        renamed = _find_file_name(command) != _find_file_name(mine) and title != experiment.title
+    except (StoreError, KeyError, AttributeError, TypeError, ValueError):
         return
-    if command != f"evalkit {experiment.source}" and labels.isdisjoint(one.label for one in experiment.sequences):
+    if command != mine and (renamed or labels.isdisjoint(one.label for one in experiment.sequences)):
         what = f"holds the results of another experiment, {brief(title)} ({brief(command)})"
         raise StoreError(str(folder), what, "name another folder with --out, or delete this one")
+
+
+def _find_file_name(command: str) -> str:
+    """Return the name of the experiment or recording of a command "evalkit compare FILE ..."; "" without one."""
+    return Path(next(iter(shlex.split(command)[2:]), "")).name
 
 
 def _check_keys(path: Path, content: Mapping[str, Any]) -> None:

@@ -362,8 +362,8 @@ def test_a_full_results_folder_stops_everything_and_keeps_finished_runs(tmp_path
 
 
 def test_a_folder_with_the_report_of_another_experiment_is_refused_and_unchanged(tmp_path):
-    def report(command, *labels):
-        content = {"title": "Lab", "command": command, "sequences": {label: {} for label in labels}}
+    def report(command, *labels, title="Lab"):
+        content = {"title": title, "command": command, "sequences": {label: {} for label in labels}}
         (tmp_path / "results.json").write_text(json.dumps(content))
 
     def start(experiment):
@@ -379,9 +379,13 @@ def test_a_folder_with_the_report_of_another_experiment_is_refused_and_unchanged
     ):
         start(mine)
     assert {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")} == before
+    report("evalkit compare lab.toml", label)  # another file and another title, on a sequence of the same label
+    with pytest.raises(StoreError, match="another experiment"):
+        start(mine)
     for same in (
         lambda: report(f"evalkit {mine.source}", "lab"),  # its sequences were exchanged
-        lambda: report("evalkit compare elsewhere.toml", "lab", label),  # its file was moved
+        lambda: report("evalkit compare elsewhere.toml", "lab", label, title=mine.title),  # its file was renamed
+        lambda: report("evalkit compare elsewhere/t.toml", label),  # moved, with another title
         lambda: (tmp_path / "results.json").write_text('{"title": "La'),  # half-written: a run writes it again
         (tmp_path / "results.json").unlink,
     ):
