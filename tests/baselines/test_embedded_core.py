@@ -41,7 +41,7 @@ needs_tools = pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOO
 
 
 def build_core(folder, options, targets=()):
-    options = [*options, "-DEK_WERROR=ON", "-DCMAKE_BUILD_TYPE=Debug", "-DEK_BUILD_PROGRAMS=OFF"]
+    options = [*options, "-DEK_WERROR=ON", "-DCMAKE_BUILD_TYPE=Debug"]
     run_tool("cmake", "-S", str(FOLDER), "-B", str(folder), *options)
     run_tool("cmake", "--build", str(folder), *(["--target", *targets] if targets else []))
 
@@ -52,12 +52,20 @@ def run_tool(*command):
     return answer.stdout
 
 
-@needs_tools
-def test_the_quickest_tests_of_the_core_pass_without_a_warning(tmp_path):
-    targets = [f"test_{part}" for part in PARTS]
-    build_core(tmp_path, ["-DEK_BUILD_FLOAT=OFF", "-DCMAKE_C_FLAGS_DEBUG=-O0"], targets)
-    for target in targets:
-        run_tool(str(tmp_path / target))
+@pytest.fixture(scope="module")
+def core_programs(tmp_path_factory):
+    """Return the folder of evalkit-run and of the quickest tests, unoptimised, compiled without a warning."""
+    if TOOLS:
+        pytest.skip(f"not found: {', '.join(TOOLS)}; the core's own programs need them")
+    folder = tmp_path_factory.mktemp("core")
+    targets = ["evalkit-run", *(f"test_{part}" for part in PARTS)]
+    build_core(folder, ["-DEK_BUILD_FLOAT=OFF", "-DCMAKE_C_FLAGS_DEBUG=-O0"], targets)
+    return folder
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_the_quickest_tests_of_the_core_pass(core_programs, part):
+    run_tool(str(core_programs / f"test_{part}"))
 
 
 @pytest.mark.slow(40)
@@ -65,7 +73,7 @@ def test_the_quickest_tests_of_the_core_pass_without_a_warning(tmp_path):
 @needs_tools
 @pytest.mark.parametrize("checks", ["-DEK_BUILD_FLOAT=OFF", "-DEK_SANITIZE=ON"])
 def test_the_tests_of_the_core_pass_without_a_warning(tmp_path, checks):
-    build_core(tmp_path, [checks, "-DCMAKE_C_FLAGS_DEBUG=-O1"])
+    build_core(tmp_path, [checks, "-DCMAKE_C_FLAGS_DEBUG=-O1", "-DEK_BUILD_PROGRAMS=OFF"])
     assert "100% tests passed" in run_tool("ctest", "--test-dir", str(tmp_path), "--output-on-failure")
 
 
@@ -365,15 +373,11 @@ def test_the_defaults_of_the_core_equal_those_of_python(precision):
 
 
 @needs_core
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-def test_evalkit_run_gives_the_poses_of_the_method_embedded(tmp_path):
-    program, log, poses = tmp_path / "evalkit-run", tmp_path / "log", tmp_path / "poses.tum"
-    sources = [str(FOLDER / "main.c"), *map(str, sorted((FOLDER / "src").glob("*.c")))]
-    flags = ["-std=c99", "-O2", "-ffp-contract=off", f"-I{FOLDER / 'include'}"]
-    subprocess.run(["cc", *flags, *sources, "-lm", "-o", str(program)], check=True)
+def test_evalkit_run_gives_the_poses_of_the_method_embedded(core_programs, tmp_path):
+    log, poses = tmp_path / "log", tmp_path / "poses.tum"
     frames = list(islice(registry.dataset("lab").make(**LAB).frames(), 90))
     assert scanlog.write_scan_log(log, frames) == 90
-    subprocess.run([str(program), str(log), str(poses)], check=True)
+    run_tool(str(core_programs / "evalkit-run"), str(log), str(poses))
     odometry = frontend.make_odometry(embedded.SPEC, frontend.complete_parameters("embedded", embedded.SPEC, {}))
     expected = [odometry.update(scanlog.round_frame(frame)).pose.row for frame in frames]
     written = np.loadtxt(poses)

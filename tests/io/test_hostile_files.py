@@ -105,9 +105,17 @@ def find_forbidden_names(tree):
         elif isinstance(node, ast.ImportFrom):
             yield (node.module or "").partition(".")[0]
         elif isinstance(node, ast.Call):
-            yield ast.unparse(node.func)
+            yield _dotted_name(node.func)
             yield node.func.attr if isinstance(node.func, ast.Attribute) else ""
-            yield from (word.arg for word in node.keywords if ast.unparse(word.value) != "False")
+            yield from (word.arg for word in node.keywords if getattr(word.value, "value", None) is not False)
+
+
+def _dotted_name(node):
+    """Return the name "a.b.c" of an expression, "" of one that is no name."""
+    if isinstance(node, ast.Attribute):
+        owner = _dotted_name(node.value)
+        return f"{owner}.{node.attr}" if owner else ""
+    return node.id if isinstance(node, ast.Name) else ""
 
 
 @cache

@@ -1,5 +1,7 @@
 """Faults injected between a sequence and its scores are detected by the metrics."""
 
+from functools import cache
+
 import pytest
 
 from evalkit.commands.metric_validation import fault_injection
@@ -19,9 +21,14 @@ DETECTED_BY = {
 """A metric that must detect each fault, and the least factor."""
 
 
+@cache
+def score(fault):
+    return fault_injection.score_with_fault(fault, **WORLD)["scores"]
+
+
 @pytest.fixture(scope="module")
 def good():
-    return fault_injection.score_with_fault(NO_FAULT, **WORLD)["scores"]
+    return score(NO_FAULT)
 
 
 def test_every_fault_has_a_metric():
@@ -30,16 +37,13 @@ def test_every_fault_has_a_metric():
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_is_detected_by_its_metric(good, fault):
-    seen = {
-        s.metric.name: s.factor
-        for s in fault_injection.compare_scores(good, fault_injection.score_with_fault(fault, **WORLD)["scores"])
-    }
+    seen = {s.metric.name: s.factor for s in fault_injection.compare_scores(good, score(fault))}
     name, factor = DETECTED_BY[fault]
     assert seen[name] > factor
 
 
 def test_a_fault_of_the_scans_is_detected_without_ground_truth(good):
-    wrong = fault_injection.score_with_fault("extrinsics dropped", **WORLD)["scores"]
+    wrong = score("extrinsics dropped")
     free = {
         s.metric.name
         for s in fault_injection.compare_scores(good, wrong)
