@@ -136,7 +136,7 @@ def test_a_missing_value_has_its_reason(record, build, room):
 def test_the_map_strip_has_answer_peer_baseline_and_worst_in_one_window(room):
     analysis = analyse(room)
     assert choose_tiles(analysis, analysis.sequences[0]) == [
-        ("plane", "answer"), ("lib", "established method"), ("wheel", "baseline"), ("lost", "worst"),
+        ("plane", "answer"), ("lib", "established"), ("wheel", "baseline"), ("lost", "worst"),
     ]  # fmt: skip
     tiles = build_tiles(analysis, 0, strokes_of(room))
     assert len({tile.figure.size for tile in tiles}) == 1

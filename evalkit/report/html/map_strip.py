@@ -61,7 +61,7 @@ def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[s
     wanted = (
         *([("answer", [winner]) for winner in winners[:2]] or [("best here", ordered)]),
         ("worst", ordered[::-1]),
-        ("established method", [method for method in ordered if comparison.methods[method].role == "peer"]),
+        ("established", [method for method in ordered if comparison.methods[method].role == "peer"]),
         ("baseline", comparison.methods_with_role("baseline")),
         ("reference", comparison.methods_with_role("reference")),
         *[("", ordered)] * MAX_TILES,
