@@ -471,7 +471,7 @@ def test_missing_runs_are_exit_code_3_and_an_unknown_status_is_rejected(evalkit,
     code, out, _ = evalkit("compare", "--no-page", experiment("none", "raise"), "--out", tmp_path / "out", "--collect")
     assert code == 3
     assert out.splitlines() == [
-        "1 runs complete, 0 failed, 0 not available here",
+        "1 run complete, 0 failed, 0 not available here",
         "1 not run yet: raise on straight",
     ]
     code, _, err = evalkit("compare", "--no-page", experiment("none"), "--out", tmp_path / "out", "--rerun", "sleepy")
@@ -572,7 +572,7 @@ def test_a_ros_bag_is_compared_by_one_command(evalkit, carmen, tmp_path):
     assert code == 0
     answer, *_, counts, page, following = out.splitlines()
     assert answer == "Only paper is ranked: there is no other method to compare it with."
-    assert counts == "1 runs complete, 0 failed, 0 not available here"
+    assert counts == "1 run complete, 0 failed, 0 not available here"
     assert Path(page) == tmp_path / "out" / "index.html"
     assert following == f"next: evalkit export {tmp_path / 'out'} -f latex (tables for a paper)"
     trial = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]

@@ -60,7 +60,7 @@ def _print_counts(runs: Sequence[Run], skipped: Sequence[Run]) -> None:
     broken = sum(result.status in BROKEN for _, result in runs)
     unavailable = len(runs) - complete - broken - len(skipped)
     names = ", ".join(_list_unavailable(runs))
-    counts = f"{complete} runs complete, {broken} failed, {unavailable} not available here"
+    counts = f"{complete} run{'s' * (complete != 1)} complete, {broken} failed, {unavailable} not available here"
     out.print(f"{counts}: {names}" if names else counts, markup=False, highlight=False)
     if skipped:
         missing = ", ".join(f"{spec.method.label} on {_format_sequence(spec)}" for spec, _ in skipped[:MAX_NAMED])

@@ -60,7 +60,7 @@ def test_collect_finds_the_runs_of_a_program_that_it_does_not_start(compare, pag
     (run,) = (compare.folder / "runs").iterdir()
     code, out, err, started = compare("--collect", *page)
     assert (code, started) == (0, 0)
-    assert "1 runs complete" in out
+    assert "1 run complete" in out
     assert "collect" not in err
     Store.existing(compare.folder).discard_scores(run.name)  # it is then scored again
     code, out, _, started = compare("--collect", "--no-page", "--json")

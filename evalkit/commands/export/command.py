@@ -74,7 +74,9 @@ def export(
     if as_json:
         options.print_json({"written": [str(path) for path in written], "remarks": list(selection.remarks)})
     else:
-        out.print(f"{len(written)} files in {folder.resolve()}", markup=False, highlight=False)
+        out.print(
+            f"{len(written)} file{'s' * (len(written) != 1)} in {folder.resolve()}", markup=False, highlight=False
+        )
 
 
 def _check_formats(formats: list[str]) -> list[str]:
