@@ -308,7 +308,15 @@ def test_a_comparison_takes_what_the_inspection_finds_except_what_is_given(tmp_p
 
 @pytest.mark.parametrize(
     ("beams", "step_deg", "field_deg"),
-    [(181, 1.0, 180.0), (361, 0.5, 180.0), (360, 1.0, 360.0), (361, 1.0, 360.0), (270, 1.0, 269.0), (1, 1.0, 0.0)],
+    [
+        (181, 1.0, 180.0),
+        (361, 0.5, 180.0),
+        (360, 1.0, 360.0),
+        (361, 1.0, 360.0),
+        (720, 0.4993, 360.0),
+        (270, 1.0, 269.0),
+        (1, 1.0, 0.0),
+    ],
 )
 def test_the_field_of_view_is_from_the_first_beam_to_the_last_or_a_full_circle(beams, step_deg, field_deg):
     angles = np.radians(-90.0 + step_deg * np.arange(beams)).tolist()

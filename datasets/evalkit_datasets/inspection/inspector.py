@@ -98,9 +98,9 @@ def measured_directions(lidar: LidarStats) -> float:
 
 
 def field_of_view_deg(angles: Sequence[float]) -> float:
-    """Return the angle (deg) from the first beam to the last; 360 where one more step leads back to the first."""
+    """Return the angle (deg) from the first beam to the last; 360 where one more step is a full circle to a degree."""
     span = math.degrees(abs(angles[-1] - angles[0]))
-    return 360.0 if span + 1.5 * span / max(len(angles) - 1, 1) > 360.0 else span
+    return 360.0 if span + span / max(len(angles) - 1, 1) > 359.0 else span
 
 
 def _measure_lidar(laser: LaserStream) -> LidarStats:
