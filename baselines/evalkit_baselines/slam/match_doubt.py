@@ -14,13 +14,10 @@ from typing import NamedTuple
 
 from evalkit.core.odometry_estimate import StageEstimate
 from evalkit.core.pose import Pose
-from evalkit_baselines.slam.second_try import MIN_SHARE
+from evalkit_baselines.slam.second_try import DOUBTED, MIN_SHARE
 
 USUAL_SCANS = 50.0
 """Scans over which the usual error of matches, and their usual gap to the prediction, are averaged."""
-
-DOUBTED = 2.0
-"""A match with more than this many times the usual error is doubted, with twice that wholly."""
 
 APART = 3.0
 """The same for its gap to the prediction, in times the usual gap."""

@@ -130,7 +130,7 @@ class PaperSlam:
         self._gate.is_measured = frame.odom_from_base is not None
         frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
-        self._tries.begin_scan(self._doubt.usual_m)
+        self._tries.begin_scan(self._doubt.usual_m, None if measured else predicted)
         estimate, source = self._front.match(frame)
         match = estimate.stages.get("s2m")
         points = frame.points_in_base(frame.start_from_end)

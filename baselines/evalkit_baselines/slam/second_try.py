@@ -2,11 +2,15 @@
 
 Pairs far apart lead ICP to a wrong place. A guess by odometry is off by 20 deg and more where the robot turns quickly
 and the clocks of lidar and wheels do not agree, which is farther than ICP finds back.
+
+Without odometry, something near that covers a part of a scan leads ICP away from a prediction that may be right. Where
+the match with the scan before fits poorly, that with the map begins from the prediction too.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,11 +26,18 @@ POOR_M = 0.1
 UNUSUAL = 4.0
 """And one of more than so many times the usual one: with little noise a wrong match may have 0.06 m."""
 
+DOUBTED = 2.0
+"""A match with more than this many times the usual error is doubted, with twice that wholly."""
+
 MIN_SHARE = 0.8
 """A smaller share of points in pairs is doubted too: the pairs that are left may fit well in a wrong place."""
 
 NEAR_M = 0.15
 """Of several answers, the one with most points within this distance of the target is taken."""
+
+CLOSE_M = 0.1
+"""On the map without odometry, the one whose points lie most closely on it: only those within this distance count, each
+in proportion to how much nearer it is. A wrong pose has many points near the map and few on it."""
 
 COARSE_POINTS, FINE_ITERATIONS = 200, 5
 """A scan of twice as many points or more is matched first with every n-th of them, then with all, in few iterations."""
@@ -60,7 +71,8 @@ class SecondTry:
     """A Registration: ``wide``, and where that fits poorly the better of it and ``narrow``.
 
     ``narrow`` starts from the best of several headings by ``brief``, with a part of a large scan. Only the first poor
-    answer of a scan is tried again, whichever stage it is of: ``begin_scan``.
+    answer of a scan is tried again, whichever stage it is of: ``begin_scan``. Without odometry both stages of
+    a scan may be: the second one, with the map, already where its answer is doubted.
     """
 
     wide: Registration
@@ -68,32 +80,47 @@ class SecondTry:
     brief: Registration
     _usual_m: float = field(default=0.0, init=False)
     _tried: bool = field(default=False, init=False)
+    _predicted: Pose | None = field(default=None, init=False)
+    _stage: int = field(default=0, init=False)
 
-    def begin_scan(self, usual_m: float) -> None:
-        """Begin a scan; ``usual_m``: usual error of matches, 0: unknown."""
-        self._usual_m, self._tried = usual_m, False
+    def begin_scan(self, usual_m: float, predicted: Pose | None = None) -> None:
+        """Begin a scan; ``usual_m``: usual error of matches, 0: unknown.
+
+        ``predicted``: the pose in the map at constant velocity; None: with odometry.
+        """
+        self._usual_m, self._predicted = usual_m, predicted
+        self._tried, self._stage = False, 0
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
         first = self.wide.register(target, source, guess)
+        self._stage += 1
+        predicted = self._predicted if self._stage > 1 else None
         poor_m = min(POOR_M, UNUSUAL * self._usual_m) if self._usual_m > 0.0 else POOR_M
+        closely = predicted is not None
+        if closely and self._tried:
+            poor_m = DOUBTED * self._usual_m
         fits = not first.error > poor_m and first.inliers >= MIN_SHARE * len(source)
-        if self._tried or fits or not len(target):
+        if fits or not len(target) or (self._tried and not closely):
             return first
+        centre, also = (predicted, [guess]) if predicted is not None and self._tried else (guess, [])
         self._tried = True
-        second = self.narrow.register(target, source, self._best_start(target, take_part(source, TRIED_POINTS), guess))
-        if not _is_close(guess, second.target_from_source):
+        starts = [*(centre @ Pose(0.0, 0.0, turn) for turn in TURNS_RAD), *also]
+        best = self._best_answer(target, take_part(source, TRIED_POINTS), starts, closely)
+        second = self.narrow.register(target, source, best)
+        if not _is_close(centre, second.target_from_source):
             return first
-        near = [_share_near(target, source, match.target_from_source) for match in (first, second)]
-        return second if near[1] > near[0] else first
+        rates = [_rate(target, source, match.target_from_source, closely) for match in (first, second)]
+        return second if rates[1] > rates[0] else first
 
-    def _best_start(self, target: Cloud, part: Cloud, guess: Pose) -> Pose:
-        best, most = guess, 0.0
-        for turn in TURNS_RAD:
-            answer = self.brief.register(target, part, guess @ Pose(0.0, 0.0, turn)).target_from_source
-            near = _share_near(target, part, answer)
-            if near > most and _is_close(guess, answer):
-                best, most = answer, near
+    def _best_answer(self, target: Cloud, part: Cloud, starts: Sequence[Pose], closely: bool) -> Pose:
+        """Return the answer near the first of the starts that lies best on the target; that start if there is none."""
+        best, most = starts[0], 0.0
+        for start in starts:
+            answer = self.brief.register(target, part, start).target_from_source
+            rate = _rate(target, part, answer, closely)
+            if rate > most and _is_close(starts[0], answer):
+                best, most = answer, rate
         return best
 
 
@@ -108,9 +135,11 @@ def _is_close(guess: Pose, answer: Pose) -> bool:
     return gap.x**2 + gap.y**2 <= MAX_M**2 and abs(gap.theta) <= MAX_RAD
 
 
-def _share_near(target: Cloud, source: Cloud, target_from_source: Pose) -> float:
+def _rate(target: Cloud, source: Cloud, target_from_source: Pose, closely: bool) -> float:
+    """Return how well a scan lies on a target, 0 to 1; ``closely``: as ``CLOSE_M`` says, else as ``NEAR_M``."""
     from scipy.spatial import cKDTree  # noqa: PLC0415 - specs are listed without SciPy
 
     moved = target_from_source.transform(source.points)
-    distance, _ = cKDTree(target.points).query(moved, distance_upper_bound=NEAR_M)
-    return float(np.isfinite(np.asarray(distance)).mean())
+    distance, _ = cKDTree(target.points).query(moved, distance_upper_bound=CLOSE_M if closely else NEAR_M)
+    distances = np.asarray(distance)
+    return float(np.maximum(1.0 - distances / CLOSE_M, 0.0).mean() if closely else np.isfinite(distances).mean())

@@ -60,6 +60,22 @@ def test_without_a_limit_of_work_it_is_paper_slam_to_the_stop_rule_of_icp():
     assert [one.accepted for one in found] == [one.accepted for one in estimates]
 
 
+def test_scans_half_covered_without_odometry_are_placed_as_by_paper_slam():
+    there, rng, frames = ring_drive(0.5)[:20], np.random.default_rng(4), []
+    for row, frame in enumerate(make_frames(RING, there)):
+        ranges = frame.scan.ranges.copy()
+        if row in (14, 15):  # something 0.4 to 0.6 m away on one side
+            side = np.abs(frame.scan.angles - np.pi / 2) < np.pi / 2
+            ranges[side] = rng.uniform(0.4, 0.6, side.sum())
+        frames.append(replace(frame, scan=replace(frame.scan, ranges=ranges), odom_from_base=None))
+    _, expected = run(paper_slam.make, frames)
+    _, found = run(embedded_slam.make, frames, work=0, **SMALL)
+    assert np.abs(se2.between(rows(expected), rows(found))).max() < 1e-6
+    errors = errors_m(rows(found), there)
+    assert errors[:15].max() < 0.01  # the first of the two too: matched with near pairs from the prediction
+    assert errors[16:].max() < 0.01
+
+
 @pytest.mark.parametrize("work", [200_000, 50_000])
 def test_slices_close_the_same_loops_later_and_end_within_5_mm(work):
     expected, _ = reference()

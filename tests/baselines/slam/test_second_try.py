@@ -83,6 +83,57 @@ def test_only_the_first_poor_answer_of_a_scan_is_tried_again():
     assert (len(brief.calls), len(narrow.calls)) == (2 * 5, 2)
 
 
+def test_without_odometry_the_map_is_tried_from_the_prediction_where_the_scan_before_was():
+    predicted, guess = Pose(0.2, 0.1, 0.3), Pose(0.1, 0.0, 0.0)
+    narrow, brief = Answer(Pose(), 0.01), Answer(Pose(), 0.01)
+    tries = SecondTry(Answer(Pose(), 0.2), narrow, brief)
+    tries.begin_scan(0.0, predicted)
+    tries.register(CORNER, CORNER, Pose())
+    assert brief.calls[0] == Pose()
+    assert len(brief.calls) == 5
+    tries.register(CORNER, CORNER, guess)
+    assert brief.calls[5] == predicted
+    assert {(call.x, call.y) for call in brief.calls[5:10]} == {(0.2, 0.1)}
+    assert brief.calls[10:] == [guess]
+
+
+@pytest.mark.parametrize(("error", "again"), [(0.0199, False), (0.0201, True)])
+def test_without_odometry_twice_the_usual_error_is_enough_for_the_map_where_the_scan_before_was_tried(error, again):
+    narrow, brief, wide = Answer(Pose(), 0.01), Answer(Pose(), 0.01), Answer(Pose(), 0.2)
+    tries = SecondTry(wide, narrow, brief)
+    tries.begin_scan(0.01, Pose())
+    tries.register(CORNER, CORNER, Pose())
+    wide.error = error
+    tries.register(CORNER, CORNER, Pose())
+    assert len(brief.calls) == (11 if again else 5)
+
+
+def test_without_odometry_a_poor_match_with_the_map_alone_is_tried_from_its_guess():
+    narrow, brief, wide = Answer(Pose(), 0.01), Answer(Pose(), 0.01), Answer(Pose(), 0.01)
+    tries = SecondTry(wide, narrow, brief)
+    tries.begin_scan(0.0, Pose(0.2, 0.1, 0.3))
+    tries.register(CORNER, CORNER, Pose())
+    wide.error = 0.2
+    tries.register(CORNER, CORNER, Pose(0.1, 0.0, 0.0))
+    assert {(call.x, call.y) for call in brief.calls} == {(0.1, 0.0)}
+    assert len(brief.calls) == 5
+
+
+@pytest.mark.parametrize(("predicted", "taken"), [(None, "shifted"), (Pose(), "right")])
+def test_a_scan_half_covered_lies_more_closely_where_it_is_but_has_more_points_near_where_it_is_not(predicted, taken):
+    # 60 of 160 points are 0.2 m before the walls: shifted by 0.1 m, all are within 0.1 m of a wall, and none on it
+    covered = CORNER.points + np.where(np.arange(160)[:, None] % 8 < 3, 0.2, 0.0)
+    answers = {"right": Pose(), "shifted": Pose(-0.1, -0.1, 0.0)}
+    wide, narrow = Answer(answers["right"], 0.2), Answer(answers["shifted"], 0.2)
+    tries = SecondTry(wide, narrow, narrow)
+    tries.begin_scan(0.0, predicted)
+    if predicted is not None:
+        wide.error = 0.01
+        tries.register(CORNER, Cloud(covered), Pose())
+        wide.error = 0.2
+    assert tries.register(CORNER, Cloud(covered), Pose()).target_from_source == answers[taken]
+
+
 def test_nothing_is_tried_again_against_no_points_and_the_try_is_kept_for_the_map():
     narrow, brief = Answer(Pose(), 0.01), Answer(Pose(), 0.01)
     tries = SecondTry(Answer(Pose(), np.nan, 0), narrow, brief)

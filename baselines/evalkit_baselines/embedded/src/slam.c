@@ -147,16 +147,17 @@ static ek_status take_map(ek_slam *slam, ek_pose near, ek_work *work)
     return index_lines(&slam->map_index, slam->map_normals, slam->map_points, count);
 }
 
-/* One stage: the pose after it is the match, or the guess where the match has too few pairs. */
-static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openness *open, ek_pose *pose, ek_match *match,
-                           int32_t *accepted)
+/* One stage: the pose after it is the match, or the guess where the match has too few pairs; `predicted`: as in
+ * ek_slam_match. */
+static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openness *open, const ek_pose *predicted,
+                           ek_pose *pose, ek_match *match, int32_t *accepted)
 {
     *accepted = 0;
     if (slam->scan.count == 0u) {
         match->target_from_source = *pose;
         return EK_OK;
     }
-    const ek_status status = ek_slam_match(slam, target, *pose, match);
+    const ek_status status = ek_slam_match(slam, target, *pose, predicted, match);
     const ek_pose limited = status == EK_OK ? ek_openness_limit(open, match->target_from_source, *pose) : *pose;
     if (status == EK_OK && slam->gated && !ek_slam_is_believed(slam->parameters.odometry_gate, slam->scan.count, *pose, limited, match)) {
         match->inliers = 0;
@@ -175,14 +176,17 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     slam->tried = 0;
     const ek_openness open =
         ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
-    ek_status status = run_stage(slam, &slam->last, &open, &last_from_base, &estimate->scan_to_scan,
+    const int measured = slam->motion.has_last_odometry && prior->has_odometry;
+    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, last_from_base);
+    ek_status status = run_stage(slam, &slam->last, &open, NULL, &last_from_base, &estimate->scan_to_scan,
                                  &estimate->scan_to_scan_accepted);
     pose = ek_se2_compose(slam->motion.start_from_base, last_from_base);
     if (status == EK_OK) {
         status = take_map(slam, pose, work);
     }
     if (status == EK_OK) {
-        status = run_stage(slam, &slam->map_index, &open, &pose, &estimate->scan_to_map, &estimate->scan_to_map_accepted);
+        status = run_stage(slam, &slam->map_index, &open, measured ? NULL : &predicted, &pose, &estimate->scan_to_map,
+                           &estimate->scan_to_map_accepted);
     }
     estimate->has_stages = 1;
     estimate->odom_from_base = pose;

@@ -9,7 +9,8 @@
 #define POOR EK_R(0.1)       /* m: a larger mean distance is doubted, */
 #define UNUSUAL EK_R(4.0)    /* and one of more than so many times the usual one */
 #define MIN_SHARE EK_R(0.8)  /* a smaller share of points in pairs is doubted too */
-#define NEAR EK_R(0.15)      /* m: of several answers, the one with most points within it is taken */
+#define NEAR EK_R(0.15)      /* m: of several answers, the one with most points within it is taken, */
+#define CLOSE EK_R(0.1)      /* m: or, on the map without odometry, the one that lies most closely on it, up to here */
 #define COARSE_POINTS 200u   /* a scan of twice as many points or more is matched first with every n-th of them, */
 #define FINE_ITERATIONS 5    /* then with all */
 #define TRIED_POINTS 100u    /* the same for the further tries, which are short: the best of them is matched to the end */
@@ -86,16 +87,19 @@ void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *o
     wheels->keyframe = wheels->now;
 }
 
-/* Number of points within NEAR of a target. */
-static size_t count_near(const ek_index *target, const ek_real *xy, size_t count, ek_pose pose)
+/* How well a scan lies on a target: its number of points within NEAR; `closely`: within CLOSE, where each counts in
+ * proportion to how much nearer it is than that. */
+static ek_real rate(const ek_index *target, const ek_real *xy, size_t count, ek_pose pose, int closely)
 {
-    const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta);
-    size_t near = 0u;
+    const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta), limit = closely ? CLOSE : NEAR;
+    ek_real sum = EK_R(0.0);
     for (size_t k = 0; k < count; k++) {
         const ek_real x = xy[2u * k], y = xy[2u * k + 1u];
-        near += ek_index_nearest(target, c * x - s * y + pose.x, s * x + c * y + pose.y, NEAR, NEAR).slot != EK_NONE;
+        const ek_neighbour nearest =
+            ek_index_nearest(target, c * x - s * y + pose.x, s * x + c * y + pose.y, limit, limit);
+        sum += nearest.slot == EK_NONE ? EK_R(0.0) : closely ? EK_R(1.0) - nearest.distance / CLOSE : EK_R(1.0);
     }
-    return near;
+    return sum;
 }
 
 /* 1 where a further try has not left its place. */
@@ -137,44 +141,50 @@ static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_
     return status;
 }
 
-/* The pose, of short matches of a part of the scan from several headings, with most of its points on the target. */
-static ek_pose try_headings(ek_slam *slam, const ek_index *target, ek_pose guess, ek_icp_parameters parameters)
+/* The pose, of short matches of a part of the scan from several headings at `centre` and from `also` (NULL: none), that
+ * lies best on the target. */
+static ek_pose try_starts(ek_slam *slam, const ek_index *target, ek_pose centre, const ek_pose *also, int closely,
+                          ek_icp_parameters parameters)
 {
-    const size_t count = take_part(slam, TRIED_POINTS);
-    size_t most = 0u;
-    ek_pose best = guess;
+    const size_t count = take_part(slam, TRIED_POINTS), turns = sizeof TURNS / sizeof TURNS[0];
+    ek_real most = EK_R(0.0);
+    ek_pose best = centre;
     limit_iterations(&parameters, TRIED_ITERATIONS);
-    for (size_t k = 0; k < sizeof TURNS / sizeof TURNS[0]; k++) {
-        const ek_pose turn = {EK_R(0.0), EK_R(0.0), TURNS[k] * EK_PI / EK_R(180.0)};
+    for (size_t k = 0; k < turns + (also ? 1u : 0u); k++) {
+        const ek_pose turn = {EK_R(0.0), EK_R(0.0), k < turns ? TURNS[k] * EK_PI / EK_R(180.0) : EK_R(0.0)};
+        const ek_pose start = k < turns ? ek_se2_compose(centre, turn) : *also;
         ek_match match;
-        ek_icp_register(&slam->icp, target, slam->moved, count, ek_se2_compose(guess, turn), &parameters, NULL, NULL,
+        ek_icp_register(&slam->icp, target, slam->moved, count, start, &parameters, NULL, NULL,
                         &match); /* of the same points at the same place as before: no error */
-        const size_t near = count_near(target, slam->moved, count, match.target_from_source);
-        if (near > most && is_close(guess, match.target_from_source)) {
+        const ek_real on = rate(target, slam->moved, count, match.target_from_source, closely);
+        if (on > most && is_close(centre, match.target_from_source)) {
             best = match.target_from_source;
-            most = near;
+            most = on;
         }
     }
     return best;
 }
 
-ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match)
+ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, ek_match *match)
 {
     const ek_real *const hits = slam->scan.hits;
     const size_t count = slam->scan.count;
     ek_icp_parameters narrow = slam->parameters.matcher;
     const ek_status status = match_coarse_to_fine(slam, target, guess, &narrow, match);
-    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)count;
-    const ek_real unusual = UNUSUAL * slam->usual_error, poor = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
-    if (status != EK_OK || slam->tried || target->count == 0u || (paired && !(match->error > poor))) {
+    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)count, closely = predicted != NULL;
+    const ek_real unusual = UNUSUAL * slam->usual_error, most = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
+    const ek_real poor = closely && slam->tried ? DOUBTED * slam->usual_error : most;
+    if (status != EK_OK || target->count == 0u || (paired && !(match->error > poor)) || (slam->tried && !closely)) {
         return status;
     }
+    const ek_pose *const also = closely && slam->tried ? &guess : NULL;
+    const ek_pose centre = also ? *predicted : guess;
     slam->tried = 1;
     narrow.max_correspondence = slam->parameters.fine_correspondence;
     ek_match other;
-    match_coarse_to_fine(slam, target, try_headings(slam, target, guess, narrow), &narrow, &other);
-    if (is_close(guess, other.target_from_source) && count_near(target, hits, count, other.target_from_source) >
-                                                         count_near(target, hits, count, match->target_from_source)) {
+    match_coarse_to_fine(slam, target, try_starts(slam, target, centre, also, closely, narrow), &narrow, &other);
+    if (is_close(centre, other.target_from_source) && rate(target, hits, count, other.target_from_source, closely) >
+                                                          rate(target, hits, count, match->target_from_source, closely)) {
         *match = other;
     }
     return EK_OK;

@@ -34,8 +34,10 @@ ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *
 void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *open, int known);
 
 /* Match the projected scan with a target, a large one first with a part of its points. The first answer of a scan that
- * fits poorly (`tried` says that there was one) is tried again with near pairs from five headings. */
-ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, ek_match *match);
+ * fits poorly (`tried` says that there was one) is tried again with near pairs from five headings. `predicted`: of the
+ * match with the map, without odometry, the pose at constant velocity, else NULL. Where the match with the scan before was
+ * tried again, one of more than twice the usual error is too, from headings at `predicted` and from `guess`. */
+ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, ek_match *match);
 
 /* 0 where a match of a scan contradicts the odometry that its guess comes from (odometry_gate.py). */
 int ek_slam_is_believed(int strict, size_t points, ek_pose guess, ek_pose answer, const ek_match *match);

@@ -42,13 +42,16 @@ static void the_heading_with_most_points_is_taken(void)
         const ek_pose guess = pose_of(0.3, -0.2, 0.4);
         const ek_pose truth = ek_se2_compose(guess, pose_of(0.0, 0.0, turns_deg[k] * (double)EK_PI / 180.0));
         see_outline(truth);
-        const ek_pose found = try_headings(&slam, &slam.map_index, guess, narrow);
+        const ek_pose found = try_starts(&slam, &slam.map_index, guess, NULL, 0, narrow);
         const ek_pose expected = k < 5u ? truth : guess;
+        const ek_pose beside = pose_of(0.4, -0.2, 0.4), away = pose_of(-3.0, 2.0, 1.0); /* from `away` the truth is too far */
+        CHECK_NEAR(try_starts(&slam, &slam.map_index, beside, &truth, 1, narrow).x, k < 5u ? 0.3 : 0.4, 1e-6);
+        CHECK_NEAR(try_starts(&slam, &slam.map_index, away, &truth, 1, narrow).x, -3.0, 0.0);
         CHECK_NEAR(found.x, 0.3, 1e-6);
         CHECK_NEAR(found.y, -0.2, 1e-6);
         CHECK(k == 5u || EK_FABS(found.theta - expected.theta) < EK_R(1e-5));
-        CHECK(count_near(&slam.map_index, slam.scan.hits, POINTS, truth) == POINTS);
-        CHECK(count_near(&slam.map_index, slam.scan.hits, POINTS, pose_of(50.0, 50.0, 0.0)) == 0u);
+        CHECK(rate(&slam.map_index, slam.scan.hits, POINTS, truth, 0) == EK_R(POINTS));
+        CHECK(rate(&slam.map_index, slam.scan.hits, POINTS, pose_of(50.0, 50.0, 0.0), 0) == EK_R(0.0));
     }
     free(arena.memory);
 }
@@ -64,8 +67,26 @@ static void points_within_15_cm_are_near(void)
         const ek_pose pose = pose_of(1.0, -2.0, 0.7), at = pose_of(3.0 + off[k][0], 4.0 + off[k][1], 0.0);
         const ek_pose seen = ek_se2_between(pose, at);
         const ek_real point[] = {seen.x, seen.y};
-        CHECK(count_near(&slam.map_index, point, 1u, pose) == (size_t)off[k][2]);
+        CHECK(rate(&slam.map_index, point, 1u, pose, 0) == EK_R(off[k][2]));
     }
+    free(arena.memory);
+}
+
+/* Without odometry, points on the map count in proportion to how much nearer than 10 cm they are. */
+static void closely_a_point_counts_the_more_the_nearer_it_is(void)
+{
+    static const double off[][3] = {{0.0, 0.0, 1.0}, {0.05, 0.0, 0.5}, {0.0, -0.08, 0.2}, {0.101, 0.0, 0.0}};
+    const ek_real target[] = {EK_R(3.0), EK_R(4.0), EK_R(9.0), EK_R(9.0)};
+    ek_arena arena = line_of(1u);
+    ek_real points[8];
+    CHECK(ek_index_build(&slam.map_index, target, 2u) == EK_OK);
+    for (size_t k = 0; k < 4u; k++) {
+        points[2u * k] = EK_R(3.0 + off[k][0]);
+        points[2u * k + 1u] = EK_R(4.0 + off[k][1]);
+        CHECK_NEAR(rate(&slam.map_index, points + 2u * k, 1u, ORIGIN, 1), off[k][2], 1e-5);
+    }
+    CHECK_NEAR(rate(&slam.map_index, points, 4u, ORIGIN, 1), 1.7, 1e-5);
+    CHECK_NEAR(rate(&slam.map_index, points, 4u, ORIGIN, 0), 4.0, 0.0);
     free(arena.memory);
 }
 
@@ -119,8 +140,33 @@ static void a_poor_match_is_tried_again(void)
         }
         slam.tried = 0;
         slam.usual_error = EK_R(0.0);
-        CHECK(ek_slam_match(&slam, &slam.map_index, ORIGIN, &match) == EK_OK);
+        CHECK(ek_slam_match(&slam, &slam.map_index, ORIGIN, NULL, &match) == EK_OK);
         CHECK(match.inliers == (int32_t)(POINTS - off) && slam.tried == (off == 13u));
+    }
+    free(arena.memory);
+}
+
+/* Without odometry the map is tried again where the scan before was, from the prediction and from the guess. */
+static void without_odometry_the_map_is_tried_from_the_prediction(void)
+{
+    ek_arena arena = line_of(1u);
+    ek_match match;
+    slam.parameters.matcher.max_correspondence = EK_R(0.01);
+    slam.parameters.fine_correspondence = EK_R(1e-9);
+    for (int tried = 0; tried < 2; tried++) {
+        for (int by_prediction = 0; by_prediction < 2; by_prediction++) {
+            const ek_pose truth = pose_of(0.3, -0.2, 0.4), off = ek_se2_compose(truth, pose_of(0.3, 0.1, 0.25));
+            const ek_pose predicted = by_prediction ? truth : off, guess = by_prediction ? off : truth;
+            see_outline(truth);
+            slam.usual_error = EK_R(0.0);
+            slam.tried = tried;
+            slam.parameters.matcher.min_pairs = 1000; /* each match ends where it began */
+            CHECK(ek_slam_match(&slam, &slam.map_index, guess, &predicted, &match) == EK_OK);
+            CHECK(slam.tried == (tried || by_prediction)); /* the truth fits */
+            const ek_pose expected = tried || !by_prediction ? truth : off;
+            CHECK_NEAR(match.target_from_source.x, expected.x, 1e-5);
+            CHECK_NEAR(match.target_from_source.y, expected.y, 1e-5);
+        }
     }
     free(arena.memory);
 }
@@ -158,9 +204,11 @@ int main(void)
 {
     the_heading_with_most_points_is_taken();
     points_within_15_cm_are_near();
+    closely_a_point_counts_the_more_the_nearer_it_is();
     a_try_ends_near_its_guess();
     a_part_of_a_scan_is_taken_evenly();
     a_poor_match_is_tried_again();
+    without_odometry_the_map_is_tried_from_the_prediction();
     steps_count_along_the_motion_of_the_wheels();
     return verdict();
 }

@@ -107,7 +107,7 @@ static void a_stage_is_accepted_with_enough_pairs(void)
         see_corner(ORIGIN);
         slam.gated = 0;
         slam.parameters.min_inliers = least;
-        CHECK(run_stage(&slam, &slam.map_index, &closed, &pose, &match, &accepted) == EK_OK && match.inliers == 40);
+        CHECK(run_stage(&slam, &slam.map_index, &closed, NULL, &pose, &match, &accepted) == EK_OK && match.inliers == 40);
         CHECK(accepted == (least <= 40));
         CHECK_NEAR(pose.x, accepted ? 0.0 : 0.05, 1e-4);
     }
@@ -119,14 +119,14 @@ static void a_stage_is_accepted_with_enough_pairs(void)
         slam.gated = gated;
         slam.tried = 1;
         slam.parameters.matcher.max_iterations = 3;
-        CHECK(run_stage(&slam, &slam.map_index, &closed, &pose, &match, &accepted) == EK_OK);
+        CHECK(run_stage(&slam, &slam.map_index, &closed, NULL, &pose, &match, &accepted) == EK_OK);
         CHECK(accepted == !gated && (match.inliers == 0) == gated);
         CHECK_NEAR(pose.x, gated ? 0.6 : 0.0, 0.05);
     }
     slam.scan.count = 0u;
     ek_pose pose = pose_of(3.0, 2.0, 1.0);
     int32_t accepted = 7;
-    CHECK(run_stage(&slam, &slam.map_index, &closed, &pose, &match, &accepted) == EK_OK && accepted == 0);
+    CHECK(run_stage(&slam, &slam.map_index, &closed, NULL, &pose, &match, &accepted) == EK_OK && accepted == 0);
     CHECK_NEAR(match.target_from_source.y, 2.0, 0.0);
     free(arena.memory);
 }
