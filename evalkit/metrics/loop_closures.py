@@ -62,7 +62,7 @@ def find_closed(judged: JudgedClosures, first_ns: Stamps, second_ns: Stamps, tru
 
 
 def find_corrections(run: RunResult) -> Bools | None:
-    """Return at which steps (N,) a SLAM moved earlier poses; None where nothing tells.
+    """Return at which steps (N,) a SLAM moved earlier poses; None where it does not say.
 
     As its updates report it; else at the frames of its accepted closures.
     """

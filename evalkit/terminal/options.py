@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class WordConsole(Console):
     """A console that wraps at words on a terminal, and nowhere else.
 
-    What it prints may come from a stranger: control characters are shown, not obeyed, and ":x:" stays ":x:".
+    Text may come from untrusted files: control characters are printed escaped, and ":x:" stays ":x:".
     """
 
     def __init__(self, **options: Any) -> None:

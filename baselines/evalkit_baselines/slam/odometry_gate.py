@@ -1,4 +1,4 @@
-"""An ICP whose answer is kept only where it agrees with the wheels: bad scans match wrongly far from them."""
+"""An ICP whose answer is kept only where it agrees with wheel odometry: wrong matches of bad scans are far from it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a file without scans is, told by its content, and the command that uses it."""
+"""Identify a file without scans by its content, and name the command that uses it."""
 
 from __future__ import annotations
 

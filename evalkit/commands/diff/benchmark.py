@@ -14,6 +14,7 @@ from typing import Any
 
 from evalkit.core.errors import BadData
 from evalkit.execution import environment
+from evalkit.io import untrusted_io
 from evalkit.io.output_files import write_text
 from evalkit.plugins import registry
 
@@ -108,11 +109,11 @@ def load_benchmarks(path: Path) -> dict[str, Benchmark]:
 
 def _load(path: Path) -> Benchmark:
     try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        content: Any = untrusted_io.parse_json(untrusted_io.read_bytes(path.resolve()))
     except OSError as error:
         raise BadData(str(path), "", f"cannot be read ({error.strerror})", "give a file of 'make bench'") from None
-    except (ValueError, RecursionError) as error:
-        raise BadData(str(path), "", f"no JSON ({error})", "give a file of 'make bench'") from None
+    except ValueError as error:
+        raise BadData(str(path), "", f"no JSON: {error}", "give a file of 'make bench'") from None
     schema = content.get("schema") if isinstance(content, dict) else None
     if schema != SCHEMA:
         raise BadData(str(path), "'schema'", f"{schema!r}, expected {SCHEMA}", "measure again with this version")

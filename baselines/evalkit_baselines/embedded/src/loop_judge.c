@@ -170,10 +170,12 @@ static place expected_place(const ek_loop_finder *finder, const ek_keyframes *ke
     return found;
 }
 
-/* The nearest place; while another part of the drive is not connected, of five turns three are for its place nearest to
- * where the robot seems to be, the first and the fourth as far as the graph believes the odometry since then, the third
- * within the radius. The second is for the next of all places, the last for the nearest place of the own part. Without such
- * a belief, or such a place, these are as the second. */
+/* The nearest place. While another part of the drive is not connected, five turns follow each other:
+ * 1 and 4: the other part's place nearest to where the robot seems to be, as far as the graph trusts the odometry since;
+ * 2: the next of all places;
+ * 3: the other part's nearest place within the radius;
+ * 5: the nearest place of the own part.
+ * A turn without such a trust, or such a place, is as the second. */
 static place next_place(ek_loop_finder *finder, const ek_keyframes *keyframes, int measured)
 {
     const ek_pose pose = keyframes->graph.pose[keyframes->count - 1u];
