@@ -203,10 +203,10 @@ def test_the_search_path_of_a_run_holds_what_only_pythonpath_finds(strangers, tm
     own = Path(__file__).parents[1] / "strangers"
     assert registry.find_search_path("faulty", "room") == registry.find_search_path("paper", "straight") == str(own)
     assert registry.find_search_path("paper", "room") == ""
-    (tmp_path / "my_icp.py").touch()
+    (tmp_path / "sought_icp.py").touch()
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(["/nowhere", str(tmp_path), *site.getsitepackages()]))
-    assert registry.find_search_path("my_icp:SPEC", "room") == "."
+    assert registry.find_search_path("sought_icp:SPEC", "room") == "."
     monkeypatch.delenv("PYTHONPATH")
-    assert registry.find_search_path("my_icp:SPEC", "room") == ""
+    assert registry.find_search_path("sought_icp:SPEC", "room") == ""
