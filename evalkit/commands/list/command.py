@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from evalkit.commands.list import inventory
 from evalkit.core.errors import UnknownName
 from evalkit.plugins import registry
 from evalkit.terminal import options
@@ -17,12 +18,11 @@ from evalkit.terminal.text_list import print_list
 if TYPE_CHECKING:
     from evalkit.metrics.table import Metric
 
-KINDS = ("backends", "mappers", "datasets")
 METRICS, ALL = "metrics", "all"
 
 
 def _complete(incomplete: str) -> list[str]:
-    kinds = [name for name in (*KINDS, METRICS, ALL) if name.startswith(incomplete)]
+    kinds = [name for name in (*inventory.KINDS, METRICS, ALL) if name.startswith(incomplete)]
     return kinds or options.complete_metric(incomplete)
 
 
@@ -44,15 +44,13 @@ def list_names(
     """  # fmt: skip
     if group and what not in (METRICS, ALL):
         raise typer.BadParameter("--group: needs 'metrics'")
-    if what not in ("", METRICS, ALL, *KINDS):
+    if what not in ("", METRICS, ALL, *inventory.KINDS):
         _print_card(what, as_json)
         return
     if not what and not as_json:
         _print_names()
         return
-    from evalkit.commands.list import inventory  # noqa: PLC0415 - describing plug-ins loads them
-
-    kinds = [kind for kind in KINDS if what in ("", ALL, kind)]
+    kinds = [kind for kind in inventory.KINDS if what in ("", ALL, kind)]
     found = {kind: inventory.find_entries(kind) for kind in kinds}
     metrics = _metrics(group) if what in (METRICS, ALL) else ()
     if as_json:
@@ -68,7 +66,7 @@ def list_names(
 
 def _print_names() -> None:
     """Print the names of each kind without loading a plug-in."""
-    for kind in KINDS:
+    for kind in inventory.KINDS:
         print_list(out, f"{kind}: evalkit list {kind}", [("", ", ".join(registry.names(kind)))])
     out.print("metrics: evalkit list metrics", markup=False, highlight=False, style="bold")
 
@@ -86,7 +84,7 @@ def _print_card(name: str, as_json: bool) -> None:
     metrics = {metric.name: metric for metric in all_metrics()}
     if name not in metrics:
         close = difflib.get_close_matches(name, metrics, n=5)
-        raise UnknownName("list or metric", name, (*KINDS, METRICS, ALL, *close))
+        raise UnknownName("list or metric", name, (*inventory.KINDS, METRICS, ALL, *close))
     if as_json:
         options.print_json(cards.card_as_json(metrics[name]))
         return

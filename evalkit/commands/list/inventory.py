@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from evalkit.core.errors import NotInstalled
-from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter
 
@@ -40,6 +39,8 @@ def find_entries(kind: str) -> list[Entry]:
 
 
 def _backend(name: str) -> Entry:
+    from evalkit.odometry import frontend  # noqa: PLC0415 - loads NumPy, which a list of names does not need
+
     spec = registry.backend(name)
     return Entry(name, spec.summary, spec.missing(), _describe(frontend.settable_parameters(spec)))
 

@@ -106,14 +106,8 @@ class _AnswerComparison:
     """Two answers to one question."""
 
     def __init__(self, answered: AnswerPair, b: Match, margin: Margin, explain: bool) -> None:
-        self._question, self._a, self._b, self._margin, self._explain = (
-            answered.question,
-            answered.a,
-            b,
-            margin,
-            explain,
-        )
-        self._reference = answered.reference
+        self._question, self._a, self._reference = answered.question, answered.a, answered.reference
+        self._b, self._margin, self._explain = b, margin, explain
         self._scale = Scale.of(self._question.target, self._question.source, self._question.guess)
         self._rounding = float32_margin(self._scale)
         self._lever_m = max(self._scale.radius_m, 0.1)
