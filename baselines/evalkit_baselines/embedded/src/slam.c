@@ -147,6 +147,12 @@ static ek_status take_map(ek_slam *slam, ek_pose near, ek_work *work)
     return index_lines(&slam->map_index, slam->map_normals, slam->map_points, count);
 }
 
+/* Whether wheel odometry measured the motion since the last scan. */
+static int is_measured(const ek_slam *slam, const ek_prior *prior)
+{
+    return slam->motion.has_last_odometry && prior->has_odometry;
+}
+
 /* One stage: the pose after it is the match, or the guess where the match has too few pairs; `predicted`: as in
  * ek_slam_match. */
 static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openness *open, const ek_pose *predicted,
@@ -176,7 +182,7 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     slam->tried = 0;
     const ek_openness open =
         ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
-    const int measured = slam->motion.has_last_odometry && prior->has_odometry;
+    const int measured = is_measured(slam, prior);
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, last_from_base);
     ek_status status = run_stage(slam, &slam->last, &open, NULL, &last_from_base, &estimate->scan_to_scan,
                                  &estimate->scan_to_scan_accepted);
@@ -242,7 +248,7 @@ static void judge(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_sla
         slam->fitted_ns = prior->stamp_ns;
     }
     const uint64_t since = (uint64_t)prior->stamp_ns - (uint64_t)slam->fitted_ns;
-    const int measured = slam->motion.has_last_odometry && prior->has_odometry;
+    const int measured = is_measured(slam, prior);
     estimate->set_aside = lost && measured && since <= PATIENCE_NS;
     estimate->lost = lost && !estimate->set_aside;
 }
@@ -254,7 +260,7 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, c
     const ek_pose pose = estimate->odom_from_base, moved = ek_se2_between(slam->odom_from_front, pose);
     const int far = moved.x * moved.x + moved.y * moved.y >= p->keyframe_distance * p->keyframe_distance;
     const int keyframe = !slam->has_keyframe || far || EK_FABS(moved.theta) >= p->keyframe_angle;
-    const int measured = slam->motion.has_last_odometry && prior->has_odometry;
+    const int measured = is_measured(slam, prior);
     ek_continuity_keep(&slam->continuity);
     if (estimate->scan_to_map_accepted) {
         ek_slam_doubt(slam, measured ? &predicted : NULL, pose, &estimate->scan_to_map);
