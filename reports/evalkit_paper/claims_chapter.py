@@ -21,7 +21,7 @@ WORLDS = ("lab", "loop")
 MARKS = 48
 MAP_SCANS = 200
 METRICS = ("ate_rmse_m", "map_f1", "map_precision", "map_entropy")
-USES = ("evalkit_baselines.paper", "evalkit_baselines.embedded", "evalkit_datasets.synthetic")
+USES = ("evalkit_baselines.paper", "evalkit_baselines.embedded", "evalkit_datasets.worlds.synthetic")
 FASTEST_HZ = 15.0
 """Highest rate of the paper's lidar."""
 

@@ -48,7 +48,7 @@ def tasks(settings: Settings) -> tuple[AnyTask, ...]:
         make_task("mirrored", checks.check_mirrored_walls, walls=settings["walls"]),
         make_task("evaluated", checks.measure_table_errors, seeds=seeds),
         make_task("shared", checks.count_shared_targets, seeds=seeds),
-        *(task.depending_on("evalkit_datasets.synthetic") for task in on_sequence),
+        *(task.depending_on("evalkit_datasets.worlds.synthetic") for task in on_sequence),
     )
 
 

@@ -31,7 +31,7 @@ PARAMETERS = (
 def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """The true map, a map for each variant, and the maps of the recording if its files are available."""
     sequence = {name: settings[name] for name in ("laps", "speed_mps", "turn_dps", "rate_hz", "seed")}
-    uses = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
+    uses = ("evalkit_datasets.worlds.synthetic", "evalkit_baselines.paper")
     maps = [
         make_task(
             each.name, lab_maps.map_laboratory, backend=each.backend, parameters=dict(each.parameters),

@@ -237,7 +237,7 @@ def tasks(settings: Settings) -> tuple[AnyTask, ...]:
         parameters={"keyframe_distance_m": 0.1, **{name: settings[name] for name in _FRONT_END}},
         mapper={name: settings[name] for name in _MAPPER},
     )  # fmt: skip
-    return (recording.depending_on("evalkit_datasets.synthetic", "evalkit_baselines.paper"),)
+    return (recording.depending_on("evalkit_datasets.worlds.synthetic", "evalkit_baselines.paper"),)
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:

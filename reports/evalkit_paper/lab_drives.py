@@ -101,7 +101,7 @@ def name(cause: Case, rate_hz: float) -> str:
     return f"{cause.name} at {rate_hz:g} Hz"
 
 
-USES = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
+USES = ("evalkit_datasets.worlds.synthetic", "evalkit_baselines.paper")
 
 
 def run_drive(

@@ -112,7 +112,7 @@ def tasks(settings: Settings) -> tuple[AnyTask, ...]:
             parameters=dict(entry.parameters), dataset=settings["world"],
             dataset_parameters={"seed": seed, "rate_hz": rate, "laps": settings["laps"]}, factors=_factors(settings),
             repetitions=settings["repetitions"], bridged=entry.mark != UNBRIDGED,
-        ).depending_on(registry.plug_in_of("backends", entry.backend).module, "evalkit_datasets.synthetic")
+        ).depending_on(registry.plug_in_of("backends", entry.backend).module, "evalkit_datasets.worlds.synthetic")
         for entry in _entries(settings) for rate in _rates(settings) for seed in range(int(settings["seeds"]))
     )  # fmt: skip
 

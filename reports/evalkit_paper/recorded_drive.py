@@ -28,7 +28,7 @@ UNIQUE = 0.9
 
 VARIANTS = (lab_maps.ODOMETRY, lab_maps.PAPER, lab_maps.TIGHT)
 FLOOR = "floor"
-USES = ("evalkit_datasets.recorded", "evalkit_baselines.paper")
+USES = ("evalkit_datasets.recordings.data_sets", "evalkit_baselines.paper")
 
 
 def missing() -> str:

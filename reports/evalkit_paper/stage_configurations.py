@@ -66,7 +66,7 @@ def _task(settings: Settings, each: Case, seed: int) -> AnyTask:
         backend=each.backend,
         parameters=dict(each.parameters),
         sequence=drive,
-    ).depending_on("evalkit_datasets.synthetic", "evalkit_baselines.paper")
+    ).depending_on("evalkit_datasets.worlds.synthetic", "evalkit_baselines.paper")
 
 
 def measure_configuration(

@@ -10,10 +10,10 @@ import numpy as np
 
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
-from evalkit_datasets import floorplans
-from evalkit_datasets.lidar import LidarModel
-from evalkit_datasets.robot import RouteDrive, WheelOdometryModel
-from evalkit_datasets.synthetic import LAB, Synthetic
+from evalkit_datasets.worlds import floorplans
+from evalkit_datasets.worlds.lidar import LidarModel
+from evalkit_datasets.worlds.robot import RouteDrive, WheelOdometryModel
+from evalkit_datasets.worlds.synthetic import LAB, Synthetic
 
 KINDS = ("sqlite3", "mcap", "ros1")
 RATE_HZ = 10.0

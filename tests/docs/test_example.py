@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 
 from evalkit.core.errors import BadParameter, StoreError, UnknownName
 from evalkit.io.tum import read_tum
-from evalkit_datasets import command, example_bag
-from evalkit_datasets.rosbag import RosBag
+from evalkit_datasets.commands.datasets import command, example_bag
+from evalkit_datasets.readers.rosbag import RosBag
 
 SHORT = {"laps": 0.03, "rate_hz": 5.0}
 

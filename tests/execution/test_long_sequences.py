@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from evalkit_datasets.carmen import Carmen
-from evalkit_datasets.rosbag import RosBag
+from evalkit_datasets.readers.carmen import Carmen
+from evalkit_datasets.readers.rosbag import RosBag
 
 SHORT, LONG = 120, 1200
 WITHOUT_CHUNKS = 480  # is long enough where no chunk has to be filled
@@ -59,7 +59,7 @@ def test_a_log_needs_no_more_memory_than_its_trajectory(tmp_path):
 
 
 def test_a_simulated_drive_needs_no_more_memory_than_its_trajectory(monkeypatch):
-    from evalkit_datasets import robot, synthetic
+    from evalkit_datasets.worlds import robot, synthetic
 
     monkeypatch.setattr(robot, "_TICKS_AT_ONCE", 100)  # ten scans: fewer than in the short drive
     monkeypatch.setattr(synthetic, "_MAX_KEPT_BYTES", 0)

@@ -7,7 +7,7 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from evalkit_datasets.rosbag import RosBag
+from evalkit_datasets.readers.rosbag import RosBag
 
 SUFFIXES = {"ros1": ".bag", "sqlite3": ".db3", "mcap": ".mcap"}
 KINDS = tuple(SUFFIXES)
@@ -16,7 +16,7 @@ KINDS = tuple(SUFFIXES)
 @cache
 def bag_tests():
     """Return the test module of the bag reader, which makes bags."""
-    path = Path(__file__).resolve().parent.parent / "datasets" / "test_rosbag.py"
+    path = Path(__file__).resolve().parent.parent / "datasets" / "readers" / "test_rosbag.py"
     spec = importlib.util.spec_from_file_location("bag_tests", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -83,7 +83,7 @@ ALLOWED = {
         "zipfile",
     ): "results of its own workers; of a member's name only the last part counts",
     (
-        "datasets/evalkit_datasets/building/builders.py",
+        "datasets/evalkit_datasets/recordings/building/builders.py",
         "tarfile",
     ): "one named member of an archive that was verified by its hash, read in blocks and never unpacked into a folder",
     (

@@ -25,7 +25,8 @@ def install(folder, kind, package, readme):
     (source,) = blocks(readme, "python")
     lines = tomllib.loads(blocks(readme, "toml")[0])["project"]["entry-points"][f"evalkit.{kind}"]
     ((name, value),) = lines.items()
-    own = value.replace(f"{package}.", "stranger.")
+    assert value.startswith(f"{package}.")
+    own = f"stranger.{value.rpartition('.')[2]}"
     module = own.partition(":")[0].removeprefix("stranger.")
     (folder / "stranger").mkdir(parents=True)
     (folder / "stranger" / "__init__.py").touch()

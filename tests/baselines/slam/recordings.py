@@ -25,8 +25,8 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.relations import compute_estimated_motions, select_part, symmetric_errors
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Slam
-from evalkit_datasets.building import intel
-from evalkit_datasets.building.log_lines import format_scan, iter_log, source_scan
+from evalkit_datasets.recordings.building import intel
+from evalkit_datasets.recordings.building.log_lines import format_scan, iter_log, source_scan
 
 NUISANCE_M, ROUGH_M = 1e-4, 0.003
 RECORDINGS = ("fr079", "intel", "intel-exact")

@@ -488,7 +488,7 @@ def test_a_table_for_the_text_width_spans_both_columns(finished_folder):
 
 
 def test_a_bag_read_by_evalkit_equals_the_recording(finished_folder):
-    from evalkit_datasets.rosbag import RosBag
+    from evalkit_datasets.readers.rosbag import RosBag
 
     folder = finished_folder.parent / "export" / "mcap" / "wheel-s0"
     assert folder in run_export(finished_folder, "mcap")
@@ -502,8 +502,8 @@ def test_a_bag_read_by_evalkit_equals_the_recording(finished_folder):
 
 
 def test_the_inspection_of_a_bag_finds_its_known_properties(finished_folder):
-    from evalkit_datasets.inspection.inspector import inspect_recording
-    from evalkit_datasets.inspection.suggested_config import suggest_config
+    from evalkit_datasets.commands.inspect.inspector import inspect_recording
+    from evalkit_datasets.commands.inspect.suggested_config import suggest_config
 
     found = inspect_recording(run_export(finished_folder, "mcap", "--method", "wheel")[0])
     (lidar,), (seat,), (driven,) = found.lidars, found.frames.mountings, found.odometries

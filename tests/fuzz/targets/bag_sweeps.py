@@ -9,8 +9,8 @@ import numpy as np
 from bags import bag_tests
 from bounds import check_call, folder
 
-from evalkit_datasets.inspection.inspector import inspect_recording
-from evalkit_datasets.rosbag import RosBag
+from evalkit_datasets.commands.inspect.inspector import inspect_recording
+from evalkit_datasets.readers.rosbag import RosBag
 
 CLOUD, RANGES, POINTS = KINDS = ("sensor_msgs/msg/PointCloud2", "my_msgs/msg/Ranges", "my_msgs/msg/Points")
 """The first byte of an input selects one for the rest of it."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bounds import check_file_reader
 
-from evalkit_datasets.carmen import Carmen
+from evalkit_datasets.readers.carmen import Carmen
 
 
 def seeds() -> list[bytes]:

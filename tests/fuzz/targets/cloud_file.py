@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bounds import check_file_reader
 
-from evalkit_datasets.cloud_files import read_cloud_file
+from evalkit_datasets.parsing.cloud_files import read_cloud_file
 
 PCD = b"VERSION 0.7\nFIELDS x y z i\nSIZE 4 4 8 1\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA "
 PLY = b"element vertex 2\nproperty float x\nproperty float y\nproperty double z\nproperty uchar i\nend_header\n"

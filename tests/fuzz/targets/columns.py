@@ -6,7 +6,7 @@ from pathlib import Path
 
 from bounds import check_file_reader
 
-from evalkit_datasets.columns import Columns
+from evalkit_datasets.readers.columns import Columns
 
 LAYOUT = {
     "time": {"column": 3, "unit": "ms", "wraps_at": 65536},

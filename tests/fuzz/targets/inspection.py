@@ -6,10 +6,10 @@ from pathlib import Path
 
 from bounds import check_file_reader
 
-from evalkit_datasets.inspection.command import inspection_to_json
-from evalkit_datasets.inspection.inspector import inspect_recording
-from evalkit_datasets.inspection.layout_proposal import propose_layout
-from evalkit_datasets.inspection.suggested_config import suggest_config
+from evalkit_datasets.commands.inspect.command import inspection_to_json
+from evalkit_datasets.commands.inspect.inspector import inspect_recording
+from evalkit_datasets.commands.inspect.layout_proposal import propose_layout
+from evalkit_datasets.commands.inspect.suggested_config import suggest_config
 
 
 def seeds() -> list[bytes]:

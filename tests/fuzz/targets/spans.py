@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import check_file_reader
 
-from evalkit_datasets.truth_files import read_spans
+from evalkit_datasets.parsing.truth_files import read_spans
 
 
 def seeds() -> list[bytes]:

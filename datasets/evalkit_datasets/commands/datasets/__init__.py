@@ -1,0 +1,1 @@
+"""``evalkit datasets list | fetch NAME... | example BAG``."""

@@ -1,0 +1,153 @@
+"""Read all lidars, odometry and transforms of a ROS 1 or ROS 2 bag in one pass."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, RecordingStreams, ScanSample, Topic
+from evalkit_datasets.parsing import rosbag_parser
+from evalkit_datasets.parsing.rosbag_parser import ODOMETRY_FRAME, Contents
+from evalkit_datasets.parsing.sweeps import CLOUD, MessageFields, Sweep, SweepOptions, guess_fields
+from evalkit_datasets.parsing.transforms import TransformTree
+
+WANTED = {*rosbag_parser.LASER, CLOUD, rosbag_parser.ODOMETRY, *rosbag_parser.TRANSFORMS}
+MAX_UNUSUAL = 20  # topics with sweeps of unusual types
+MIN_TF_POSES = 2  # transforms needed for odometry from tf
+
+
+@dataclass(eq=False)
+class _TopicContent:
+    """What is kept of the messages of one topic: times, a sample of the ranges, poses and twists of odometry."""
+
+    kind: str
+    fields: MessageFields | None = None
+    contents: Contents = field(default_factory=Contents)
+    first: Sweep | None = None
+    scans: ScanSample = field(default_factory=ScanSample)
+    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
+    recorded_ns: array[int] = field(default_factory=lambda: array("q"))
+    twists: array[float] = field(default_factory=lambda: array("d"))
+
+
+def read_bag_streams(path: Path) -> RecordingStreams:
+    """Return the streams of a bag; raises BadData if it cannot be read."""
+    taken: dict[str, _TopicContent] = {}
+    tree = Contents()
+    with rosbag_parser.open_bag(path) as reader:
+        tree.tree.near_ns, tree.tree.odometry_parents = int(reader.start_time), frozenset({ODOMETRY_FRAME})
+        seconds = max((reader.end_time - reader.start_time) * 1e-9, 0.0)
+        topics = [
+            Topic(name, str(about.msgtype), int(about.msgcount), _message_rate_hz(int(about.msgcount), seconds))
+            for name, about in sorted(reader.topics.items())
+        ]
+        unusual, lost_chunks = _find_unusual_sweeps(reader), rosbag_parser.count_lost_chunks(reader)
+        has_laser = any(one.msgtype in rosbag_parser.LASER and one.msgcount for one in reader.connections)
+        kinds = WANTED - {CLOUD} if has_laser else WANTED
+        wanted = [one for one in reader.connections if one.msgtype in kinds or one.topic in unusual]
+        for connection, recorded_ns, raw in reader.messages(connections=wanted) if wanted else ():
+            message = reader.deserialize(raw, connection.msgtype)
+            if connection.msgtype in rosbag_parser.TRANSFORMS:
+                rosbag_parser.add_transforms(tree, message, connection.topic.endswith("tf_static"))
+                continue
+            own = taken.setdefault(connection.topic, _TopicContent(connection.msgtype, unusual.get(connection.topic)))
+            _take_message(own, connection.topic, message, int(recorded_ns))
+    wheels = [
+        _make_odometry_stream(own)
+        for own in taken.values()
+        if own.kind == rosbag_parser.ODOMETRY and own.contents.odometry
+    ]
+    return RecordingStreams(
+        path,
+        "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag",
+        "rosbag",
+        topics,
+        [_make_laser_stream(name, own, own.first) for name, own in sorted(taken.items()) if own.first is not None],
+        [*wheels, *_find_tf_odometry(tree.tree)],
+        tree.tree,
+        damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()),
+        lost_chunks=lost_chunks,
+    )
+
+
+def _find_unusual_sweeps(reader: Any) -> dict[str, MessageFields]:
+    """Return the fields of messages of other types that look like sweeps, by topic, of a bag without usual ones."""
+    if any(one.msgtype in (*rosbag_parser.LASER, CLOUD) and one.msgcount for one in reader.connections):
+        return {}
+    found: dict[str, MessageFields] = {}
+    others: set[str] = set()  # types without a sweep: a bag may have very many topics, but has few types
+    for connection in reader.connections:
+        if connection.msgtype in WANTED | others or not connection.msgcount or len(found) == MAX_UNUSUAL:
+            continue
+        first = next(reader.messages(connections=[connection]), None)
+        fields = None if first is None else guess_fields(reader.deserialize(first[2], connection.msgtype))
+        if fields is None:
+            others.add(connection.msgtype)
+        else:
+            found[connection.topic] = fields
+    return found
+
+
+def _message_rate_hz(count: int, seconds: float) -> float:
+    return (count - 1) / seconds if count > 1 and seconds > 0.0 else float("nan")
+
+
+def _take_message(own: _TopicContent, topic: str, message: Any, recorded_ns: int) -> None:
+    if own.kind != rosbag_parser.ODOMETRY:
+        options = SweepOptions(fields=own.fields)
+        sweep = rosbag_parser.read_sweep(own.contents, message, own.kind, recorded_ns, options)
+        if sweep is not None:
+            own.first = own.first or sweep
+            own.scans.append(sweep.ranges)
+            own.stamps_ns.append(sweep.stamp_ns)
+            own.recorded_ns.append(recorded_ns)
+        return
+    if rosbag_parser.add_odometry(own.contents, topic, message):
+        own.recorded_ns.append(recorded_ns)
+        own.twists.extend((float(message.twist.twist.linear.x), float(message.twist.twist.angular.z)))
+
+
+def _make_laser_stream(topic: str, own: _TopicContent, first: Sweep) -> LaserStream:
+    return LaserStream(
+        topic,
+        own.kind.split("/")[-1],
+        first.frame,
+        np.asarray(own.stamps_ns),
+        np.asarray(own.recorded_ns),
+        own.scans,
+        first.angles(),
+        first.range_min_m,
+        first.range_max_m,
+        first.time_increment_ns,
+        own.contents.damaged,
+        own.contents.unstamped,
+        str(own.fields or ""),
+    )
+
+
+def _make_odometry_stream(own: _TopicContent) -> OdometryStream:
+    """Return the odometry of a topic; if its messages change frames, only those with the first frames."""
+    (topic, parent, child), samples = next(iter(own.contents.odometry.items()))
+    whole = len(own.contents.odometry) == 1
+    return OdometryStream(
+        topic,
+        parent,
+        child,
+        samples.stamps_ns,
+        samples.poses,
+        np.asarray(own.twists).reshape(-1, 2) if whole else None,
+        np.asarray(own.recorded_ns) if whole else None,
+    )
+
+
+def _find_tf_odometry(tree: TransformTree) -> list[OdometryStream]:
+    """Return the odometry in tf: the moving children of its frame."""
+    return [
+        OdometryStream("tf", parent, child, path.stamps_ns, path.poses)
+        for (parent, child), path in sorted(tree.paths.items())
+        if len(path) >= MIN_TF_POSES
+    ]

@@ -1,0 +1,76 @@
+"""The tf tree of a recording: frames, conflicting parents, and the mounting of each lidar."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from evalkit_datasets.commands.inspect.streams import LaserStream
+from evalkit_datasets.parsing.transforms import TransformTree
+from evalkit_datasets.readers.rosbag import BASE_FRAMES
+
+
+@dataclass(frozen=True, slots=True)
+class FrameLink:
+    """One transform of the tree: static, or moving, with the number of its messages."""
+
+    parent: str
+    child: str
+    static: bool
+    messages: int
+
+
+@dataclass(frozen=True, slots=True)
+class LidarMounting:
+    """Pose of a lidar on a base, seen from above (m, m, deg). ``problem``: why it cannot be used, "" if it can."""
+
+    base: str
+    sensor: str
+    x_m: float = 0.0
+    y_m: float = 0.0
+    theta_deg: float = 0.0
+    mirrored: bool = False
+    problem: str = ""
+
+    def __str__(self) -> str:
+        where = self.problem or f"x {self.x_m:.3f} m, y {self.y_m:.3f} m, rotated by {self.theta_deg:.1f} deg"
+        return f"lidar '{self.sensor}' on '{self.base}': {where}"
+
+
+@dataclass(frozen=True)
+class FrameTree:
+    """``roots``: frames without a parent; ``contested``: parents of frames with several; ``mountings``: of lidars."""
+
+    names: tuple[str, ...] = ()
+    roots: tuple[str, ...] = ()
+    links: tuple[FrameLink, ...] = ()
+    contested: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    mountings: tuple[LidarMounting, ...] = ()
+
+
+def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream]) -> FrameTree:
+    """Return the tree, and the mounting of each lidar on the first base frame connected to it."""
+    static = [FrameLink(parent, child, True, 1) for child, parents in tree.static.items() for parent in parents]
+    moving = [FrameLink(parent, child, False, tree.counts[parent, child]) for parent, child in tree.moving]
+    links = tuple(sorted([*static, *moving], key=lambda link: (link.static, link.parent, link.child)))
+    names = tuple(tree.frames())
+    parents: dict[str, list[str]] = {}
+    for link in links:
+        parents.setdefault(link.child, []).append(link.parent)
+    contested = {child: tuple(dict.fromkeys(own)) for child, own in parents.items() if len(set(own)) > 1}
+    mountings = [mounting for laser in lasers if (mounting := _find_mounting(tree, laser)) is not None]
+    return FrameTree(names, tuple(name for name in names if name not in parents), links, contested, tuple(mountings))
+
+
+def _find_mounting(tree: TransformTree, laser: LaserStream) -> LidarMounting | None:
+    """Return None if no base frame is connected to the lidar."""
+    for base in BASE_FRAMES:
+        try:
+            mounting = tree.find_mounting(base, laser.frame, int(laser.stamps_ns[0]))
+        except ValueError as error:
+            return LidarMounting(base, laser.frame, problem=str(error))
+        if mounting is not None and base in tree.frames():
+            pose = mounting.base_from_sensor
+            return LidarMounting(base, laser.frame, pose.x, pose.y, math.degrees(pose.theta), mounting.mirrored)
+    return None

@@ -1,0 +1,143 @@
+"""Inspect a recording: measure every stream and collect the findings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from evalkit.config import adhoc_experiment
+from evalkit.plugins.parameters import Value
+from evalkit_datasets.commands.inspect import bag_streams, findings, log_streams
+from evalkit_datasets.commands.inspect.findings import InspectionFinding, LidarStats
+from evalkit_datasets.commands.inspect.frame_tree import FrameTree, build_frame_tree
+from evalkit_datasets.commands.inspect.odometry_stats import (
+    OdometryStats,
+    TurnComparison,
+    compare_turns,
+    measure_odometry,
+)
+from evalkit_datasets.commands.inspect.range_stats import measure_ranges
+from evalkit_datasets.commands.inspect.streams import LaserStream, RecordingStreams, Topic
+from evalkit_datasets.commands.inspect.timing import measure_clock_offset, measure_timing
+from evalkit_datasets.parsing import rosbag_parser
+from evalkit_datasets.parsing.columns_layout import is_described
+
+ROSBAG, CARMEN, COLUMNS = OWN = ("rosbag", "carmen", "columns")
+"""Readers with an inspection of their own: of the file instead of the frames (columns: with a proposal)."""
+
+TRUTH_WORDS = ("ground_truth", "groundtruth", "gt", "mocap", "vicon", "optitrack", "reference")
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """All measurements of a recording. ``turns``: rotations against the best lidar, by odometry."""
+
+    path: Path
+    kind: str
+    bytes: int
+    topics: tuple[Topic, ...]
+    lidars: tuple[LidarStats, ...]
+    odometries: tuple[OdometryStats, ...]
+    turns: Mapping[str, TurnComparison]
+    frames: FrameTree
+    poses_from: str
+    truth_inside: str
+    remarks: tuple[str, ...]
+    findings: tuple[InspectionFinding, ...]
+    streams: RecordingStreams
+
+
+def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] | None = None) -> Inspection:
+    """Return the inspection of a recording; raises BadData or DataMissing as the readers.
+
+    ``reader``: the data set that reads it; found by content and suffix if not given. ``given``: its parameters, which
+    readers without an inspection of their own need.
+    """
+    streams = _read_streams(path, reader or find_reader_name(path), given or {})
+    lidars = tuple(_measure_lidar(laser) for laser in streams.lasers)
+    odometries = tuple(measure_odometry(wheels) for wheels in streams.wheels)
+    best = max(range(len(lidars)), key=lambda at: measured_directions(lidars[at]), default=None)
+    turns = {}
+    for wheels in streams.wheels if best is not None else ():
+        comparison = compare_turns(wheels, streams.lasers[best or 0])
+        if comparison is not None:
+            turns[f"{wheels.topic} {wheels.child}"] = comparison
+    tree = build_frame_tree(streams.tree, streams.lasers)
+    inside = _describe_truth_inside(streams)
+    return Inspection(
+        path, streams.kind, _count_bytes(path), tuple(streams.topics), lidars, odometries, turns, tree,
+        streams.poses_from, inside, tuple(streams.remarks),
+        findings.collect_findings(streams, inside, lidars, odometries, turns, tree),
+        streams,
+    )  # fmt: skip
+
+
+def find_reader_name(path: Path) -> str:
+    """Return the name of the reader of a recording: plug-ins are asked by content first; a CARMEN log is the rest."""
+    if path.is_dir() or path.suffix in rosbag_parser.SUFFIXES:
+        found = adhoc_experiment.find_reader(path)
+        return found[0] if found is not None else ROSBAG
+    found = adhoc_experiment.find_reader(path)
+    own = found is not None and (found[1].recognises is not None or found[0] not in OWN)
+    return found[0] if found is not None and own and not _lacks_layout(path, found[0]) else CARMEN
+
+
+def _lacks_layout(path: Path, reader: str) -> bool:
+    return reader == COLUMNS and not is_described(path)
+
+
+def _read_streams(path: Path, reader: str, given: Mapping[str, Value]) -> RecordingStreams:
+    if reader == ROSBAG:
+        return bag_streams.read_bag_streams(path)
+    if reader == CARMEN:
+        return log_streams.read_log_streams(path)
+    own = {name: value for name, value in given.items() if name not in ("start", "every", "limit")}
+    return log_streams.read_sequence_streams(path, reader, own)
+
+
+def measured_directions(lidar: LidarStats) -> float:
+    """Return the field of view with hits (deg) times the scan rate (at most 10 Hz): ranks several lidars."""
+    return lidar.field_of_view_deg * lidar.returns.hits * min(lidar.timing.rate_hz, 10.0)
+
+
+def field_of_view_deg(angles: Sequence[float]) -> float:
+    """Return the angle (deg) from the first beam to the last; 360 where one more step is a full circle to a degree."""
+    span = math.degrees(abs(angles[-1] - angles[0]))
+    return 360.0 if span + span / max(len(angles) - 1, 1) > 359.0 else span
+
+
+def _measure_lidar(laser: LaserStream) -> LidarStats:
+    angles = laser.angles.tolist()
+    return LidarStats(
+        laser.topic,
+        laser.kind,
+        laser.frame,
+        len(angles),
+        field_of_view_deg(angles),
+        math.degrees(angles[0]),
+        math.degrees((angles[-1] - angles[0]) / (len(angles) - 1)),
+        laser.range_min_m if math.isfinite(laser.range_min_m) else None,
+        laser.range_max_m if math.isfinite(laser.range_max_m) else None,
+        laser.time_increment_ns * 1e-9 * (len(angles) - 1),
+        measure_timing(laser.stamps_ns),
+        None if laser.recorded_ns is None else measure_clock_offset(laser.stamps_ns, laser.recorded_ns),
+        measure_ranges(laser),
+        laser.damaged,
+        laser.unstamped,
+    )
+
+
+def _count_bytes(path: Path) -> int:
+    files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
+    return sum(file.stat().st_size for file in files)
+
+
+def _describe_truth_inside(streams: RecordingStreams) -> str:
+    if streams.poses_from:
+        return {"gmapping": "GMapping's poses", "graph": "graph-optimised poses"}[streams.poses_from]
+    named = [t.name for t in streams.topics if any(word in t.name.lower().split("/") for word in TRUTH_WORDS)]
+    slam = [f"{parent} to {child}" for parent, child in streams.tree.moving if parent == "map"]
+    topics = [f"by its name, topic {name}" for name in named]
+    return "; ".join(topics + [f"tf {pair} of a localisation (not independent)" for pair in slam])

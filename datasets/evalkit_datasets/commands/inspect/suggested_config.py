@@ -1,0 +1,281 @@
+"""Suggest how to run a recording: an experiment's table and a command, tried before they are suggested."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from evalkit.core.errors import BadData, DataMissing, EvalkitError
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import wrap
+from evalkit.plugins import registry
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.specs import Choice
+from evalkit_datasets.commands.inspect.findings import LidarStats, is_default_code
+from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
+from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
+from evalkit_datasets.recordings import catalog, data_sets
+
+TILT_WORDS = ("vertical",)
+MAPPER = "mapper."
+PROBLEM = "problem"  # the name of a choice that sets nothing
+MIN_MOUNTING_DEG, MAX_SQUARE_DEG = 5.0, 2.0
+"""A smaller heading is not applied; a heading this close to a multiple of 90 deg is taken as that."""
+
+USUAL_CELL_M, LARGE_CELL_M = 0.05, 0.1
+
+
+@dataclass(frozen=True)
+class SuggestedConfig:
+    """A configuration for a recording: the table of an experiment, the command, and the reason of every choice.
+
+    ``scans``, ``truth`` and ``notes``: result of opening it with the reader; ``problem``: why that fails, "" if it does
+    not. ``catalogued``: the data set made of this file, "" if none; ``defects``: known defects of the file.
+    """
+
+    reader: str
+    parameters: Mapping[str, Value]
+    table: str
+    command: str
+    reasons: tuple[str, ...]
+    scans: int = 0
+    truth: str = ""
+    notes: Mapping[str, int] = field(default_factory=dict)
+    problem: str = ""
+    catalogued: str = ""
+    defects: tuple[str, ...] = ()
+
+
+def suggest_config(recording: Inspection) -> SuggestedConfig | None:
+    """Return a configuration for a recording, or None if it contains no laser scan."""
+    if not recording.lidars:
+        return None
+    choices, tried = _choose(recording, {})
+    reader = _find_reader(recording)
+    chosen = {one.name: one.value for one in choices if one.value is not None}
+    parameters = {"path": str(recording.path)} | {k: v for k, v in chosen.items() if not k.startswith(MAPPER)}
+    reasons = [one.reason for one in choices]
+    dataset, defects = _find_catalogued(recording.path)
+    if dataset:
+        reasons.append(f'it is a catalogued recording: use = "{dataset}" runs it with its parameters and ground truth')
+    return SuggestedConfig(
+        reader, parameters, _format_table(reader, recording.path, chosen), _format_command(parameters),
+        tuple(reasons), tried.scans, tried.truth, tried.notes, tried.problem, dataset, defects,
+    )  # fmt: skip
+
+
+def choose_parameters(reader: str, given: Mapping[str, Value]) -> tuple[Choice, ...]:
+    """Return what was found in and beside the recording ``given["path"]``, without the parameters that are given."""
+    recording = inspect_recording(Path(str(given["path"])), reader, given)
+    return _choose(recording, given)[0] if recording.lidars else ()
+
+
+def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Choice, ...], _Trial]:
+    """Return the choices beside the given parameters, and the result of opening the recording with both."""
+    lidar = next((one for one in recording.lidars if one.topic == given.get("topic")), best_lidar(recording)[0])
+    choose = {"carmen": _choose_for_log, "rosbag": _choose_for_bag}.get(_find_reader(recording), _choose_for_columns)
+    choices = [*_repeat_problems(recording), *choose(recording), *_find_truth_files(recording, given)]
+    choices += _choose_cells(lidar)
+    choices = [one for one in choices if one.name not in given]
+    values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
+    tried = _try_reader(_find_reader(recording), {"path": str(recording.path), **values, **given})
+    if "base_from_sensor" not in given and not tried.problem:  # then the recorded mounting is unknown
+        choices += _choose_mounting(recording, lidar, tried.mounting)
+    if tried.mounting != Pose() and "base_from_sensor" not in given:
+        x, y, yaw_deg = tried.mounting.x, tried.mounting.y, math.degrees(tried.mounting.theta)
+        where = f"the lidar is mounted at x {x:.3f} m, y {y:.3f} m, rotated by {yaw_deg:.1f} deg: as recorded"
+        choices.append(Choice("base_from_sensor", None, where))
+    return tuple(choices), tried
+
+
+def _find_reader(recording: Inspection) -> str:
+    return recording.streams.reader
+
+
+def best_lidar(recording: Inspection) -> tuple[LidarStats, str]:
+    """Return the lidar to use and the reason; requires at least one lidar."""
+    tilted = {mounting.sensor for mounting in recording.frames.mountings if mounting.problem}
+    level = [one for one in recording.lidars if one.frame not in tilted and not _is_tilted_by_name(one)] or list(
+        recording.lidars
+    )
+    best = max(level, key=measured_directions)
+    if len(recording.lidars) == 1:
+        return best, "the only lidar"
+    view = f"{best.field_of_view_deg:.0f} deg, {100 * best.returns.hits:.0f} % hits, {best.timing.rate_hz:.1f} Hz"
+    others = ", ".join(
+        f"{one.topic} ({one.field_of_view_deg:.0f} deg, {100 * one.returns.hits:.0f} %)"
+        + ("" if one in level else ", not level")
+        for one in recording.lidars
+        if one is not best
+    )
+    return best, f"it measures the most directions ({view}); others: {others}"
+
+
+def _is_tilted_by_name(lidar: LidarStats) -> bool:
+    return any(word in lidar.topic.lower() for word in TILT_WORDS)
+
+
+def _choose_for_bag(recording: Inspection) -> Iterator[Choice]:
+    lidar, why = best_lidar(recording)
+    yield Choice("topic", lidar.topic, f"topic {lidar.topic}: {why}")
+    if fields := _find_fields(recording, lidar.topic):
+        yield Choice("fields", fields, f"fields of {lidar.kind} by their names and values: {fields}; check the units")
+    messages = [one for one in recording.odometries if one.topic != "tf"]
+    usable = [one for one in messages or recording.odometries if one.like_wheels]
+    if not usable:
+        why = "its motion is not that of wheels" if recording.odometries else "the bag has none"
+        yield Choice("odometry", "none", f"odometry none: {why}")
+        return
+    named = next((one for one in usable if one.topic.lstrip("/") == "odom"), usable[0])
+    what = f"odometry {named.topic} of frame '{named.child}': {named.path_m:.1f} m"
+    yield Choice("odometry", named.topic if len(messages) > 1 else None, what)
+    if named.topic == "tf" and sum(one.topic == "tf" for one in usable) > 1:
+        yield Choice("base_frame", named.child, f"base frame {named.child}: that of this odometry")
+
+
+def _choose_mounting(recording: Inspection, lidar: LidarStats, recorded: Pose) -> Iterator[Choice]:
+    """Choose the heading that straight drives show where nothing states it; say where it contradicts what is stated."""
+    angle = _measure_mounting(recording, lidar)
+    if angle is None:
+        return
+    off_deg = math.degrees(float(wrap(math.radians(angle.heading_deg) - recorded.theta)))
+    if abs(off_deg) < MIN_MOUNTING_DEG:
+        return
+    seen = f"{angle.heading_deg:.0f} deg (standard error {angle.error_deg:.1f} deg) on {angle.pairs} straight drives"
+    stated = recorded != Pose() or any(mounting.sensor == lidar.frame for mounting in recording.frames.mountings)
+    if stated or _find_reader(recording) != "rosbag":
+        what = f"lidar heading {math.degrees(recorded.theta):.0f} deg, as recorded, but the scans show {seen}: check it"
+        yield Choice("base_from_sensor", None, what)
+        return
+    square = 90.0 * round(angle.heading_deg / 90.0)
+    near = abs(angle.heading_deg - square) <= max(3.0 * angle.error_deg, MAX_SQUARE_DEG)
+    heading = math.radians(square if near else angle.heading_deg)
+    why = f"base_from_sensor 0 0 {heading:.4f}: no transform states the mounting; the scans show a heading of {seen}"
+    yield Choice("base_from_sensor", f"0 0 {heading:.4f}", f"{why}{', taken as square' if near else ''}")
+
+
+def _measure_mounting(recording: Inspection, lidar: LidarStats) -> MountingAngle | None:
+    """Return the heading of a lidar by the first odometry that moves like wheels and turns as the scans do."""
+    laser = next((one for one in recording.streams.lasers if one.topic == lidar.topic), None)
+    for wheels, stats in zip(recording.streams.wheels, recording.odometries, strict=True):
+        turn = recording.turns.get(f"{wheels.topic} {wheels.child}")
+        if laser is not None and stats.like_wheels and (turn is None or turn.scale > 0.0):
+            return estimate_mounting_angle(wheels, laser)
+    return None
+
+
+def _choose_for_log(recording: Inspection) -> Iterator[Choice]:
+    codes = [code.low_m for code in recording.lidars[0].returns.codes if code.low_m < 50.0]
+    unknown = [low for low in codes if not is_default_code(low)]
+    if unknown:
+        why = f"range_max_m {min(unknown):g} m: ranges of this length or more mean no return"
+        yield Choice("range_max_m", min(unknown), why)
+    if not recording.poses_from and recording.odometries and not recording.odometries[0].like_wheels:
+        yield Choice("odometry", "none", "odometry none: the motion of its poses is not that of wheels")
+
+
+def _repeat_problems(recording: Inspection) -> Iterator[Choice]:
+    """Say before a comparison what makes its numbers wrong, such as ranges in another unit."""
+    for finding in recording.findings:
+        if finding.level == "problem":
+            yield Choice(PROBLEM, None, f"problem: {finding.about}: {finding.what} {finding.advice}".rstrip())
+
+
+def _choose_for_columns(_recording: Inspection) -> Iterator[Choice]:
+    return iter(())
+
+
+def _choose_cells(lidar: LidarStats) -> Iterator[Choice]:
+    """Choose larger cells than usual if neighbouring beams are more than two usual cells apart at the median range."""
+    apart_m = lidar.returns.median_m * math.radians(abs(lidar.step_deg))
+    if apart_m > 2.0 * USUAL_CELL_M:
+        why = f"map cells of {LARGE_CELL_M:g} m: at the median range, {lidar.returns.median_m:.1f} m, beams are "
+        yield Choice(f"{MAPPER}resolution_m", LARGE_CELL_M, f"{why}{apart_m:.2f} m apart")
+
+
+def _find_truth_files(recording: Inspection, given: Mapping[str, Value]) -> Iterator[Choice]:
+    """Find relations and reference trajectory in the same folder that overlap the recording in time."""
+    folder, stem = recording.path.parent, recording.path.name.split(".")[0].split("-")[0]
+    reader = _find_reader(recording)
+    for name, ending in (("relations", "*.relations"), ("ground_truth", "*.tum")):
+        if name in given:
+            continue
+        files = sorted(folder.glob(ending), key=lambda file: (not file.name.startswith(stem), "gmapping" in file.name))
+        for file in files:
+            tried = _try_reader(reader, _minimal_parameters(recording) | {name: str(file)})
+            if not tried.problem and tried.truth:
+                what = f"{name.replace('_', ' ')} {file.name}: in the same folder, and overlaps in time"
+                yield Choice(name, str(file), what)
+                break
+
+
+def _find_fields(recording: Inspection, topic: str) -> str:
+    return next((laser.fields for laser in recording.streams.lasers if laser.topic == topic), "")
+
+
+def _minimal_parameters(recording: Inspection) -> dict[str, Value]:
+    topic = recording.lidars[0].topic
+    own: dict[str, dict[str, Value]] = {
+        "carmen": {"odometry": "none"},
+        "rosbag": {"odometry": "none", "topic": topic, "fields": _find_fields(recording, topic)},
+    }
+    return {"path": str(recording.path), **own.get(_find_reader(recording), {})}
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """The result of opening a recording with a reader; ``problem``: why it failed."""
+
+    scans: int = 0
+    truth: str = ""
+    notes: Mapping[str, int] = field(default_factory=dict)
+    mounting: Pose = field(default_factory=Pose)
+    problem: str = ""
+
+
+def _try_reader(reader: str, parameters: Mapping[str, Value]) -> _Trial:
+    try:
+        sequence = registry.dataset(reader).make(**parameters)
+        first = next(iter(sequence.frames()))
+    except EvalkitError as error:
+        return _Trial(problem=str(error))
+    truth = sequence.truth()
+    known = truth.how if truth.trajectory is not None or truth.relations is not None else ""
+    return _Trial(len(sequence), known, sequence.notes(), first.base_from_sensor)
+
+
+def _find_catalogued(path: Path) -> tuple[str, tuple[str, ...]]:
+    """Return the data set made of this file, "" if none, and the known defects of the file."""
+    for file in [path] if path.is_file() else sorted(path.iterdir()):
+        for card in catalog.load_catalog().values():
+            if not card.bytes or file.stat().st_size != card.bytes:
+                continue
+            try:
+                catalog.verify(card, file)
+            except (BadData, DataMissing):
+                continue
+            dataset = next((name for name in data_sets.FILES if card.name in data_sets.recordings_of(name)), "")
+            return dataset, card.defects
+    return "", ()
+
+
+def _format_table(reader: str, path: Path, chosen: Mapping[str, Value]) -> str:
+    lines = ["[[sequence]]", f'use = "{reader}"', f"label = {json.dumps(path.name.split('.')[0])}"]
+    values = {"path": str(path), **chosen}
+    lines += [f"{name} = {json.dumps(value)}" for name, value in values.items() if not name.startswith(MAPPER)]
+    cells = [f"{k.removeprefix(MAPPER)} = {json.dumps(v)}" for k, v in values.items() if k.startswith(MAPPER)]
+    return "\n".join([*lines, *(["", "[mapper]", *cells] if cells else [])]) + "\n"
+
+
+def _format_command(parameters: Mapping[str, Value]) -> str:
+    words = ["evalkit", "compare", str(parameters["path"])]
+    for name, value in parameters.items():
+        if name in {"topic", "relations", "ground_truth"}:
+            words += [f"--{name.replace('_', '-')}", str(value)]
+        elif name != "path":
+            words += ["--set", f"{name}={value}"]
+    return shlex.join(words)

@@ -1,0 +1,334 @@
+"""Parse the laser scans, odometry and transforms of a ROS 1 or ROS 2 bag into plain values."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.core.arrays import Ints
+from evalkit.core.errors import BadData, EvalkitError
+from evalkit.core.se2 import Floats, Stamps
+from evalkit.io.timestamps import order_stamps
+from evalkit_datasets.parsing import sweeps
+from evalkit_datasets.parsing.bag_limits import check_topics
+from evalkit_datasets.parsing.buffers import PoseBuffer
+from evalkit_datasets.parsing.sweeps import Sweep, SweepOptions, normalise_frame, parse_stamp_ns
+from evalkit_datasets.parsing.transforms import (
+    Transform,
+    TransformTree,
+    matrix_from_quaternion,
+    planar_pose_from_matrix,
+)
+from evalkit_datasets.parsing.unpacking import UnpackedTooMuch, bounded_unpacking
+
+LASER = (sweeps.LASER_SCAN, sweeps.ECHOES)
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+FETCH_AGAIN = "record or fetch the bag again"
+
+SUFFIXES = (".bag", ".db3", ".mcap")
+
+ODOMETRY_FRAME = "odom"
+
+MAX_LISTED = 40
+"""Topics named in a message."""
+
+NO_LASER = (
+    "give a bag with LaserScan messages or point clouds (PointCloud2), or name topic and fields of other messages: "
+    "--set topic=/scan --set 'fields=ranges=distances angles=angles angle_unit=deg'"
+)
+
+COLUMNS = {"stamps_ns": "q", "durations_ns": "q", "messages": "i", "invalid": "i", "frames": "i"}
+"""Values kept of every scan and their array type codes: 28 bytes."""
+
+
+@dataclass(eq=False)
+class Contents:
+    """Odometry and transforms of a bag. ``odometry``: poses by (topic, parent, child).
+
+    ``unindexed``: 1 if the index of the bag is damaged, and its records were read up to the damage. ``lost_chunks``:
+    number of chunks that could not be unpacked then.
+
+    ``unstamped``: number of headers without a time. ``damaged``: number of laser messages with implausible geometry and
+    of invalid transforms.
+    """
+
+    odometry: dict[tuple[str, str, str], PoseBuffer] = field(default_factory=dict)
+    tree: TransformTree = field(default_factory=TransformTree)
+    unstamped: int = 0
+    damaged: int = 0
+    unindexed: int = 0
+    lost_chunks: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Scans:
+    """The scans of one topic without their ranges, in order of time; of scans with equal stamps the first is kept.
+
+    ``messages`` (N,): index of each scan among the topic's messages. ``invalid`` (N,): number of invalid ranges.
+    ``frames`` (N,): index of its frame in ``names``. ``backwards``, ``repeated``: how often the stamp decreased or
+    was repeated.
+    """
+
+    topic: str
+    stamps_ns: Stamps
+    durations_ns: Ints
+    messages: NDArray[np.int32]
+    invalid: NDArray[np.int32]
+    frames: NDArray[np.int32]
+    names: tuple[str, ...]
+    backwards: int
+    repeated: int
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def select(self, which: slice) -> Scans:
+        """Return a slice of the scans."""
+        return replace(
+            self,
+            stamps_ns=self.stamps_ns[which],
+            durations_ns=self.durations_ns[which],
+            messages=self.messages[which],
+            invalid=self.invalid[which],
+            frames=self.frames[which],
+        )
+
+    @property
+    def first_frame(self) -> str:
+        """Frame of the first scan."""
+        return self.names[int(self.frames[0])]
+
+
+def read_bag(path: Path, topic: str, which: slice, options: SweepOptions) -> tuple[Scans, Contents]:
+    """Return all scans of one laser topic ("": the only one), all odometry and the transforms.
+
+    Of moving transforms those nearest to the first scan taken (``which``) are kept, and all that may be odometry.
+    Raises BadData if the topic is absent (with the known topics) or the bag is damaged (with how to repair it).
+    """
+    with open_bag(path) as reader:
+        topics = {name: (str(about.msgtype), int(about.msgcount)) for name, about in reader.topics.items()}
+        lost_chunks = count_lost_chunks(reader)
+        contents = Contents(unindexed=int(lost_chunks is not None), lost_chunks=lost_chunks or 0)
+        scans = _read_scans(reader, _select_laser_topic(path, topics, topic, options), contents, options)
+        for connection, message, _ in iter_messages(reader, (ODOMETRY,)):
+            add_odometry(contents, connection.topic, message)
+        taken = scans.stamps_ns[which]
+        contents.tree.near_ns = int(taken[0]) if len(taken) else 0
+        contents.tree.odometry_parents = frozenset({ODOMETRY_FRAME, *(parent for _, parent, _ in contents.odometry)})
+        for connection, message, _ in iter_messages(reader, TRANSFORMS):
+            add_transforms(contents, message, connection.topic.endswith("tf_static"))
+    return scans, contents
+
+
+def iter_sweeps(path: Path, scans: Scans, options: SweepOptions) -> Iterator[tuple[int, Sweep]]:
+    """Yield the scans in file order, each with its index in ``scans``; raises BadData if the bag has changed."""
+    if not len(scans):
+        return
+    ranks = np.full(int(scans.messages.max()) + 1, -1, dtype=np.int64)
+    ranks[scans.messages] = np.arange(len(scans))
+    with open_bag(path) as reader:
+        messages = _iter_laser_messages(reader, scans.topic, options)
+        for rank in ranks.tolist():
+            message = next(messages, None)
+            if rank >= 0:
+                yield rank, _reread_sweep(reader, message, int(scans.stamps_ns[rank]), path, options)
+
+
+def _reread_sweep(
+    reader: Any, message: tuple[Any, int, bytes] | None, stamp_ns: int, path: Path, options: SweepOptions
+) -> Sweep:
+    """Return the sweep of a message; raises BadData if it is not a scan with the stamp of the first reading."""
+    if message is not None:
+        connection, recorded_ns, raw = message
+        kind = connection.msgtype
+        sweep = sweeps.parse_sweep(reader.deserialize(raw, kind), kind, int(recorded_ns), options)
+        if sweep is not None and sweep.stamp_ns == stamp_ns:
+            return sweep
+    raise BadData(str(path), "", "the bag has changed since it was first read", "do not modify it during a run")
+
+
+def _read_scans(reader: Any, topic: str, contents: Contents, options: SweepOptions) -> Scans:
+    """Return the scans of a topic; damaged messages are counted in ``contents``."""
+    columns = {name: array(kind) for name, kind in COLUMNS.items()}
+    names: dict[str, int] = {}
+    for number, (connection, recorded_ns, raw) in enumerate(_iter_laser_messages(reader, topic, options)):
+        message = reader.deserialize(raw, connection.msgtype)
+        sweep = read_sweep(contents, message, connection.msgtype, int(recorded_ns), options)
+        if sweep is not None:
+            frame = names.setdefault(sweep.frame, len(names))
+            row = sweep.stamp_ns, sweep.duration_ns, number, int(sweep.is_invalid.sum()), frame
+            for column, value in zip(columns.values(), row, strict=True):
+                column.append(value)
+    arrays = {name: np.asarray(column) for name, column in columns.items()}
+    order = order_stamps(arrays["stamps_ns"])
+    in_order = not (order.backwards or order.repeated)
+    kept = arrays if in_order else {name: column[order.keep] for name, column in arrays.items()}
+    return Scans(topic, **kept, names=tuple(names), backwards=order.backwards, repeated=order.repeated)
+
+
+def _iter_laser_messages(reader: Any, topic: str, options: SweepOptions) -> Iterator[tuple[Any, int, bytes]]:
+    wanted = [one for one in reader.connections if one.topic == topic and _holds_sweeps(one.msgtype, options)]
+    yield from reader.messages(connections=wanted)
+
+
+def count_lost_chunks(reader: Any) -> int | None:
+    """Return the chunks that could not be unpacked where the index of a bag is damaged; None where it is not."""
+    from evalkit_datasets.parsing import unindexed_bag  # noqa: PLC0415 - loads rosbags
+
+    return unindexed_bag.count_lost_chunks(reader)
+
+
+def _holds_sweeps(kind: str, options: SweepOptions) -> bool:
+    return kind in (*LASER, sweeps.CLOUD) or options.fields is not None
+
+
+def iter_messages(reader: Any, kinds: tuple[str, ...]) -> Iterator[tuple[Any, Any, int]]:
+    """Yield connection, message and time of recording of all messages of given types."""
+    wanted = [connection for connection in reader.connections if connection.msgtype in kinds]
+    if wanted:  # the reader treats an empty list as all
+        for connection, recorded_ns, raw in reader.messages(connections=wanted):
+            yield connection, reader.deserialize(raw, connection.msgtype), int(recorded_ns)
+
+
+def _find_bag(path: Path) -> Path:
+    """Return the path to open: the folder, for a .db3 or .mcap file of a ROS 2 bag with metadata."""
+    if path.is_file() and path.suffix in {".db3", ".mcap"} and (path.parent / "metadata.yaml").is_file():
+        return path.parent
+    return path
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Any]:
+    """Open a bag for reading; raises BadData for every error of the reader, also inside the ``with`` block.
+
+    A ROS 1 bag or MCAP file with a damaged index is read by its records, up to the damage.
+    """
+    _check_path(path)
+    bag = _find_bag(path)
+    check_topics(bag)
+    files = [bag] if bag.is_file() else [file for file in bag.iterdir() if file.is_file()]
+    try:
+        with bounded_unpacking(sum(file.stat().st_size for file in files)), closing(_open_reader(bag)) as reader:
+            yield reader
+    except EvalkitError:
+        raise
+    except UnpackedTooMuch as error:
+        raise BadData(str(path), "", str(error), "write it again without compression if you trust its origin") from None
+    except Exception as error:  # a damaged binary file can raise any exception
+        cause = " ".join(str(error).split()) or type(error).__name__
+        raise BadData(str(path), "", f"not a readable bag ({cause[:160]})", _suggest_repair(path)) from error
+
+
+def _open_reader(bag: Path) -> Any:
+    """Return an open reader of a bag; one that needs no index if the index is damaged."""
+    from rosbags.highlevel import AnyReader  # noqa: PLC0415 - heavy, and used for bags only
+
+    from evalkit_datasets.parsing.bag_types import NeededTypes  # noqa: PLC0415 - as above
+    from evalkit_datasets.parsing.unindexed_bag import open_unindexed  # noqa: PLC0415 - as above
+
+    types: Any = NeededTypes()
+    try:
+        reader = types.reader = AnyReader([bag], default_typestore=types)
+        reader.open()
+        if reader.connections or bag.is_dir():
+            return reader
+        reader.close()  # a ROS 1 bag without any chunk in its index
+    except UnpackedTooMuch:
+        raise
+    except Exception as error:
+        with suppress(Exception):  # the first error says what is wrong
+            if (unindexed := open_unindexed(bag)) is not None:
+                return unindexed
+        raise error from None
+    return open_unindexed(bag) or _reopen(reader)
+
+
+def _reopen(reader: Any) -> Any:
+    reader.open()
+    return reader
+
+
+def _check_path(path: Path) -> None:
+    """Raise BadData for a path that cannot be a bag, with a clearer message than the library's."""
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        files = sorted(str(file) for file in path.iterdir() if file.suffix in SUFFIXES)
+        remedy = f"give one of {', '.join(files)}" if files else "give the folder of a ROS 2 bag, or its file"
+        raise BadData(str(path), "", "a folder without metadata.yaml", remedy)
+    if path.is_file() and path.suffix not in SUFFIXES:
+        raise BadData(str(path), "", f"'{path.suffix}' is not the suffix of a bag", "give a .bag, .db3 or .mcap file")
+    if path.is_file() and path.stat().st_size == 0:
+        raise BadData(str(path), "", "the file is empty", FETCH_AGAIN)
+
+
+def _suggest_repair(path: Path) -> str:
+    return f"{FETCH_AGAIN}, or try 'rosbag reindex'" if path.suffix == ".bag" else FETCH_AGAIN
+
+
+def _select_laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: str, options: SweepOptions) -> str:
+    """Return the topic of the sweeps: the wanted one, else the only one of laser scans, else of point clouds."""
+    usable = {name: kind for name, (kind, count) in topics.items() if count and _holds_sweeps(kind, options)}
+    lasers = sorted(name for name, kind in usable.items() if kind in LASER) or sorted(
+        name for name, kind in usable.items() if kind == sweeps.CLOUD
+    )
+    if wanted:
+        match = next((name for name in usable if name.lstrip("/") == wanted.lstrip("/")), None)
+        if match is not None:
+            return match
+        problem = f"no laser scans on topic '{wanted}'"
+    elif len(lasers) == 1:
+        return lasers[0]
+    else:
+        problem = f"{len(lasers)} topics with laser scans"
+    listed = sorted(topics.items())[:MAX_LISTED]
+    known = ", ".join(f"{name} ({kind.split('/')[-1]}, {count})" for name, (kind, count) in listed)
+    known += f" and {len(topics) - MAX_LISTED} more" if len(topics) > MAX_LISTED else ""
+    remedy = f"choose one with topic: {', '.join(lasers[:MAX_LISTED])}" if lasers else NO_LASER
+    raise BadData(str(path), "", f"{problem}; topics: {known or 'none'}", remedy)
+
+
+def read_sweep(contents: Contents, message: Any, kind: str, recorded_ns: int, options: SweepOptions) -> Sweep | None:
+    """Return a laser message as a sweep, or None if it is damaged, which is counted in ``contents``."""
+    header = getattr(message, "header", None)
+    contents.unstamped += header is None or parse_stamp_ns(header) == 0
+    sweep = sweeps.parse_sweep(message, kind, recorded_ns, options)
+    contents.damaged += sweep is None
+    return sweep
+
+
+def add_odometry(contents: Contents, topic: str, message: Any) -> bool:
+    """Add the pose of an odometry message to ``contents``, or count it as damaged; return whether it was added."""
+    matrix = _parse_matrix(contents, message.pose.pose.position, message.pose.pose.orientation)
+    if matrix is None:
+        return False
+    key = topic, normalise_frame(message.header.frame_id), normalise_frame(message.child_frame_id)
+    contents.odometry.setdefault(key, PoseBuffer()).append(
+        parse_stamp_ns(message.header), planar_pose_from_matrix(matrix).row
+    )
+    return True
+
+
+def add_transforms(contents: Contents, message: Any, static: bool) -> None:
+    """Add the transforms of a message to the tree; invalid ones are counted as damaged."""
+    for stamped in message.transforms:
+        matrix = _parse_matrix(contents, stamped.transform.translation, stamped.transform.rotation)
+        if matrix is not None:
+            parent, child = normalise_frame(stamped.header.frame_id), normalise_frame(stamped.child_frame_id)
+            contents.tree.add(Transform(parse_stamp_ns(stamped.header), parent, child, matrix), static)
+
+
+def _parse_matrix(contents: Contents, position: Any, rotation: Any) -> Floats | None:
+    try:
+        return matrix_from_quaternion(
+            (position.x, position.y, position.z), (rotation.x, rotation.y, rotation.z, rotation.w)
+        )
+    except ValueError:
+        contents.damaged += 1
+        return None

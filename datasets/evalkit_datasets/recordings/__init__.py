@@ -1,0 +1,1 @@
+"""Catalogued recordings (``catalog.toml``): found on this machine, downloaded or built, and registered as data sets."""

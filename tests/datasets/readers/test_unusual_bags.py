@@ -1,0 +1,373 @@
+"""Bags without laser scans or without an index: point clouds, messages of other types, files cut short."""
+
+import math
+import re
+import sqlite3
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evalkit.core.errors import BadData, BadParameter
+from evalkit_datasets.commands.inspect.inspector import inspect_recording
+from evalkit_datasets.commands.inspect.suggested_config import suggest_config
+from evalkit_datasets.parsing.cloud_slice import CloudSlice
+from evalkit_datasets.readers.rosbag import RosBag
+
+sys.path.insert(0, str(Path(__file__).parent))
+from test_rosbag import KINDS, T0, Bag
+
+typesys = pytest.importorskip("rosbags.typesys")
+ros1 = pytest.importorskip("rosbags.rosbag1.reader")
+PERIOD = 100_000_000
+
+
+def cloud(bag, stamp, points, organised=False, big_endian=False):
+    """Add a PointCloud2 of points (N, 3), with an intensity between y and z and padding behind every point."""
+    layout = np.dtype({"names": ["x", "y", "i", "z"], "formats": [">f4" if big_endian else "<f4"] * 4,
+                       "offsets": [0, 4, 8, 12], "itemsize": 20})  # fmt: skip
+    packed = np.zeros(len(points), layout)
+    packed["x"], packed["y"], packed["z"] = np.asarray(points, dtype=np.float64).T
+    fields = [bag.make("sensor_msgs/msg/PointField", name, at, 7, 1)
+              for name, at in (("x", 0), ("y", 4), ("intensity", 8), ("z", 12))]  # fmt: skip
+    height = 2 if organised else 1
+    width = len(points) // height
+    row = packed.tobytes()
+    rows = [row[k * width * 20 : (k + 1) * width * 20] + b"\0" * 8 for k in range(height)] if organised else [row]
+    data = np.frombuffer(b"".join(rows), dtype=np.uint8)
+    kind = "sensor_msgs/msg/PointCloud2"
+    message = bag.make(
+        kind, bag.header(stamp, "velodyne"), height, width, fields, big_endian, 20, len(rows[0]), data, True
+    )
+    return bag.add("/points", kind, message, stamp)
+
+
+SQUARE = [(1.0, 0.0, 0.0), (3.0, 0.0, 0.0), (0.0, 2.0, 0.05), (0.0, 1.5, 0.5), (-4.0, 0.1, -0.05), (math.nan, 1.0, 0.0)]
+"""Ahead the nearer of two points; left the one within the heights; behind one; one invalid."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("organised", "big_endian"), [(False, False), (True, False), (False, True)])
+def test_a_point_cloud_is_sliced_to_the_nearest_point_of_each_direction(tmp_path, kind, organised, big_endian):
+    path = cloud(Bag(kind), T0, SQUARE, organised, big_endian).write(tmp_path)
+    scan = next(RosBag(str(path), beams=8).frames()).scan
+    hits = scan.hits
+    assert scan.stamp_ns == T0
+    assert hits.sum() == 3
+    found = {(round(x, 5), round(y, 5)) for x, y in scan.points().tolist()}
+    assert found == {(1.0, 0.0), (0.0, 2.0), (-4.0, 0.1)}
+    assert np.isnan(scan.ranges[~hits]).all()  # unknown, not free
+    higher = next(RosBag(str(path), beams=8, height_min_m=0.4, height_max_m=0.6).frames()).scan
+    np.testing.assert_allclose(higher.points(), [[0.0, 1.5]], atol=1e-9)
+
+
+def test_the_slice_does_not_depend_on_the_order_of_the_points_and_rotates_with_them():
+    points = np.random.default_rng(0).uniform(-5, 5, (2000, 3)) * [1, 1, 0.05]
+    first, second = CloudSlice().cut(points), CloudSlice().cut(points[::-1])
+    np.testing.assert_array_equal(first, second)
+    turned = points @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # by +90 deg: 180 of 720 directions
+    np.testing.assert_allclose(np.roll(first[0], 180), CloudSlice().cut(turned)[0], atol=1e-9)
+
+
+def test_a_band_of_heights_upside_down_is_refused(tmp_path):
+    path = cloud(Bag("mcap"), T0, SQUARE).write(tmp_path)
+    with pytest.raises(BadParameter, match=r"0\.5 to 0\.1 m.*less than height_max_m"):
+        RosBag(str(path), height_min_m=0.5)
+
+
+def test_a_cloud_that_claims_more_points_than_it_has_is_damaged(tmp_path):
+    bag = cloud(Bag("ros1"), T0, SQUARE)
+    topic, kind, message, stamp = cloud(Bag("ros1"), T0 + 1, SQUARE).messages[0]
+    bag.add(
+        topic, kind, bag.make(kind, message.header, 1, 10**9, message.fields, False, 20, 0, message.data, True), stamp
+    )
+    sequence = RosBag(str(bag.write(tmp_path)))
+    assert (len(sequence), sequence.notes()["damaged messages dropped"]) == (1, 1)
+
+
+def custom(bag, definition, kind="my_msgs/msg/Ranges", inner=()):
+    """Register a message type of a stranger."""
+    for text, name in (*inner, (definition, kind)):
+        bag.store.register(typesys.get_types_from_msg(text, name))
+    return kind
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_messages_of_another_type_are_offered_and_read_with_varying_numbers_of_beams(tmp_path, kind):
+    bag = Bag(kind)
+    name = custom(bag, "std_msgs/Header header\nfloat32[] angles_deg\nuint16[] dist")
+    for k, beams in enumerate((4, 6, 5)):
+        angles, dist = np.linspace(0, 270, beams, dtype=np.float32), np.arange(1, beams + 1, dtype=np.uint16) * 1000
+        bag.add("/lds", name, bag.make(name, bag.header(T0 + k * PERIOD, "laser"), angles, dist), T0 + k * PERIOD)
+    path = bag.write(tmp_path)
+    with pytest.raises(BadData, match=r"/lds \(Ranges, 3\).*--set 'fields=ranges=.* angles="):
+        RosBag(str(path))
+    advice = suggest_config(inspect_recording(path))
+    assert advice.parameters["fields"] == "ranges=dist angles=angles_deg range_unit=mm angle_unit=deg"
+    assert not advice.problem
+    scans = [frame.scan for frame in RosBag(**advice.parameters).frames()]
+    assert [len(scan.ranges) for scan in scans] == [4, 6, 5]
+    assert scans[0].ranges.tolist() == [1.0, 2.0, 3.0, 4.0]
+    np.testing.assert_allclose(scans[0].angles, np.radians([0, 90, 180, 270]), atol=1e-6)
+    clockwise = next(RosBag(**{**advice.parameters, "fields": f"{advice.parameters['fields']} clockwise"}).frames())
+    np.testing.assert_allclose(clockwise.scan.angles, -np.radians([0, 90, 180, 270]), atol=1e-6)
+
+
+def test_points_in_a_list_and_even_angles_are_found(tmp_path):
+    bag = Bag("mcap")
+    points = custom(bag, "my_msgs/Point[] points", inner=[("float32 angle\nfloat32 range", "my_msgs/msg/Point")])
+    beams = [bag.make("my_msgs/msg/Point", a, r) for a, r in ((0.0, 2.0), (0.5, 2.5), (1.0, 3.0))]
+    bag.add("/points", points, bag.make(points, beams), T0)
+    even = custom(bag, "float32 start_angle\nfloat32 angle_step\nfloat32[] distances", "my_msgs/msg/Even")
+    bag.add("/even", even, bag.make(even, 90.0, -30.0, np.array([1.0, 2.0], dtype=np.float32)), T0)
+    path = str(bag.write(tmp_path))
+    one = next(RosBag(path, "/points", fields="ranges=points.range angles=points.angle").frames()).scan
+    assert (one.ranges.tolist(), one.angles.tolist(), one.stamp_ns) == ([2.0, 2.5, 3.0], [0.0, 0.5, 1.0], T0)
+    lasers = {laser.topic: laser.fields for laser in inspect_recording(Path(path)).streams.lasers}
+    assert lasers == {
+        "/points": "ranges=points.range angles=points.angle range_unit=m angle_unit=rad",
+        "/even": "ranges=distances first=start_angle step=angle_step range_unit=m angle_unit=deg",
+    }
+    two = next(RosBag(path, "/even", fields=lasers["/even"]).frames()).scan
+    np.testing.assert_allclose(two.angles, np.radians([90, 60]))
+
+
+@pytest.mark.parametrize("text", ["ranges=a", "angles=b", "ranges=a angles=b unit=m", "ranges=a first=b", "nonsense",
+                                  "ranges=a angles=b range_unit=inch"])  # fmt: skip
+def test_fields_that_say_too_little_or_nonsense_are_refused_with_the_form(tmp_path, text):
+    with pytest.raises(BadParameter, match="ranges=NAME angles=NAME"):
+        RosBag(str(Bag("mcap").scan(T0, [1, 2]).write(tmp_path)), fields=text)
+
+
+def test_a_field_that_is_not_there_is_named(tmp_path):
+    path = Bag("mcap").scan(T0, [1, 2]).odom(T0, 0.0).write(tmp_path)
+    with pytest.raises(BadData, match="no field 'dist' in the message"):
+        RosBag(str(path), "/odom", fields="ranges=dist angles=angle")
+
+
+@pytest.mark.parametrize(
+    ("scale", "period", "said"),
+    [(1.0, PERIOD, ""), (1000.0, PERIOD, "millimetres or centimetres taken for metres"),
+     (0.001, PERIOD, "metres taken for millimetres"), (1.0, PERIOD // 1000, "stamps in another unit"),
+     (1.0, PERIOD * 1000, "stamps in another unit")],
+)  # fmt: skip
+def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_comparison(tmp_path, scale, period, said):
+    bag = Bag("mcap")
+    for k in range(12):
+        low_high = {"range_min": 0.001 * scale, "range_max": 30.0 * scale}
+        bag.scan(T0 + k * period, scale * np.linspace(2.0, 4.0 + 0.01 * k, 200), **low_high)
+    path = bag.write(tmp_path)
+    recording = inspect_recording(path)
+    found = [finding for finding in recording.findings if finding.level == "problem"]
+    assert [said in finding.what for finding in found] == ([True] if said else [])
+    assert all(finding.advice for finding in found)
+    told = [reason for reason in suggest_config(recording).reasons if "problem" in reason]
+    assert len(told) == len(found)
+    if scale > 1.0:  # the advice mends it
+        fields = found[0].advice.split("'")[1].removeprefix("fields=")
+        scan = next(RosBag(str(path), fields=fields).frames()).scan
+        np.testing.assert_allclose(scan.ranges, np.linspace(2.0, 4.0, 200), atol=1e-4)
+
+
+def test_millimetres_beyond_a_maximum_in_metres_are_noticed(tmp_path):
+    bag = Bag("mcap")
+    for k in range(12):
+        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), range_min=0.1, range_max=12.0)
+    (found,) = [one for one in inspect_recording(bag.write(tmp_path)).findings if one.level == "problem"]
+    assert (
+        found.what == "100 % of the ranges lie beyond the maximum of 12 m: millimetres or centimetres taken for metres?"
+    )
+
+
+def test_mirrored_angles_are_noticed_against_the_odometry_and_the_advice_mends_them(tmp_path):
+    """A lidar turns on the spot in a room; its driver writes clockwise angles as if they were counter-clockwise."""
+    bag = Bag("mcap")
+    directions = np.linspace(-1.5, 1.5, 301)
+    for k in range(40):
+        way = -directions + math.radians(4.0) * k
+        room = 3.0 + np.cos(2 * way) + 0.5 * np.sin(5 * way) + 0.3 * np.cos(11 * way + 1.0)
+        bag.scan(T0 + k * PERIOD, room, angle_min=-1.5, angle_max=1.5, angle_increment=0.01, time_increment=0.0)
+        bag.odom(T0 + k * PERIOD, 0.0, yaw=math.radians(4.0) * k)
+    path = bag.write(tmp_path)
+    (found,) = [one for one in inspect_recording(path).findings if one.level == "problem"]
+    assert found.what.startswith("the scans rotate -1.0")
+    assert "the lidar's angles are mirrored" in found.what
+    scan = next(RosBag(str(path), fields=found.advice.split("'")[1].removeprefix("fields=")).frames()).scan
+    np.testing.assert_allclose(scan.angles, -directions, atol=1e-6)
+
+
+# --- damaged indexes
+
+
+def long_bag(kind, packed, folder):
+    bag = Bag(kind)
+    for k in range(40):
+        bag.scan(T0 + k * PERIOD, np.full(20_000, 1.0 + k)).odom(T0 + k * PERIOD, 0.1 * k)
+    path = bag.write(folder, packed)
+    return path if path.is_file() else next(path.glob("*.mcap"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "packed"), [("ros1", ""), ("ros1", "lz4"), ("ros1", "bz2"), ("mcap", ""), ("mcap", "storage")]
+)
+def test_a_bag_without_its_index_is_read_up_to_the_damage(tmp_path, kind, packed):
+    whole = long_bag(kind, packed, tmp_path)
+    expected = [frame.scan.ranges[0] for frame in RosBag(str(whole)).frames()]
+    content = whole.read_bytes()
+    broken = tmp_path / f"broken{whole.suffix}"
+    for kept in (0.95, 0.5):
+        broken.write_bytes(content[: int(len(content) * kept)])
+        try:
+            sequence = RosBag(str(broken))
+        except BadData:  # one packed chunk holds all: nothing whole is left
+            assert packed
+            continue
+        found = [frame.scan.ranges[0] for frame in sequence.frames()]
+        assert found == expected[: len(found)]
+        assert packed or len(found) >= 40 * (kept - 0.4)
+        assert sequence.notes()["damaged index, records read up to the damage"] == 1
+        findings = [finding.what for finding in inspect_recording(broken).findings]
+        assert any("index is damaged" in what for what in findings)
+
+
+def test_a_chunk_that_cannot_be_unpacked_is_counted_and_the_scans_of_the_others_are_read(tmp_path):
+    whole = long_bag("ros1", "bz2", tmp_path)
+    expected = [frame.scan.ranges[0] for frame in RosBag(str(whole)).frames()]
+    with closing(ros1.Reader(whole)) as reader:
+        reader.open()
+        chunks = [reader.chunks[info.pos] for info in reader.chunk_infos]
+        counts = [sum(c for i, c in info.connection_counts.items() if reader.connections[i].topic == "/scan")
+                  for info in reader.chunk_infos]  # fmt: skip
+    content = bytearray(whole.read_bytes())
+    content[chunks[1].datapos : chunks[1].datapos + 4] = b"none"  # instead of the beginning of bzip2
+    at = content.index(b"index_pos=") + len("index_pos=")
+    content[at : at + 8] = bytes(8)
+    whole.write_bytes(bytes(content))
+    sequence = RosBag(str(whole))
+    before, lost = counts[:2]
+    assert lost
+    assert [frame.scan.ranges[0] for frame in sequence.frames()] == expected[:before] + expected[before + lost :]
+    assert sequence.notes()["chunks that cannot be unpacked, dropped with their messages"] == 1
+    findings = [finding.what for finding in inspect_recording(whole).findings]
+    assert any(what.endswith("; chunks that cannot be unpacked: 1") for what in findings)
+
+
+def test_a_ros_1_bag_that_was_never_indexed_is_read(tmp_path):
+    whole = long_bag("ros1", "", tmp_path)
+    content = bytearray(whole.read_bytes())
+    at = content.index(b"index_pos=") + len("index_pos=")
+    content[at : at + 8] = bytes(8)
+    whole.write_bytes(bytes(content))
+    assert len(RosBag(str(whole))) == 40
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
+@pytest.mark.parametrize("content", [b"", b"\0" * 5000, b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0" * 9])
+def test_files_that_hold_nothing_are_refused_with_what_to_do(tmp_path, suffix, content):
+    path = tmp_path / f"broken{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(BadData, match="record or fetch the bag again"):
+        RosBag(str(path))
+
+
+@pytest.mark.parametrize("with_metadata", [True, False])
+def test_a_sqlite3_bag_that_was_cut_short_is_refused_with_what_to_do(tmp_path, with_metadata):
+    folder = Bag("sqlite3").scan(T0, np.linspace(1, 5, 5000)).write(tmp_path)
+    base = folder / "made.db3"
+    base.write_bytes(base.read_bytes()[:-5000])
+    if not with_metadata:
+        (folder / "metadata.yaml").unlink()
+    for read in (RosBag, lambda path: inspect_recording(Path(path))):
+        with pytest.raises(BadData, match=r"not a readable bag \(.*malformed\); record or fetch the bag again"):
+            read(str(base))
+
+
+ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT x FROM n WHERE x < 0"
+
+
+@pytest.mark.parametrize("form", ["folder", "file", "compressed"])
+@pytest.mark.parametrize(
+    ("computed", "changes"),
+    [("topics", ["DROP TABLE topics", f"CREATE VIEW topics(id) AS {ENDLESS}"]),
+     ("schema", ["DROP TABLE schema", f"CREATE VIEW schema(schema_version) AS {ENDLESS}"]),
+     ("messages.data", ["DROP TABLE messages", "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, "
+      "timestamp INTEGER, data BLOB AS (zeroblob(900000000)))", "INSERT INTO messages VALUES (1, 1, 1)"])],
+)  # fmt: skip
+def test_a_database_that_computes_for_ever_is_refused_before_it_is_asked(tmp_path, form, computed, changes):
+    folder = Bag("sqlite3").scan(T0, [1, 2]).write(tmp_path)
+    base, metadata = folder / "made.db3", folder / "metadata.yaml"
+    with closing(sqlite3.connect(base)) as opened, opened:
+        for change in changes:
+            opened.execute(change)
+    if form == "file":
+        metadata.unlink()
+    elif form == "compressed":
+        (folder / "made.db3.zstd").write_bytes(pytest.importorskip("zstandard").compress(base.read_bytes()))
+        base.unlink()
+        text = metadata.read_text().replace("made.db3", "made.db3.zstd")
+        text = re.sub("compression_format:.*", "compression_format: zstd", text)
+        metadata.write_text(re.sub("compression_mode:.*", "compression_mode: file", text))
+    for read in (RosBag, lambda path: inspect_recording(Path(path))):
+        with pytest.raises(BadData, match=f"its database computes '{computed}' instead of storing it"):
+            read(str(base if form == "file" else folder))
+
+
+def test_a_database_whose_damage_cannot_be_described_in_utf_8_is_refused(tmp_path):
+    folder = Bag("sqlite3").scan(T0, [1, 2]).write(tmp_path)
+    (folder / "metadata.yaml").unlink()
+    with closing(sqlite3.connect(folder / "made.db3")) as base, base:
+        base.execute("PRAGMA writable_schema = 1")
+        base.execute("UPDATE sqlite_master SET name = CAST(x'a0' AS TEXT), sql = 'nothing' WHERE name = 'topics'")
+    with pytest.raises(BadData, match="not a readable bag"):
+        RosBag(str(folder / "made.db3"))
+
+
+# --- very many topics
+
+
+def million_of_ros_1(folder):
+    path = Bag("ros1").scan(T0, [1, 2]).write(folder)
+    content = path.read_bytes()
+    at = content.index(b"conn_count=") + len(b"conn_count=")
+    path.write_bytes(content[:at] + (10**6).to_bytes(4, "little") + content[at + 4 :])
+    return path
+
+
+def many_of_sqlite(folder):
+    path = Bag("sqlite3").scan(T0, [1, 2]).write(folder)
+    (path / "metadata.yaml").unlink()
+    with closing(sqlite3.connect(path / "made.db3")) as base, base:
+        base.execute("DROP TABLE topics")
+        base.execute(
+            "CREATE TABLE topics AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n WHERE id < 200000)"
+            " SELECT id, '/t' || id AS name FROM n"
+        )
+    return path / "made.db3"
+
+
+def million_in_metadata(folder):
+    path = Bag("mcap").scan(T0, [1, 2]).write(folder)
+    with (path / "metadata.yaml").open("a") as file:
+        file.write(
+            "  # of a topic, as long as its entry, a hundred bytes and more, for a million of them ......\n" * 100_000
+        )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("write", "said"),
+    [(million_of_ros_1, "it has 1,000,000 topics, and at most 100,000 are read"),
+     (many_of_sqlite, "it has 200,000 topics, and at most 100,000 are read"),
+     (million_in_metadata, "its metadata.yaml has 9 MiB: more topics than the 8 MiB that are read")],
+)  # fmt: skip
+def test_a_bag_with_too_many_topics_is_refused_at_once_with_what_to_do(tmp_path, write, said):
+    """An MCAP file numbers its topics with two bytes."""
+    path = write(tmp_path)
+    began = time.process_time()
+    for read in (RosBag, lambda place: inspect_recording(Path(place))):
+        with pytest.raises(BadData, match=f"{said}.*; copy the topics you need: rosbags-convert"):
+            read(str(path))
+    assert time.process_time() - began < 1.0
