@@ -76,7 +76,8 @@ def load_datasets() -> Mapping[str, Mapping[str, Any]]:
 
 @cache
 def _load_tables() -> dict[str, Any]:
-    return parse_toml(resources.files(__package__).joinpath("catalog.toml").read_text(encoding="utf-8"))
+    file = resources.files("evalkit_datasets.recordings").joinpath("catalog.toml")
+    return parse_toml(file.read_text(encoding="utf-8"))
 
 
 def get_file(name: str) -> CatalogFile:

@@ -50,7 +50,8 @@ def load_plan(name: str) -> FloorPlan:
 
 @cache
 def _load_plans() -> Mapping[str, Any]:
-    return parse_toml(resources.files(__package__).joinpath("floorplans.toml").read_text(encoding="utf-8"))
+    file = resources.files("evalkit_datasets.worlds").joinpath("floorplans.toml")
+    return parse_toml(file.read_text(encoding="utf-8"))
 
 
 def _rectangle(x: float, y: float, width: float, depth: float, rotation_deg: float) -> Floats:
