@@ -23,12 +23,13 @@ from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Cause, RunResult, RunStatus, Score, Scores
+from evalkit.core.run_result import STEP, RunResult, Score, Scores
+from evalkit.core.run_status import Cause, RunStatus
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.execution import subprocesses
-from evalkit.execution.worker import Request, execute_request
-from evalkit.metrics.table import Group, Metric
+from evalkit.execution.one_run import Request, execute_request
+from evalkit.metrics.metric import Group, Metric
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.specs import DatasetSpec, Published

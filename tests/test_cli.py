@@ -420,7 +420,7 @@ def answers(folder, method):
 def workers(folder):
     """Return the processes that run a back end in a results folder."""
     lines = (other.info["cmdline"] or [] for other in psutil.process_iter(["cmdline"]))
-    return [line for line in lines if "evalkit.execution.worker" in line and str(folder) in line[-1]]
+    return [line for line in lines if "evalkit.execution.one_run" in line and str(folder) in line[-1]]
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from evalkit.config.forms import EXPERIMENT, LIMITS, MAPPER, METHOD, SEQUENCE
+from evalkit.config.limits import Limits
 from evalkit.config.localisation import list_map_files, read_localisation
 from evalkit.config.toml_tables import TomlTable, all_mistakes, flatten
 from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief
@@ -85,20 +86,6 @@ class MapperChoice:
     name: str
     parameters: Mapping[str, Value]
     scans: int = MAPPER.default("scans")
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of one run: ``run_*`` for the whole run, ``scan_*`` for the time without an answer.
-
-    ``*_s``: wall clock; ``*_cpu_s``: CPU time. CPU time and memory include all descendants of the run's process.
-    """
-
-    run_s: float = LIMITS.default("run_s")
-    scan_s: float = LIMITS.default("scan_s")
-    run_cpu_s: float = LIMITS.default("run_cpu_s")
-    scan_cpu_s: float = LIMITS.default("scan_cpu_s")
-    memory_mib: int = LIMITS.default("memory_mib")
 
 
 @dataclass(frozen=True)

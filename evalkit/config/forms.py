@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from evalkit.config.limits import Limits
 from evalkit.plugins.parameters import ALIGN_TRUTH, EXCERPT, MAP, MAP_START, NUISANCE
 
 Kind = Literal["experiment", "study", "tuning"]
@@ -86,11 +87,11 @@ MAPPER = Form("MapperTable", "The mapper and its parameters.", {
 }, "mappers")  # fmt: skip
 
 LIMITS = Form("LimitsTable", "Limits of one run.", {
-    "run_s": Key("positive", "s", 900.0),
-    "scan_s": Key("positive", "s without an answer", 60.0),
-    "run_cpu_s": Key("positive", "s of CPU time", 3600.0),
-    "scan_cpu_s": Key("positive", "s of CPU time without an answer", 240.0),
-    "memory_mib": Key("positive", "MiB", 2048),
+    "run_s": Key("positive", "s", Limits.run_s),
+    "scan_s": Key("positive", "s without an answer", Limits.scan_s),
+    "run_cpu_s": Key("positive", "s of CPU time", Limits.run_cpu_s),
+    "scan_cpu_s": Key("positive", "s of CPU time without an answer", Limits.scan_cpu_s),
+    "memory_mib": Key("positive", "MiB", Limits.memory_mib),
 })  # fmt: skip
 
 TEXTS = {"title": Key("text"), "description": Key("text", default="")}

@@ -18,7 +18,8 @@ import psutil
 
 from evalkit import __version__
 from evalkit.core.errors import plain
-from evalkit.core.run_result import NOT_EXECUTED, RunResult
+from evalkit.core.run_result import RunResult
+from evalkit.core.run_status import NOT_EXECUTED
 
 SINGLE_THREAD: dict[str, str] = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "TBB_NUM_THREADS"), "1"

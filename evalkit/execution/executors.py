@@ -22,7 +22,8 @@ from filelock import FileLock, Timeout
 
 from evalkit.config.experiment import RunSpec
 from evalkit.core.errors import StoreError
-from evalkit.core.run_result import Cause, RunResult
+from evalkit.core.run_result import RunResult
+from evalkit.core.run_status import Cause
 from evalkit.execution import dask_cluster, environment, run_archive, run_task
 from evalkit.execution.dask_cluster import Call, Cluster, Slot, WorkerLost
 from evalkit.execution.run_task import PendingRun, RunSettings, WorkerSlot

@@ -10,14 +10,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from evalkit.config.experiment import Limits
+from evalkit.config.limits import Limits
 from evalkit.core.errors import MachineFault, plain
 from evalkit.core.map_start import MapStart
-from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
+from evalkit.core.run_result import NO_STEPS, STEP, RunResult
+from evalkit.core.run_status import Cause
 from evalkit.execution.conditions import ConditionsMeter
+from evalkit.execution.one_run import MACHINE_FAULT_CODE, Request
 from evalkit.execution.subprocesses import OUTPUT, ChildProcess
 from evalkit.execution.usage import Usage
-from evalkit.execution.worker import MACHINE_FAULT_CODE, Request
 from evalkit.io import untrusted_io
 from evalkit.io.output_files import as_store_error, write_text
 from evalkit.results.final_files import CLOSURES, FINAL, parse_final
@@ -65,7 +66,7 @@ def run(
     with answers:
         meter = ConditionsMeter(request.core)
         try:
-            process = ChildProcess("evalkit.execution.worker", folder, threads)
+            process = ChildProcess("evalkit.execution.one_run", folder, threads)
         except OSError as error:
             if (fault := MachineFault.of("its process", error)) is None:
                 raise

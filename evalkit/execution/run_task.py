@@ -18,14 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit import metrics
-from evalkit.config.experiment import Experiment, Limits, MapperChoice, RunSpec
+from evalkit.config.experiment import Experiment, MapperChoice, RunSpec
+from evalkit.config.limits import Limits
 from evalkit.core.arrays import keep_freed_memory
 from evalkit.core.errors import MachineFault, StoreError
-from evalkit.core.run_result import NO_STEPS, Cause, RunResult, Score
+from evalkit.core.run_result import NO_STEPS, RunResult, Score
+from evalkit.core.run_status import Cause
 from evalkit.execution import environment, run_process
+from evalkit.execution.one_run import Request
 from evalkit.execution.shared_frames import SharedFrames, open_kept
 from evalkit.execution.subprocesses import WorkerPool
-from evalkit.execution.worker import Request
 from evalkit.metrics import evaluate
 from evalkit.plugins import registry
 from evalkit.plugins.known_map import load_known_map

@@ -7,7 +7,8 @@ from contextlib import closing, nullcontext
 from dataclasses import asdict, dataclass, field
 
 from evalkit.config.experiment import Experiment, RunSpec
-from evalkit.core.run_result import DISTURBED, Cause, RunResult, RunStatus
+from evalkit.core.run_result import DISTURBED, RunResult
+from evalkit.core.run_status import Cause, RunStatus
 from evalkit.execution import run_task
 from evalkit.execution.executors import Executor, Progress
 from evalkit.execution.run_task import PendingRun, RunSettings

@@ -1,6 +1,6 @@
 """Time limit of a task that also ends C code, with a note on disk that remains after the process has ended.
 
-The limits of a run are ``evalkit.config.experiment.Limits``; ``evalkit.execution.run_process`` enforces them.
+The limits of a run are ``evalkit.config.limits.Limits``; ``evalkit.execution.run_process`` enforces them.
 """
 
 from __future__ import annotations

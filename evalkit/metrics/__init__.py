@@ -32,7 +32,7 @@ from evalkit.metrics import (
     surfaces,
     trajectory,
 )
-from evalkit.metrics.table import MAP_GROUPS, Evidence, Metric
+from evalkit.metrics.metric import MAP_GROUPS, Evidence, Metric
 from evalkit.plugins import registry
 
 METRICS: tuple[Metric, ...] = (

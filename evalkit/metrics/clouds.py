@@ -17,6 +17,7 @@ from evalkit.metrics.consistency import (
     sample_all_neighbourhoods,
     sample_neighbourhoods,
 )
+from evalkit.metrics.metric import Evidence, make_metrics, make_score
 from evalkit.metrics.neighbourhoods import (
     MIN_HITS,
     PATCH_M,
@@ -26,7 +27,6 @@ from evalkit.metrics.neighbourhoods import (
     thin_evenly,
 )
 from evalkit.metrics.surfaces import find_all_wall_pieces
-from evalkit.metrics.table import Evidence, make_metrics, make_score
 
 MIN_M = 1e-3
 """Smallest standard deviation of a neighbourhood: exact lines would have an infinite entropy."""

@@ -15,16 +15,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.lattice import REACH, distances_to_walls_m, find_squared_distances
-from evalkit.metrics.neighbourhoods import (
-    PATCH_M,
-    Neighbourhoods,
-    PointCells,
-    build_kd_tree,
-    compute_neighbourhoods,
-    sort_into_cells,
-    thin_evenly,
-)
-from evalkit.metrics.table import (
+from evalkit.metrics.metric import (
     Evidence,
     MissingMap,
     PlacedScans,
@@ -34,6 +25,15 @@ from evalkit.metrics.table import (
     make_score,
     place_hits,
     with_grid,
+)
+from evalkit.metrics.neighbourhoods import (
+    PATCH_M,
+    Neighbourhoods,
+    PointCells,
+    build_kd_tree,
+    compute_neighbourhoods,
+    sort_into_cells,
+    thin_evenly,
 )
 
 MAX_HITS = 20_000

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from evalkit.core.run_result import Score
 from evalkit.metrics import drift, pairs, relations, revisits, spans, trajectory
-from evalkit.metrics.table import NO_FINAL, Evidence, Metric
+from evalkit.metrics.metric import NO_FINAL, Evidence, Metric
 
 SAME_FOR_BOTH = ("answered_percent", "covered_percent", "relations_answered_percent")
 """Metrics of stamps alone: corrected poses have those of the answers."""

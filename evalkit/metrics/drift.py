@@ -11,7 +11,7 @@ from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats, Stamps
-from evalkit.metrics.table import MatchedPoses, make_metrics, make_score
+from evalkit.metrics.metric import MatchedPoses, make_metrics, make_score
 from evalkit.metrics.trajectory import rms, with_matched_poses
 
 LENGTHS_M = (1.0, 2.0, 5.0, 10.0, 20.0)

@@ -18,8 +18,8 @@ from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.localisation import compute_fit
+from evalkit.metrics.metric import NO_POSES, Evidence, MatchedPoses, MissingMap, PlacedScan, PlacedScans, Unmatched
 from evalkit.metrics.recovery import add_recovery
-from evalkit.metrics.table import NO_POSES, Evidence, MatchedPoses, MissingMap, PlacedScan, PlacedScans, Unmatched
 from evalkit.metrics.track import find_lost_track
 from evalkit.metrics.trajectory import compute_errors_m, match_trajectories
 from evalkit.plugins.protocols import Mapper, Sequence

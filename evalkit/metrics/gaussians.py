@@ -10,7 +10,7 @@ import numpy as np
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.table import NO_TRUE_MAP, Evidence, MissingMap, cached, make_metrics, make_score
+from evalkit.metrics.metric import NO_TRUE_MAP, Evidence, MissingMap, cached, make_metrics, make_score
 
 VOXEL_M = 1.0
 MIN_CELLS = 5

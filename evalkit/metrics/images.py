@@ -12,7 +12,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.maps import find_cells
-from evalkit.metrics.table import find_probabilities, make_metrics, make_score, with_true_grid
+from evalkit.metrics.metric import find_probabilities, make_metrics, make_score, with_true_grid
 
 Cell = TypeVar("Cell", bound=np.generic)
 

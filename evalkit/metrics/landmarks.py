@@ -10,8 +10,7 @@ from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, find_corners
 from evalkit.metrics.maps import NO_TRUE_WALL
-from evalkit.metrics.neighbourhoods import build_kd_tree
-from evalkit.metrics.table import (
+from evalkit.metrics.metric import (
     NO_TRUE_MAP,
     Evidence,
     PlacedScans,
@@ -20,6 +19,7 @@ from evalkit.metrics.table import (
     place_hits,
     with_true_grid,
 )
+from evalkit.metrics.neighbourhoods import build_kd_tree
 
 CUTOFF_M = 0.5
 ORDER = 1.0

@@ -19,8 +19,8 @@ from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.fit_calibration import WRONG_M, describe_calibration, load_calibration
+from evalkit.metrics.metric import NO_KNOWN_MAP, Evidence, MatchedPoses, cached, make_metrics, make_score
 from evalkit.metrics.neighbourhoods import build_kd_tree
-from evalkit.metrics.table import NO_KNOWN_MAP, Evidence, MatchedPoses, cached, make_metrics, make_score
 from evalkit.metrics.trajectory import compute_errors_m, rms
 
 if TYPE_CHECKING:

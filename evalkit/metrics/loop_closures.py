@@ -13,10 +13,10 @@ from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.run_result import RunResult, Score
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.metric import NO_FINAL, NO_TRUE_TRAJECTORY, Evidence, cached, make_metrics, make_score
 from evalkit.metrics.relations import symmetric_errors
 from evalkit.metrics.revisits import NO_REVISIT, find_all_revisits, within_limits
 from evalkit.metrics.runtime import NOT_MEASURED, is_measured
-from evalkit.metrics.table import NO_FINAL, NO_TRUE_TRAJECTORY, Evidence, cached, make_metrics, make_score
 from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
 
 RIGHT_M, RIGHT_DEG = 0.2, 5.0

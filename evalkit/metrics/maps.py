@@ -13,7 +13,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.lattice import distances_to_walls_m
-from evalkit.metrics.table import (
+from evalkit.metrics.metric import (
     DIVERGED,
     NO_TRUE_MAP,
     Evidence,

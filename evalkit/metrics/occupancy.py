@@ -8,7 +8,7 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.metrics.consistency import wall_thicknesses, with_cells
-from evalkit.metrics.table import make_metrics, make_score, with_true_grid
+from evalkit.metrics.metric import make_metrics, make_score, with_true_grid
 
 _EDGE = 1e-6  # cells: a centre at this distance from an edge counts as on the edge
 

@@ -8,7 +8,7 @@ from evalkit.core import se2
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import NO_TRUE_TRAJECTORY, Evidence, Unmatched, make_metrics, make_score
+from evalkit.metrics.metric import NO_TRUE_TRAJECTORY, Evidence, Unmatched, make_metrics, make_score
 from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
 
 _NEAREST = 1e-6

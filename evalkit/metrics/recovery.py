@@ -11,8 +11,8 @@ from evalkit.core.ground_truth import Relations
 from evalkit.core.run_result import LostTrack
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.metric import Evidence, MatchedPoses
 from evalkit.metrics.relations import compute_estimated_motions, symmetric_errors
-from evalkit.metrics.table import Evidence, MatchedPoses
 from evalkit.metrics.track import MAX_M, WINDOW_S
 from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
 

@@ -13,8 +13,8 @@ from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
+from evalkit.metrics.metric import Evidence, PlacedScan, PlacedScans, cached, make_metrics, make_score, place_hits
 from evalkit.metrics.neighbourhoods import build_kd_tree
-from evalkit.metrics.table import Evidence, PlacedScan, PlacedScans, cached, make_metrics, make_score, place_hits
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -14,7 +14,7 @@ from evalkit.core.ground_truth import Relations
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import Evidence, make_metrics, make_score
+from evalkit.metrics.metric import Evidence, make_metrics, make_score
 from evalkit.metrics.trajectory import can_interpolate
 
 Part = Literal["short", "long", "all"]

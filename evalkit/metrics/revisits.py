@@ -13,8 +13,8 @@ from evalkit.core.ground_truth import Relations
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.metric import NO_TRUE_TRAJECTORY, Evidence, make_metrics, make_score
 from evalkit.metrics.relations import compute_estimated_motions, symmetric_errors
-from evalkit.metrics.table import NO_TRUE_TRAJECTORY, Evidence, make_metrics, make_score
 
 NEAR_M = 1.0
 COVERED_M = 100.0

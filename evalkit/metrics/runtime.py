@@ -10,7 +10,7 @@ import numpy as np
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import RunResult, Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.table import NO_POSES, Evidence, make_metrics, make_score
+from evalkit.metrics.metric import NO_POSES, Evidence, make_metrics, make_score
 
 NOT_MEASURED = {
     "cpu_ns": "not measured on this machine: no CPU time",

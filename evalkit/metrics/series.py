@@ -13,7 +13,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import RunResult, Scores
 from evalkit.core.se2 import Floats
 from evalkit.metrics import corrected_poses, drift, relations
-from evalkit.metrics.table import Unmatched
+from evalkit.metrics.metric import Unmatched
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.stats.bootstrap import MIN_VALUES, Series, Statistic
 

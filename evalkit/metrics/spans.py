@@ -13,8 +13,8 @@ from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import collect_hits
+from evalkit.metrics.metric import Evidence, MatchedPoses, make_metrics, make_score
 from evalkit.metrics.relations import MAX_GAP_S
-from evalkit.metrics.table import Evidence, MatchedPoses, make_metrics, make_score
 from evalkit.metrics.trajectory import can_interpolate, rms
 
 REACH_M = 0.3

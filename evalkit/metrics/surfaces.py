@@ -12,6 +12,7 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, collect_all_hits, sample_all_hits
+from evalkit.metrics.metric import Evidence, PlacedScans, cached, make_metrics, make_score, place_hits
 from evalkit.metrics.neighbourhoods import (
     MIN_HITS,
     PATCH_M,
@@ -21,7 +22,6 @@ from evalkit.metrics.neighbourhoods import (
     compute_neighbourhoods_each,
     thin_evenly,
 )
-from evalkit.metrics.table import Evidence, PlacedScans, cached, make_metrics, make_score, place_hits
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -24,9 +24,9 @@ from evalkit.core.run_result import LostTrack
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.metric import Evidence
 from evalkit.metrics.neighbourhoods import build_kd_tree
 from evalkit.metrics.relations import compute_estimated_motions, symmetric_errors
-from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
 
 WINDOW_M, WINDOW_S = 2.0, 10.0

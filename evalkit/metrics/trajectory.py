@@ -14,7 +14,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import (
+from evalkit.metrics.metric import (
     NO_POSES,
     NO_TRUE_TRAJECTORY,
     Evidence,

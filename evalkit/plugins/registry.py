@@ -103,7 +103,7 @@ def hash_run_code(method: str, dataset: str) -> str:
     """Return a digest of the code of a run: evalkit, both plug-ins and the libraries that the back end requires."""
     spec = backend(method)
     modules = (
-        "evalkit.execution.worker",
+        "evalkit.execution.one_run",
         plug_in_of("backends", method).module,
         _points("datasets")[dataset].module,
     )

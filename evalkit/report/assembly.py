@@ -7,10 +7,11 @@ from datetime import datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, packages_distributions
 
-from evalkit.config.experiment import Experiment, Limits, MapperChoice, Method, SequenceSpec
+from evalkit.config.experiment import Experiment, MapperChoice, Method, SequenceSpec
+from evalkit.config.limits import Limits
 from evalkit.execution import environment
 from evalkit.metrics import all_metrics
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.odometry.frontend import settable_parameters
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter, Value

@@ -9,7 +9,7 @@ from statistics import median
 
 from evalkit.core.errors import show_controls
 from evalkit.core.run_result import LostTrack
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.pairwise import PairedDifference
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.stats.intervals import Interval

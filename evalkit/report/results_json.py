@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import asdict
 from typing import Any
 
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.answer import Answer
 from evalkit.report.analysis.sequence import SequenceAnalysis

@@ -33,17 +33,8 @@ from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.map_start import MapStart
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import (
-    DISTURBED,
-    STEP,
-    Cause,
-    FinalAlignment,
-    LostTrack,
-    RunConditions,
-    RunResult,
-    Score,
-    Scores,
-)
+from evalkit.core.run_result import DISTURBED, STEP, FinalAlignment, LostTrack, RunConditions, RunResult, Score, Scores
+from evalkit.core.run_status import Cause
 from evalkit.io import map_server, untrusted_io
 from evalkit.io.output_files import as_store_error, create_folder, write_bytes
 from evalkit.io.tum import format_tum

@@ -88,7 +88,8 @@ def complete_metric(incomplete: str) -> list[str]:
 
 def complete_status() -> list[str]:
     """Return what ``--rerun`` takes."""
-    from evalkit.core.run_result import DISTURBED, RunStatus  # noqa: PLC0415 - loads numpy
+    from evalkit.core.run_result import DISTURBED  # noqa: PLC0415 - loads numpy
+    from evalkit.core.run_status import RunStatus  # noqa: PLC0415 - loads numpy
 
     return [*(status.value for status in RunStatus), DISTURBED]
 
@@ -189,7 +190,8 @@ class RunOptions:
         insecure: bool = False,
     ) -> RunOptions:
         """Return the checked options. Raises typer.BadParameter for an unknown status or engine."""
-        from evalkit.core.run_result import BROKEN, DISTURBED, RunStatus  # noqa: PLC0415 - loads numpy
+        from evalkit.core.run_result import DISTURBED  # noqa: PLC0415 - loads numpy
+        from evalkit.core.run_status import BROKEN, RunStatus  # noqa: PLC0415 - loads numpy
         from evalkit.execution.environment import physical_cores  # noqa: PLC0415 - loads psutil
 
         again: set[str] = set()

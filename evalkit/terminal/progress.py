@@ -15,7 +15,8 @@ from rich.table import Table
 from rich.text import Text
 
 from evalkit.config.experiment import Experiment, RunSpec
-from evalkit.core.run_result import RunResult, RunStatus
+from evalkit.core.run_result import RunResult
+from evalkit.core.run_status import RunStatus
 from evalkit.plugins import registry
 from evalkit.results import descriptions
 from evalkit.terminal.options import WordConsole

@@ -10,7 +10,8 @@ from typing import Any
 import typer
 
 from evalkit.config.experiment import RunSpec
-from evalkit.core.run_result import BROKEN, NOT_EXECUTED, RunResult, RunStatus
+from evalkit.core.run_result import RunResult
+from evalkit.core.run_status import BROKEN, NOT_EXECUTED, RunStatus
 from evalkit.results.store import Store
 from evalkit.terminal import options
 from evalkit.terminal.options import out

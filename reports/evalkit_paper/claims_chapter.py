@@ -12,7 +12,7 @@ from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Cell, Column, Figure, Figures, Section, Table, Text
 from evalkit.report.html.charts import Axis, Curve
-from evalkit.report.html.palette import BAR, Stroke
+from evalkit.report.html.method_colours import BAR, Stroke
 from evalkit_paper import long_drives, verdicts
 from evalkit_paper.chapter import Case, Chapter, Finding, Judgement, Results, Settings
 

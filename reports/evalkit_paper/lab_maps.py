@@ -15,7 +15,7 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import collect_hits
 from evalkit.metrics.evaluate import render_map
 from evalkit.metrics.maps import compare_walls, f1
-from evalkit.metrics.table import MissingMap, PlacedScans
+from evalkit.metrics.metric import MissingMap, PlacedScans
 from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
 from evalkit_paper import map_faults, plan_fit, stage_errors

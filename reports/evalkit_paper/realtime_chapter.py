@@ -17,7 +17,7 @@ from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text
 from evalkit.report.html.charts import Axis, Curve
-from evalkit.report.html.palette import BAR, Stroke
+from evalkit.report.html.method_colours import BAR, Stroke
 from evalkit_paper import verdicts
 from evalkit_paper.chapter import Case, Chapter, Finding, Results, Settings
 

@@ -11,7 +11,7 @@ from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
 from evalkit.report.html.charts import Axis, Curve, ShadedSpan
-from evalkit.report.html.palette import BAR, Stroke
+from evalkit.report.html.method_colours import BAR, Stroke
 from evalkit_paper import lab_drives, spike_causes, spikes, stage_errors, verdicts
 from evalkit_paper.chapter import Case, Chapter, Finding, Results, Settings
 from evalkit_paper.spike_causes import MM

@@ -14,7 +14,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import Unmatched
+from evalkit.metrics.metric import Unmatched
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.odometry import frontend
 from evalkit.plugins import registry

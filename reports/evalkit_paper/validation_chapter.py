@@ -15,7 +15,7 @@ from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text, Tone
 from evalkit.report.html.charts import Axis, Curve, Points
-from evalkit.report.html.palette import Stroke
+from evalkit.report.html.method_colours import Stroke
 from evalkit_paper import table_1, validation_basin, verdicts
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 from evalkit_paper.table_1 import APPLIED, ERRORS, PRINTED, QUANTITIES, READINGS, ROOMS, SIGMA_M

@@ -19,9 +19,9 @@ import numpy as np
 
 from evalkit.commands.diff import benchmark
 from evalkit.commands.diff.benchmark import FOLDER, BenchmarkSeries
-from evalkit.config.experiment import Limits
+from evalkit.config.limits import Limits
 from evalkit.execution import run_process
-from evalkit.execution.worker import Request
+from evalkit.execution.one_run import Request
 
 FACTORS = (1, 10, 100)
 DAY_S = 24 * 3600

@@ -18,7 +18,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
-from evalkit.metrics.table import NO_POSES, Evidence, PlacedScan, Unmatched
+from evalkit.metrics.metric import NO_POSES, Evidence, PlacedScan, Unmatched
 
 CELLS, SIZE_M, ROOM_M = 1000, 0.05, 5.0
 BEAMS, SCANS = 720, 300

@@ -18,11 +18,11 @@ import numpy as np
 
 from evalkit.commands.diff import benchmark
 from evalkit.commands.diff.benchmark import BenchmarkSeries
-from evalkit.config.experiment import Limits
+from evalkit.config.limits import Limits
 from evalkit.core.run_result import RunResult
 from evalkit.execution import run_process
 from evalkit.execution.environment import SINGLE_THREAD
-from evalkit.execution.worker import Request
+from evalkit.execution.one_run import Request
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 
@@ -65,7 +65,7 @@ def starts(rounds: int) -> dict[str, list[float]]:
     """Return the CPU seconds, in turns, of an interpreter with a back end's libraries, without and with the worker."""
     bare = LIBRARIES
     worker = (
-        f"{LIBRARIES}; import evalkit.execution.worker as w; from evalkit.plugins import registry as r; "
+        f"{LIBRARIES}; import evalkit.execution.one_run as w; from evalkit.plugins import registry as r; "
         f"r.backend('wheel-odometry'); r.dataset('lab')"
     )
     taken: dict[str, list[float]] = {"libraries": [], "worker": []}

@@ -12,7 +12,8 @@ from evalkit.core.ground_truth import Relations
 from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
 from evalkit.core.pose_graph import PoseGraph
-from evalkit.core.run_result import STEP, Cause, RunResult, Score
+from evalkit.core.run_result import STEP, RunResult, Score
+from evalkit.core.run_status import Cause
 from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.core.trajectory import Trajectory
 

@@ -12,7 +12,8 @@ import psutil
 import pytest
 
 import evalkit
-from evalkit.core.run_result import NO_STEPS, Cause, RunResult
+from evalkit.core.run_result import NO_STEPS, RunResult
+from evalkit.core.run_status import Cause
 from evalkit.execution import environment
 
 CHECKOUT = Path(evalkit.__file__).parent.parent

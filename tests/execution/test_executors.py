@@ -251,7 +251,7 @@ def test_no_worker_survives_the_end_of_evalkit(strangers, tmp_path, number):
         [sys.executable, "-c", "from evalkit.cli import main; main()", *words],
         env={**os.environ, "EVALKIT_TEST": str(tmp_path)}, stderr=subprocess.PIPE, start_new_session=True,
     )  # fmt: skip
-    assert wait_for(lambda: any("evalkit.execution.worker" in line for line in lines(tmp_path)))
+    assert wait_for(lambda: any("evalkit.execution.one_run" in line for line in lines(tmp_path)))
     if number == signal.SIGINT:
         os.killpg(mine.pid, number)  # like a terminal
     else:

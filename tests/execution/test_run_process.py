@@ -10,10 +10,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from evalkit.config.experiment import Limits
+from evalkit.config.limits import Limits
 from evalkit.core.errors import StoreError
 from evalkit.execution import run_process, subprocesses
-from evalkit.execution.worker import Request
+from evalkit.execution.one_run import Request
 from evalkit.metrics import runtime
 
 pytestmark = pytest.mark.slow

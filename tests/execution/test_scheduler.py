@@ -17,7 +17,8 @@ from queue import SimpleQueue
 import numpy as np
 import pytest
 
-from evalkit.config.experiment import Limits, experiment_from_tables
+from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.limits import Limits
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import RunConditions
 from evalkit.execution import environment, executors, run_process, run_task, subprocesses

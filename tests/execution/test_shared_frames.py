@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 
 from evalkit.config.experiment import experiment_from_tables
-from evalkit.core.run_result import STEP, Cause
+from evalkit.core.run_result import STEP
+from evalkit.core.run_status import Cause
 from evalkit.execution import executors
 from evalkit.execution.executors import LocalExecutor
+from evalkit.execution.one_run import Request, execute_request
 from evalkit.execution.scheduler import Scheduler
 from evalkit.execution.shared_frames import FOLDER, SharedFrames
 from evalkit.execution.subprocesses import WorkerPool
-from evalkit.execution.worker import Request, execute_request
 from evalkit.plugins.stored_frames import StoredFrames
 from evalkit.results.store import STEPS, Store, read_steps
 

@@ -77,7 +77,7 @@ def test_nothing_starts_on_a_system_without_process_groups(tmp_path, monkeypatch
     with monkeypatch.context() as windows:
         windows.setattr(os, "name", "nt")
         with pytest.raises(NotInstalled, match=r"not supported .* use Linux, macOS, or Linux within Windows \(WSL\)"):
-            subprocesses.ChildProcess("evalkit.execution.worker", tmp_path)
+            subprocesses.ChildProcess("evalkit.execution.one_run", tmp_path)
 
 
 ORPHAN = """

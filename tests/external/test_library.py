@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.config.experiment import Limits
+from evalkit.config.limits import Limits
 from evalkit.core.errors import BackendFailed, BadParameter, UnknownName
 from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.execution import run_process
-from evalkit.execution.worker import Request
+from evalkit.execution.one_run import Request
 from evalkit.external import INCLUDE, elf, library
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters

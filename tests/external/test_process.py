@@ -17,7 +17,7 @@ from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Frame, Scan
 from evalkit.external import process
 from evalkit.metrics import runtime
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.metric import Evidence
 from evalkit.plugins import registry
 from evalkit.results.final_files import CLOSURES, FINAL, parse_final
 

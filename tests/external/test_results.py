@@ -11,7 +11,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.io.tum import format_tum, read_tum
 from evalkit.metrics import runtime
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.metric import Evidence
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
 from evalkit.plugins.protocols import NoAnswer

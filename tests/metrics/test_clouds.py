@@ -9,8 +9,8 @@ from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.metrics import clouds
 from evalkit.metrics.consistency import NO_OVERLAP
+from evalkit.metrics.metric import Evidence
 from evalkit.metrics.neighbourhoods import compute_neighbourhoods
-from evalkit.metrics.table import Evidence
 
 
 def compute_scores(mapped):

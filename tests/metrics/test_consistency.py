@@ -14,7 +14,7 @@ from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 from evalkit.metrics import consistency
-from evalkit.metrics.table import NO_POSES, Evidence, MissingMap, PlacedScans
+from evalkit.metrics.metric import NO_POSES, Evidence, MissingMap, PlacedScans
 
 
 def grid(occupied: Bools, free: Bools | None = None, resolution_m: float = 0.05) -> OccupancyGrid:

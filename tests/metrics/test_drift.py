@@ -10,7 +10,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics import drift
-from evalkit.metrics.table import Evidence, MatchedPoses
+from evalkit.metrics.metric import Evidence, MatchedPoses
 
 
 def integrate_steps(steps: Floats, start: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Floats:

@@ -9,11 +9,12 @@ from evalkit import metrics
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Cause, RunResult
+from evalkit.core.run_result import STEP, RunResult
+from evalkit.core.run_status import Cause
 from evalkit.core.scan import Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import evaluate
-from evalkit.metrics.table import MAP_GROUPS, MissingMap
+from evalkit.metrics.metric import MAP_GROUPS, MissingMap
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
 

@@ -8,7 +8,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics import gaussians
-from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
+from evalkit.metrics.metric import NO_POSES, Evidence, MissingMap
 
 
 def covariance(short, long, degrees):

@@ -7,7 +7,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics import images
-from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
+from evalkit.metrics.metric import NO_POSES, Evidence, MissingMap
 
 
 def grid(p, resolution_m=0.05, origin=(0.0, 0.0), observed=None):

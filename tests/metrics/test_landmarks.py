@@ -12,7 +12,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.metrics import landmarks
-from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
+from evalkit.metrics.metric import NO_POSES, Evidence, MissingMap
 
 SETS = st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), max_size=4).map(
     lambda points: np.array(points).reshape(-1, 2)

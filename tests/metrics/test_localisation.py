@@ -17,8 +17,8 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import localisation
 from evalkit.metrics.fit_calibration import load_calibration
 from evalkit.metrics.localisation import OPEN_M, _score_predicted, _score_ratio, _score_within, measure_fit
+from evalkit.metrics.metric import Evidence
 from evalkit.metrics.neighbourhoods import build_kd_tree
-from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import match_trajectories
 
 CELL_M = 0.05

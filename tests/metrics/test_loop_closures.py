@@ -13,7 +13,7 @@ from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import loop_closures
 from evalkit.metrics.evaluate import collect_evidence
-from evalkit.metrics.table import NO_FINAL, NO_TRUE_TRAJECTORY, Evidence
+from evalkit.metrics.metric import NO_FINAL, NO_TRUE_TRAJECTORY, Evidence
 
 LAP, FRAMES = 40, 80
 STAMPS = np.arange(FRAMES) * 1_000_000_000

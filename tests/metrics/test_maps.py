@@ -10,7 +10,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.metrics import maps
-from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
+from evalkit.metrics.metric import NO_POSES, Evidence, MissingMap
 
 
 def grid(occupied: Bools, resolution_m: float = 0.05, origin_x: float = 0.0, origin_y: float = 0.0) -> OccupancyGrid:

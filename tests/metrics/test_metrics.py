@@ -12,10 +12,11 @@ import pytest
 
 from evalkit import metrics
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Cause, RunResult, Score
+from evalkit.core.run_result import STEP, RunResult, Score
+from evalkit.core.run_status import Cause
 from evalkit.core.scan import Scan
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import Evidence, Metric, cached, make_metrics, make_score, place_hits
+from evalkit.metrics.metric import Evidence, Metric, cached, make_metrics, make_score, place_hits
 from evalkit.metrics.trajectory import match_trajectories
 
 

@@ -9,8 +9,8 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics import occupancy
+from evalkit.metrics.metric import NO_POSES, Evidence, MissingMap
 from evalkit.metrics.occupancy import find_true_states, log_loss, wall_width_m
-from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
 
 
 def grid(rows, resolution_m=0.1, x=0.0, y=0.0, observed=None):

@@ -13,7 +13,7 @@ from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import pairs
-from evalkit.metrics.table import Evidence, MatchedPoses
+from evalkit.metrics.metric import Evidence, MatchedPoses
 from evalkit.metrics.trajectory import match_trajectories
 
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)

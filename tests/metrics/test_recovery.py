@@ -9,8 +9,8 @@ from evalkit.core.map_start import MapStart
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, LostTrack, RunResult
 from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.metric import Evidence
 from evalkit.metrics.recovery import add_recovery
-from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import match_trajectories
 
 STAMPS = np.arange(600) * 100_000_000  # a minute

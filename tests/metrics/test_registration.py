@@ -15,7 +15,7 @@ from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 from evalkit.metrics import registration
-from evalkit.metrics.table import Evidence, PlacedScans
+from evalkit.metrics.metric import Evidence, PlacedScans
 
 ANGLES = np.linspace(-np.pi, np.pi, 400, endpoint=False)
 

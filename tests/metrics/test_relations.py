@@ -15,7 +15,7 @@ from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import relations
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.metric import Evidence
 
 SECOND = 1_000_000_000
 

@@ -7,7 +7,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import revisits
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.metric import Evidence
 
 
 def trajectory(x, y, theta):

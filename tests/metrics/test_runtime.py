@@ -8,7 +8,7 @@ import pytest
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.metrics import runtime
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.metric import Evidence
 
 
 def scores(cpu_ms: list[float], wall_ms: list[float], memory_bytes: int = 0, shift_ns: int = 0) -> dict[str, Score]:

@@ -9,7 +9,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.metrics import spans
-from evalkit.metrics.table import Evidence, MatchedPoses, Unmatched
+from evalkit.metrics.metric import Evidence, MatchedPoses, Unmatched
 
 SECOND = 1_000_000_000
 

@@ -8,9 +8,9 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.metrics import surfaces
+from evalkit.metrics.metric import Evidence
 from evalkit.metrics.neighbourhoods import build_kd_tree, compute_neighbourhoods
 from evalkit.metrics.surfaces import WallPieces
-from evalkit.metrics.table import Evidence
 
 
 def scores(mapped):

@@ -11,7 +11,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.core.world import World, closed_outline
 from evalkit.metrics import track
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.metric import Evidence
 from evalkit.metrics.track import _find_jumps, _fit, find_lost_track
 
 ROOM = World(closed_outline([[-2, -3], [8, -3], [8, 1], [6, 1], [6, 4], [-2, 4]]), np.array([[1.0, 2.5, 0.4]]))

@@ -12,7 +12,7 @@ from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import trajectory
-from evalkit.metrics.table import Evidence, MatchedPoses, Unmatched
+from evalkit.metrics.metric import Evidence, MatchedPoses, Unmatched
 
 SECOND = 1_000_000_000
 

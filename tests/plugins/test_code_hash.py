@@ -108,8 +108,8 @@ def test_library_versions_are_part_of_the_hash(monkeypatch):
 
 
 def test_harness_code_used_by_the_worker_is_part_of_the_hash():
-    reached = {file.name for file in find_sources("evalkit.execution.worker", frozenset({"evalkit"}))}
-    assert {"worker.py", "frontend.py", "local_map.py", "scan.py", "se2.py", "timing.py"} <= reached
+    reached = {file.name for file in find_sources("evalkit.execution.one_run", frozenset({"evalkit"}))}
+    assert {"one_run.py", "frontend.py", "local_map.py", "scan.py", "se2.py", "timing.py"} <= reached
     assert not {"cli.py", "progress.py", "charts.py", "report_page.py", "plots.py", "functions.py"} & reached
 
 

@@ -16,7 +16,7 @@ from evalkit.report.analysis.analysis import analyse
 from evalkit.report.assembly import select_metrics
 from evalkit.report.html.corrected_runs import add_strokes, with_corrected
 from evalkit.report.html.corrected_tables import build_corrected, list_closures
-from evalkit.report.html.palette import assign_strokes
+from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.player import build_player
 from evalkit.report.html.report_tables import headline_table, numbers_table
 from evalkit.report.results_json import build_results

@@ -8,11 +8,11 @@ import pytest
 
 from evalkit.core.run_result import LostTrack
 from evalkit.report.analysis.analysis import analyse
-from evalkit.report.analysis.answer import Standing
+from evalkit.report.analysis.standings import Standing
 from evalkit.report.html.cost_plot import _find_front, draw_scatter
 from evalkit.report.html.dot_plot import draw_dots
 from evalkit.report.html.map_strip import build_tiles, choose_tiles, find_hardest
-from evalkit.report.html.palette import assign_strokes
+from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.svg import Scale, element, log_scale, place_labels, polyline
 
 

@@ -10,7 +10,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import LostTrack
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.html.known_map import build_known_map
-from evalkit.report.html.palette import assign_strokes
+from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_tables import DASH
 
 

@@ -16,7 +16,7 @@ from evalkit.report import MethodCard, SequenceCard, write_report
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_number
 from evalkit.report.html.maps import Window, compute_greys, find_window, render_map
-from evalkit.report.html.palette import assign_strokes
+from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_page import render_report
 from evalkit.report.html.report_tables import by_rank, headline_table
 

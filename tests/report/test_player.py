@@ -14,7 +14,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.report.html import player as module
 from evalkit.report.html.array_encoding import unpack_array
 from evalkit.report.html.maps import Window
-from evalkit.report.html.palette import assign_strokes
+from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.player import (
     build_player,
     choose_scans,

@@ -4,7 +4,7 @@ import re
 import warnings
 from dataclasses import replace
 
-from evalkit.report.html.palette import assign_strokes
+from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.run_charts import path_chart
 from evalkit.report.html.run_figures import draw_errors, draw_residuals, draw_runtimes, draw_trajectories
 

@@ -11,8 +11,8 @@ import pytest
 from evalkit.metrics.series import SERIES
 from evalkit.report import results_json as record
 from evalkit.report.analysis.analysis import analyse
-from evalkit.report.analysis.bootstrap import RecordBootstrap
 from evalkit.report.analysis.pairwise import compute_difference, separation
+from evalkit.report.analysis.record_bootstrap import RecordBootstrap
 from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.stats.bootstrap import Series, bootstrap_score
 from evalkit.stats.ranks import FriedmanTest, NotTested

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from evalkit.core.run_result import Cause
+from evalkit.core.run_status import Cause
 from evalkit.report import write_report
 
 

@@ -13,7 +13,7 @@ from evalkit.report.analysis.pairwise import is_clearly_worse
 from evalkit.report.analysis.ranking import mark
 from evalkit.report.analysis.scores import NuisanceBand
 from evalkit.report.analysis.sequence import analyse_sequence
-from evalkit.report.analysis.verdict import compute_verdict
+from evalkit.report.analysis.statements.verdict import compute_verdict
 from evalkit.report.formatting import count_losses, format_gap, join_words
 
 

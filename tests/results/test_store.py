@@ -14,7 +14,8 @@ from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Cause, LostTrack, RunResult, Score, Scores
+from evalkit.core.run_result import STEP, LostTrack, RunResult, Score, Scores
+from evalkit.core.run_status import Cause
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import map_server
 from evalkit.io.tum import format_tum, read_tum

@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from evalkit.config.experiment import Method, SequenceSpec, experiment_from_tables
-from evalkit.core.run_result import BROKEN, NO_STEPS, Cause, RunResult, RunStatus
+from evalkit.core.run_result import NO_STEPS, RunResult
+from evalkit.core.run_status import BROKEN, Cause, RunStatus
 from evalkit.terminal import options
 from evalkit.terminal.progress import TaskLines, TimeLeft, format_unavailable, print_table, show_runs, show_tasks
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
     from evalkit.commands.calibration.coverage import Coverage, Verdicts
-    from evalkit.metrics.table import Metric
+    from evalkit.metrics.metric import Metric
 
 app = typer.Typer(help="Measure intervals and verdicts.", no_args_is_help=True, add_completion=False)
 

@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 
 from evalkit.commands.calibration.seed_runs import SeedRuns
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.pairwise import compute_difference, margin, separation
 from evalkit.report.analysis.scores import MethodScore, median_over_runs
 from evalkit.stats.bootstrap import BootstrapDraws, expanded_percentile_interval

@@ -15,11 +15,11 @@ from evalkit.commands.metric_validation.map_rebuilding import find_true_poses, m
 from evalkit.core.errors import EvalkitError
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Scores
+from evalkit.execution.one_run import Request, find_run_parameters, record_run
 from evalkit.execution.task import AnyTask, make_task
-from evalkit.execution.worker import Request, find_run_parameters, record_run
 from evalkit.metrics.evaluate import collect_evidence
+from evalkit.metrics.metric import MatchedPoses
 from evalkit.metrics.series import SERIES
-from evalkit.metrics.table import MatchedPoses
 from evalkit.metrics.trajectory import compute_errors_m
 from evalkit.odometry import frontend
 from evalkit.plugins import registry

@@ -12,8 +12,8 @@ import numpy as np
 
 from evalkit.commands.diff.changes import MARKS, SAME, ChangeText, ChangeVerdict
 from evalkit.core.errors import StoreError
-from evalkit.core.run_result import NOT_EXECUTED
-from evalkit.metrics.table import Metric
+from evalkit.core.run_status import NOT_EXECUTED
+from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.pairwise import PairedDifference, compute_difference, noise_floor
 from evalkit.report.analysis.scores import DECIDING, MethodScore
 from evalkit.report.formatting import format_number

@@ -14,7 +14,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameters import NUISANCE
 from evalkit.plugins.protocols import Sequence as SensorSequence
 from evalkit.report.analysis.scores import DECIDING, Spread, choose_spread
-from evalkit.report.html.palette import Stroke, assign_strokes
+from evalkit.report.html.method_colours import Stroke, assign_strokes
 from evalkit.results.reader import REMEDY, as_incomplete, load_results_json, load_run, load_table
 from evalkit.results.run_record import RunRecord
 

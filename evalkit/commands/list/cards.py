@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.metrics.validated import load_validation
 from evalkit.stats.intervals import Interval
 

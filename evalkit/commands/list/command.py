@@ -16,7 +16,7 @@ from evalkit.terminal.options import out
 from evalkit.terminal.text_list import print_list
 
 if TYPE_CHECKING:
-    from evalkit.metrics.table import Metric
+    from evalkit.metrics.metric import Metric
 
 METRICS, ALL = "metrics", "all"
 

@@ -24,7 +24,7 @@ from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, make_task
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.plugins.changed_sequence import ChangedSequence
 from evalkit.plugins.protocols import Sequence
 

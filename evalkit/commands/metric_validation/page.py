@@ -11,12 +11,12 @@ from evalkit.commands.metric_validation.fault_injection import JITTER_M, MAX_FAC
 from evalkit.commands.metric_validation.rank_agreement import MapScores
 from evalkit.commands.metric_validation.validation import PILOT
 from evalkit.metrics import METRICS
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.report.formatting import label_with_unit
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Bullets, Cell, Column, Command, Document, Figure, Figures, Section, Table, Text
 from evalkit.report.html.charts import Axis, Points
-from evalkit.report.html.palette import HUES
+from evalkit.report.html.method_colours import HUES
 
 BY_NAME = {metric.name: metric for metric in METRICS}
 

@@ -11,7 +11,7 @@ import numpy as np
 from evalkit import metrics
 from evalkit.commands.metric_validation.map_rebuilding import CLEAN
 from evalkit.core.se2 import Floats
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.metrics.validated import RankAgreement
 from evalkit.stats.intervals import CONFIDENCE, Interval
 from evalkit.stats.ranks import spearman_correlation

@@ -17,7 +17,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.metric import Evidence
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.odometry import frontend
 from evalkit.odometry.run_odometry import run_odometry

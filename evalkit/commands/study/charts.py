@@ -16,7 +16,7 @@ from evalkit.core.se2 import Floats
 from evalkit.report.formatting import label_with_unit
 from evalkit.report.html.blocks import Figure
 from evalkit.report.html.charts import Axis, Curve, Points, bars, compute_log_ticks, heat, lines, scatter
-from evalkit.report.html.palette import HUES
+from evalkit.report.html.method_colours import HUES
 from evalkit.stats.intervals import Interval
 
 GREY = "#aab2bd"

@@ -14,11 +14,12 @@ from typing import Any, TypedDict
 
 from evalkit import metrics
 from evalkit.core.errors import EvalkitError, plain
-from evalkit.core.run_result import Cause, RunResult, Score
-from evalkit.execution.worker import Request, record_run
+from evalkit.core.run_result import RunResult, Score
+from evalkit.core.run_status import Cause
+from evalkit.execution.one_run import Request, record_run
 from evalkit.metrics import evaluate as scoring
 from evalkit.metrics import pairs, spans
-from evalkit.metrics.table import MAP_GROUPS, Metric
+from evalkit.metrics.metric import MAP_GROUPS, Metric
 from evalkit.odometry import frontend
 from evalkit.odometry.corrections import read_corrections
 from evalkit.plugins import protocols, registry

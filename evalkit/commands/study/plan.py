@@ -12,10 +12,11 @@ from typing import Literal
 from evalkit.commands.study.design import Model
 from evalkit.commands.study.evaluate import RunScores, evaluate
 from evalkit.commands.study.factors import Factor, FactorLevel, Scale
-from evalkit.config.experiment import Experiment, Limits, MapperChoice, Method, SequenceSpec
+from evalkit.config.experiment import Experiment, MapperChoice, Method, SequenceSpec
+from evalkit.config.limits import Limits
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import Task, make_task
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import hash_files
 from evalkit.plugins.parameters import Value

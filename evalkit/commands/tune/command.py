@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from evalkit.config.experiment import RESULTS
-from evalkit.core.run_result import RunStatus
+from evalkit.core.run_status import RunStatus
 from evalkit.execution import environment
 from evalkit.io.output_files import write_texts
 from evalkit.results import descriptions

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from evalkit.commands.tune.plan import TUNED
 from evalkit.commands.tune.search_loop import SearchResult
-from evalkit.core.run_result import NOT_EXECUTED, RunStatus
+from evalkit.core.run_status import NOT_EXECUTED, RunStatus
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.pairwise import PairedDifference, compute_difference, separation

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from evalkit.commands.tune.held_out import HeldOutSequence, HeldOutVerdict
 from evalkit.commands.tune.result import TuningResult
-from evalkit.core.run_result import NOT_EXECUTED, RunStatus
+from evalkit.core.run_status import NOT_EXECUTED, RunStatus
 from evalkit.report.analysis.ranking import Ranking
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.html.blocks import Block, Cell, Column, Table, Text

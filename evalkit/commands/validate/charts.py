@@ -21,7 +21,7 @@ from evalkit.execution.sandbox import ENDED
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Figure
 from evalkit.report.html.charts import Axis, Curve, Points
-from evalkit.report.html.palette import TRUTH, assign_strokes
+from evalkit.report.html.method_colours import TRUTH, assign_strokes
 from evalkit.results.run_record import RunRecord
 
 MIN_M = 1e-17

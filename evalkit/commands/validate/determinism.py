@@ -11,10 +11,10 @@ from typing import Literal
 
 import numpy as np
 
-from evalkit.config.experiment import Limits
+from evalkit.config.limits import Limits
 from evalkit.core.run_result import RunResult
 from evalkit.execution import run_process
-from evalkit.execution.worker import Request
+from evalkit.execution.one_run import Request
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text

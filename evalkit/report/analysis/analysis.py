@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from evalkit.report.analysis.answer import Answer, compute_answer
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.overview import compute_overview
 from evalkit.report.analysis.sequence import SequenceAnalysis, analyse_sequence
 from evalkit.report.analysis.significance import Significance, compute_significance
-from evalkit.report.analysis.verdict import SequenceVerdict, compute_verdict
+from evalkit.report.analysis.statements.overview import compute_overview
+from evalkit.report.analysis.statements.verdict import SequenceVerdict, compute_verdict
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 
-from evalkit.core.run_result import RunStatus
-from evalkit.metrics.table import Metric
+from evalkit.core.run_status import RunStatus
+from evalkit.metrics.metric import Metric
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import Published, Role

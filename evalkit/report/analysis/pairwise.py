@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Literal
 
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.scores import MethodScore, median_over_runs
 from evalkit.stats.bootstrap import expanded_percentile_interval
 from evalkit.stats.intervals import Interval

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Literal
 
+from evalkit.metrics.metric import Group, Metric
 from evalkit.metrics.series import SERIES
-from evalkit.metrics.table import Group, Metric
-from evalkit.report.analysis.bootstrap import RecordBootstrap
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.pairwise import PairedDifference, Separation, compute_difference, is_tied, separation
+from evalkit.report.analysis.record_bootstrap import RecordBootstrap
 from evalkit.report.analysis.scores import DECIDING, MethodScore, compute_score
 from evalkit.results.run_record import RunRecord
 

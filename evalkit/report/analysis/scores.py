@@ -9,10 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from evalkit.core.run_result import LostTrack, RunStatus
+from evalkit.core.run_result import LostTrack
+from evalkit.core.run_status import RunStatus
 from evalkit.core.se2 import Floats
-from evalkit.metrics.table import Group, Metric
-from evalkit.report.analysis.bootstrap import RecordBootstrap
+from evalkit.metrics.metric import Group, Metric
+from evalkit.report.analysis.record_bootstrap import RecordBootstrap
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.bootstrap import DRAWS, BootstrapDraws, expanded_percentile_interval
 from evalkit.stats.intervals import Interval

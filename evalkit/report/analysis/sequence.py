@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.comparison import Comparison, SequenceCard
 from evalkit.report.analysis.driven_paths import describe_alignments, describe_drive
 from evalkit.report.analysis.map_agreement import MapAgreement, compute_map_agreement, find_worse_than

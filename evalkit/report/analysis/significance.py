@@ -9,7 +9,7 @@ from statistics import median
 
 import numpy as np
 
-from evalkit.core.run_result import NOT_EXECUTED
+from evalkit.core.run_status import NOT_EXECUTED
 from evalkit.core.se2 import Floats
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.pairwise import MARGIN_SHARE

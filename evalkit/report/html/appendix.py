@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from markupsafe import Markup
 
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison, MethodCard
@@ -28,7 +28,7 @@ from evalkit.report.html.blocks import (
     Table,
     Text,
 )
-from evalkit.report.html.palette import Stroke
+from evalkit.report.html.method_colours import Stroke
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.ranks import NotTested
 

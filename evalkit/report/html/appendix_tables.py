@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from urllib.parse import quote
 
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.metrics.validated import MetricValidation
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison, Setting

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from evalkit.report.html.palette import Stroke
+from evalkit.report.html.method_colours import Stroke
 
 Tone = Literal["", "good", "bad", "warn", "tied"]
 Chips = Sequence[tuple[str, Tone]]

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from evalkit.core.errors import UnknownName
-from evalkit.report.html.palette import Stroke
+from evalkit.report.html.method_colours import Stroke
 
 STYLE: Any = {
     "font.family": "sans-serif",

@@ -15,7 +15,7 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 from evalkit.core.se2 import Floats
 from evalkit.report.html.chart_style import LIMIT, format_log_axis, line_style, render_figure
-from evalkit.report.html.palette import DASHES, HUES, Stroke
+from evalkit.report.html.method_colours import DASHES, HUES, Stroke
 
 WIDE = (7.6, 4.4)  # inches
 SQUARE = (6.2, 5.4)

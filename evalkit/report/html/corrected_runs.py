@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from evalkit.report.html.palette import Stroke
+from evalkit.report.html.method_colours import Stroke
 from evalkit.results.run_record import RunRecord
 
 SUFFIX = ", corrected"

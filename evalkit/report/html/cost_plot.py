@@ -9,9 +9,9 @@ from markupsafe import Markup
 
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.analysis.analysis import Analysis
-from evalkit.report.analysis.answer import Standing
+from evalkit.report.analysis.standings import Standing
 from evalkit.report.formatting import format_milliseconds
-from evalkit.report.html.palette import Stroke
+from evalkit.report.html.method_colours import Stroke
 from evalkit.report.html.svg import Scale, element, join, log_scale, place_labels
 
 Strokes = Mapping[str, Stroke]

@@ -8,14 +8,14 @@ from statistics import median
 
 from markupsafe import Markup
 
-from evalkit.core.run_result import RunStatus
+from evalkit.core.run_status import RunStatus
 from evalkit.report.analysis.analysis import Analysis
-from evalkit.report.analysis.answer import Contest
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, find_loss
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.standings import Contest
 from evalkit.report.formatting import format_amount, format_loss, format_tick
-from evalkit.report.html.palette import Stroke
+from evalkit.report.html.method_colours import Stroke
 from evalkit.report.html.svg import Scale, element, join, log_scale
 
 Strokes = Mapping[str, Stroke]

@@ -8,13 +8,13 @@ from statistics import median
 from urllib.parse import quote
 
 from evalkit.report.analysis.analysis import Analysis
-from evalkit.report.analysis.answer import COST
-from evalkit.report.analysis.pills import find_left_out
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.standings import COST
+from evalkit.report.analysis.statements.pills import find_left_out
 from evalkit.report.formatting import format_amount, format_loss, format_milliseconds
 from evalkit.report.html.blocks import Figure
 from evalkit.report.html.maps import find_window, measure_image, render_map
-from evalkit.report.html.palette import Stroke
+from evalkit.report.html.method_colours import Stroke
 
 Strokes = Mapping[str, Stroke]
 MAX_TILES = 4

@@ -24,7 +24,7 @@ from evalkit.plugins.protocols import Sequence
 from evalkit.report.html.array_encoding import NONE, Steps, dequantise, pack_array, quantise
 from evalkit.report.html.corrected_runs import SUFFIX
 from evalkit.report.html.maps import Window, pixel_m
-from evalkit.report.html.palette import Stroke
+from evalkit.report.html.method_colours import Stroke
 from evalkit.results.run_record import RunRecord
 
 METRE, RADIAN, RESIDUAL, MILLISECOND = 1e-3, 1e-5, 1e-4, 1_000_000

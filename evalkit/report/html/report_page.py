@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from evalkit.core.grid import OccupancyGrid
-from evalkit.metrics.table import Metric
+from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.verdict import SequenceVerdict
+from evalkit.report.analysis.statements.verdict import SequenceVerdict
 from evalkit.report.formatting import capitalise, format_amount
 from evalkit.report.html import (
     appendix,
@@ -40,7 +40,7 @@ from evalkit.report.html.blocks import (
     load_template,
 )
 from evalkit.report.html.maps import Window, find_window, measure_image, render_map
-from evalkit.report.html.palette import Stroke, assign_strokes
+from evalkit.report.html.method_colours import Stroke, assign_strokes
 from evalkit.report.html.player import build_player, ranges_per_sequence
 from evalkit.results.run_record import RunRecord
 

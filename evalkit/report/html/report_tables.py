@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from statistics import median
 
-from evalkit.core.run_result import NOT_EXECUTED, RunStatus
-from evalkit.metrics.table import Metric
+from evalkit.core.run_status import NOT_EXECUTED, RunStatus
+from evalkit.metrics.metric import Metric
 from evalkit.plugins.specs import Published
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison
@@ -15,7 +15,7 @@ from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, unfinishe
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import capitalise, count_losses, format_amount, format_loss, format_number
 from evalkit.report.html.blocks import Block, Cell, Chips, Column, Table, Text, Tone
-from evalkit.report.html.palette import Stroke
+from evalkit.report.html.method_colours import Stroke
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.intervals import wilson_interval
 from evalkit.stats.runs import MIN_RUNS

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from evalkit.core.se2 import Floats
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.formatting import format_length, format_milliseconds, format_tick
-from evalkit.report.html.palette import Stroke
+from evalkit.report.html.method_colours import Stroke
 from evalkit.report.html.run_lines import POINTS, STRETCHES, bin_series, find_frame, seconds_of, thin_points, world_path
 from evalkit.report.html.svg import Scale, element, join, log_scale, polyline
 from evalkit.results.run_record import RunRecord

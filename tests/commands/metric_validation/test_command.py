@@ -15,10 +15,11 @@ from evalkit.commands.metric_validation.fault_injection import FAULTS, NO_FAULT
 from evalkit.commands.metric_validation.rank_agreement import reference_free_metrics
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Cause, RunResult
+from evalkit.core.run_result import STEP, RunResult
+from evalkit.core.run_status import Cause
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import evaluate
-from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
+from evalkit.metrics.metric import NO_POSES, Evidence, MissingMap
 from evalkit.metrics.trajectory import match_trajectories
 
 

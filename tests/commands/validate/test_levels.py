@@ -11,7 +11,7 @@ from evalkit.commands.validate.acceptance import AcceptanceLevel, Check
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin, format_margin
 from evalkit.commands.validate.known_motion import judge_gap, known_motion_checks, peer_check
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import RunStatus
+from evalkit.core.run_status import RunStatus
 from evalkit.execution.sandbox import ENDED
 
 TERMS = ComparisonTerms("mine", "paper", "exact", 0.5)

@@ -8,7 +8,7 @@ from evalkit.core.errors import BadData, DataMissing
 from evalkit.core.ground_truth import Truth
 from evalkit.core.measured_distances import Span, SpanEnd
 from evalkit.core.run_result import STEP, RunResult
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.metric import Evidence
 from evalkit.plugins import registry
 from evalkit_datasets.parsing.truth_files import read_relations, read_spans
 from evalkit_datasets.readers.carmen import Carmen

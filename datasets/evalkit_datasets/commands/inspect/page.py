@@ -24,7 +24,7 @@ from evalkit.report.html.blocks import (
     Tone,
 )
 from evalkit.report.html.charts import Axis, Curve, Points
-from evalkit.report.html.palette import HUES
+from evalkit.report.html.method_colours import HUES
 from evalkit_datasets.commands.inspect.findings import Level, LidarStats, format_count
 from evalkit_datasets.commands.inspect.inspector import Inspection
 from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats

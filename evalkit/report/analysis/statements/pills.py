@@ -6,12 +6,12 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from evalkit.core.run_result import BROKEN
+from evalkit.core.run_status import BROKEN
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.pairwise import is_clearly_worse
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.verdict import SequenceVerdict
+from evalkit.report.analysis.statements.verdict import SequenceVerdict
 from evalkit.report.formatting import format_loss_times, join_words
 from evalkit.results.run_record import RunRecord
 

@@ -9,7 +9,7 @@ from evalkit.metrics.runtime import late_share, work_ns
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.verdict import Outcome, SequenceVerdict, describe_success
+from evalkit.report.analysis.statements.verdict import Outcome, SequenceVerdict, describe_success
 from evalkit.report.formatting import join_words
 from evalkit.stats.runs import MIN_RUNS
 

@@ -1,4 +1,7 @@
-"""Colour and dashes of each method: the colour follows from its name, so it is the same in every report."""
+"""Colour and dashes of each method: the colour follows from its name, so it is the same in every report.
+
+A dark page shows lighter ones: ``--hue-0`` to ``--hue-4`` in ``templates/page.css``.
+"""
 
 from __future__ import annotations
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Literal
 
-from evalkit.core.run_result import NOT_EXECUTED, RunStatus
-from evalkit.metrics.table import Metric
-from evalkit.report.analysis import warnings
+from evalkit.core.run_status import NOT_EXECUTED, RunStatus
+from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.comparison import Comparison, find_missing_sequences
 from evalkit.report.analysis.map_agreement import MEASURES, MapAgreement, decided_by_maps
 from evalkit.report.analysis.pairwise import (
@@ -24,6 +23,7 @@ from evalkit.report.analysis.pairwise import (
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, WITH_TRUTH, MethodScore, unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.statements import warnings
 from evalkit.report.formatting import (
     capitalise,
     format_amount,

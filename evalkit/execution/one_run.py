@@ -1,4 +1,4 @@
-"""Execute one run in this process: ``python -m evalkit.execution.worker FOLDER``.
+"""Execute one run in this process: ``python -m evalkit.execution.one_run FOLDER``.
 
 Reads the request from the folder and writes the outcome to it. The answer for every scan is on disk before the next
 scan begins, so that nothing computed is lost if the process dies.
@@ -25,7 +25,8 @@ import numpy as np
 
 from evalkit.core.errors import BackendFailed, DataMissing, EvalkitError, MachineFault, NotInstalled, StoreError, plain
 from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
-from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
+from evalkit.core.run_result import NO_STEPS, STEP, RunResult
+from evalkit.core.run_status import Cause
 from evalkit.core.scan import Frame
 from evalkit.core.timing import CallTiming
 from evalkit.execution.conditions import WaitingMeter, measure_own_threads

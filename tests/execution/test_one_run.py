@@ -20,9 +20,9 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Score
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.timing import CallTiming
-from evalkit.execution import worker
-from evalkit.execution.worker import Request
-from evalkit.metrics.table import Evidence
+from evalkit.execution import one_run
+from evalkit.execution.one_run import Request
+from evalkit.metrics.metric import Evidence
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.specs import OdometrySpec
@@ -39,7 +39,7 @@ def execute_request(folder, backend="wheel-odometry", parameters=None, dataset="
     if dataset == "straight":
         sequence = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0, **(sequence or {})}
     request = Request(backend, parameters or {}, dataset, sequence or {})
-    return worker.execute_request(request, folder), read_steps(folder / "steps.bin")
+    return one_run.execute_request(request, folder), read_steps(folder / "steps.bin")
 
 
 def test_the_warm_up_is_another_instance_so_the_first_answer_is_the_identity(tmp_path):
@@ -55,10 +55,10 @@ def test_a_run_of_a_comparison_loads_no_library_that_it_does_not_use(tmp_path):
     sha256 = write_frames(registry.dataset("room").open(ROOM), tmp_path / "frames", tmp_path)
     address = registry.find_address("backends", "wheel-odometry")
     program = (
-        "import json, sys\nfrom pathlib import Path\nfrom evalkit.execution import worker\n"
-        f"frames = worker.FramesFile({str(tmp_path / 'frames')!r}, {sha256!r})\n"
-        f"request = worker.Request('wheel-odometry', {{}}, 'room', {ROOM!r}, None, frames, {address!r})\n"
-        "result = worker.execute_request(request, Path(sys.argv[1]))\n"
+        "import json, sys\nfrom pathlib import Path\nfrom evalkit.execution import one_run\n"
+        f"frames = one_run.FramesFile({str(tmp_path / 'frames')!r}, {sha256!r})\n"
+        f"request = one_run.Request('wheel-odometry', {{}}, 'room', {ROOM!r}, None, frames, {address!r})\n"
+        "result = one_run.execute_request(request, Path(sys.argv[1]))\n"
         "print(json.dumps([result.reason, *sys.modules]))"
     )
     ended = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True)
@@ -167,7 +167,7 @@ def test_a_record_holds_what_numpy_makes_of_its_values(number):
     stage = StageEstimate(flag(1), flag(0), count(7), real(0.25), count(300))
     estimate = OdometryEstimate(Pose(real(1.5), 2.0, -0.5), {"s2s": stage, "s2m": stage}, corrected=flag(1))
     frame = Frame(Scan(123, np.ones(2), np.zeros(2), 0.1, 9.0))
-    record = worker._record_step(frame, estimate, CallTiming(5, 4, 3, 2, 1), 6)
+    record = one_run._record_step(frame, estimate, CallTiming(5, 4, 3, 2, 1), 6)
     expected = (123, 1.5, 2.0, -0.5, 5, 4, 3, 6, 2, 1, 0.25, 7, 300, 0.25, 7, 300, 1, 0, 1, 0, 1)
     assert np.frombuffer(record, STEP).tolist() == [expected]
 
@@ -239,19 +239,19 @@ def test_a_full_disk_is_a_fault_of_the_machine_and_no_record_begins_inside_anoth
     odometry = registry.backend("faulty").make(fault="none", at=0)
     disk = FullDisk(space)
     with pytest.raises(MachineFault, match="repeat with --resume") as raised:
-        worker.record_run(odometry, sequence, worker.Request("faulty", {}, "straight", {}), disk)
-    assert worker.cause_of(raised.value)[0] == "machine fault"
+        one_run.record_run(odometry, sequence, one_run.Request("faulty", {}, "straight", {}), disk)
+    assert one_run.cause_of(raised.value)[0] == "machine fault"
     assert len(whole_records(disk.content)) == 3
-    assert worker.cause_of(OSError(errno.ENOSPC, "in the back end's own code"))[0] == "exception"
+    assert one_run.cause_of(OSError(errno.ENOSPC, "in the back end's own code"))[0] == "exception"
 
 
 def test_a_perturbed_recording_changes_the_lengths_of_the_back_end_and_no_other_parameter():
     values = frontend.complete_parameters("t", registry.backend("paper"), {})
     request = Request("paper", values, "straight", {"nuisance": 3})
-    changed = worker.find_run_parameters(request)
+    changed = one_run.find_run_parameters(request)
     lengths = {one.name for one in frontend.settable_parameters(registry.backend("paper")) if one.unit == "m"}
     different = {name for name in values if changed[name] != values[name]}
     assert different
     assert different <= lengths
     assert all(changed[name] == pytest.approx(values[name], rel=0.01) for name in different)
-    assert worker.find_run_parameters(replace(request, dataset_parameters={})) == values
+    assert one_run.find_run_parameters(replace(request, dataset_parameters={})) == values

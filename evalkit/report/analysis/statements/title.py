@@ -1,0 +1,117 @@
+"""The title of the page, which method to take, and the line below it: its cost, where it loses, the cheapest one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+
+from evalkit.report.analysis.map_agreement import decided_by_maps
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.standings import MAX_NAMED, Contest, Loss, Standing, compute_ratio
+from evalkit.report.analysis.statements.verdict import LED, SequenceVerdict
+from evalkit.report.formatting import format_amount, format_milliseconds, join_words
+from evalkit.stats.runs import FEW_RUNS
+
+
+def format_title(
+    standings: Sequence[Standing], contests: Sequence[Contest], winners: Sequence[str], runner_up: Standing | None
+) -> str:
+    """Return the title over at least one contest."""
+    first, by_maps = standings[0], decided_by_maps(contests[0].ranking)
+    if not winners:
+        part = {score.method for one in contests for score in one.ranked}
+        count = sum(one.led == first.led for one in standings)
+        who = f"all {len(part)} methods are" if count == len(part) else f"{count} methods are each"
+        if len(contests) == 1:
+            return f"No method is ahead: {who} tied on {contests[0].sequence}."
+        return f"No method is ahead: {who} best or tied on {first.led} of {len(contests)} data sets."
+    names = " or ".join(winners)
+    if len(contests) == 1:
+        return _format_single(names, len(winners) > 1, contests[0], by_maps)
+    counted = first.counted if len(winners) == 1 else len(contests)
+    best = f"{'each ' * (len(winners) > 1)}{'the best map' if by_maps else 'best or tied'}"
+    rest = "" if runner_up is None else f"; next best {runner_up.led} of {runner_up.counted}"
+    kind = f"{'recording' if by_maps else 'data set'}{'s' if counted != 1 else ''}"
+    return f"Take {names}: {best} on {first.led} of {counted} {kind}{rest}."
+
+
+def _format_single(names: str, tied: bool, contest: Contest, by_maps: bool) -> str:
+    """Return the title over a single data set with winners."""
+    if by_maps:
+        return f"Take {names}: the best map of {contest.sequence}, which has no ground truth."
+    if tied:
+        return f"Take {names}: tied for the best on {contest.sequence}."
+    others = [one.method for one in contest.ranking.tied if one not in contest.ranking.near]
+    if not others:
+        return f"Take {names}: best on {contest.sequence}."
+    who = join_words(others) if len(others) <= MAX_NAMED else f"{len(others)} others"
+    return f"Take {names}: ahead on {contest.sequence}, but not told apart from {who} by these runs."
+
+
+def explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
+    """Return why no method is ahead or ranked."""
+    outcomes = {verdict.outcome for verdict in verdicts}
+    ranked = {score.method for s in sequences if s.deciding is not None for score in s.deciding.ranked}
+    degenerate = join_words(v.sequence for v in verdicts if v.outcome == "degenerate")
+    reasons = (
+        (all(sequence.none_finished for sequence in sequences), "No run finished: there is no answer."),
+        (outcomes == {"lost"}, "No method held the track: there is no answer."),
+        (len(ranked) == 1, f"Only {join_words(ranked)} is ranked: there is no other method to compare it with."),
+        (not ranked, "No method is ranked: none completed every run with a value of the deciding metric."),
+        ("disagreement" in outcomes, "No method is ahead: without ground truth, the map metrics disagree."),
+        (
+            outcomes <= {"degenerate", "unranked"},
+            f"No method is ranked: the geometry of {degenerate} does not determine the pose.",
+        ),
+        (bool(outcomes & set(LED)), "No method is ahead: too few runs to tell the methods apart."),
+        (
+            all(run.seed is None for sequence in sequences for run in sequence.all_runs),
+            f"No method is ahead: a verdict takes {FEW_RUNS} runs of a recording (nuisance = {FEW_RUNS - 1}).",
+        ),
+        (True, "No method is ahead: a verdict takes repeated runs."),
+    )
+    return next(text for holds, text in reasons if holds)
+
+
+def format_subtitle(
+    winners: Sequence[Standing], contests: Sequence[Contest], losses: Sequence[Loss], cheapest: Standing | None
+) -> str:
+    """Return cost, losses and the cheapest method; "" without a winner."""
+    if not winners:
+        return ""
+    costs = {one.method: format_milliseconds(one.cpu_ms) for one in winners if one.cpu_ms is not None}
+    sentences = []
+    if len(winners) == 1 and costs:
+        sentences.append(f"{costs[winners[0].method]} a scan here.")
+    elif costs:
+        sentences.append(f"A scan takes {join_words(f'{text} with {method}' for method, text in costs.items())}.")
+    if len(winners) == 1 and len(contests) == 1 and not decided_by_maps(contests[0].ranking):
+        metric, (best, second) = contests[0].metric, contests[0].ranked[:2]
+        figures = [format_amount(metric, median(score.values)) for score in (best, second)]
+        sentences.append(f"{figures[0]} against {figures[1]} of {second.method}.")
+    elif len(winners) == 1 and losses:
+        sentences.append(_format_losses(losses))
+    if cheapest is not None:
+        sentences.append(_format_cheapest(cheapest, winners, contests))
+    return " ".join(filter(None, sentences))
+
+
+def _format_losses(losses: Sequence[Loss]) -> str:
+    told = [
+        f"{loss.sequence} ({format_amount(loss.metric, loss.own)} against {format_amount(loss.metric, loss.best)})"
+        for loss in losses
+    ]
+    if len(told) == 1:
+        return f"It loses only {told[0]}."
+    return f"It loses {join_words(told)}." if len(told) == 2 else f"It loses {len(told)}, most of all {told[0]}."
+
+
+def _format_cheapest(cheapest: Standing, winners: Sequence[Standing], contests: Sequence[Contest]) -> str:
+    if len(winners) > 1:
+        return f"Cheapest of them: {cheapest.method}."
+    if cheapest.method == winners[0].method:
+        return "It is also the cheapest matcher."
+    ratio = compute_ratio(contests, cheapest.method, winners[0].method)
+    measure, *others = {one.metric.label if decided_by_maps(one.ranking) else "error" for one in contests}
+    times = "" if ratio is None or others else f", {ratio:.1f} times the {measure}"
+    return f"Cheapest matcher: {cheapest.method}, {format_milliseconds(cheapest.cpu_ms or 0.0)}{times}."
