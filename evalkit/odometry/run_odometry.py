@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -36,12 +37,24 @@ def run_odometry(odometry: Odometry, frames: Iterable[Frame], source: str = "fra
     ``update`` returns something else than a finite ``OdometryEstimate``, and whatever ``update`` raises.
     """
     for frame in check_order(frames, source):
-        answer, timing = timed(_update(odometry, frame))
+        answer, timing = timed(partial(answer_frame, odometry, frame))
         if isinstance(answer, NoAnswer):
             yield OdometryStep(frame, None, timing, str(answer))
         else:
             estimate = check_estimate(answer)
             yield OdometryStep(frame, estimate, timing.including(estimate.cost))
+
+
+def answer_frame(odometry: Odometry, frame: Frame) -> OdometryEstimate | NoAnswer:
+    """Return what ``update`` returns, unchecked (``check_estimate``), or the ``NoAnswer`` that it raises.
+
+    The step of ``run_odometry``, for callers that give several odometries each frame in turn or time the call
+    themselves. Raises whatever else ``update`` raises.
+    """
+    try:
+        return odometry.update(frame)
+    except NoAnswer as reason:
+        return reason
 
 
 def estimate_poses(odometry: Odometry, frames: Iterable[Frame]) -> Floats:
@@ -74,13 +87,3 @@ def check_estimate(answer: object) -> OdometryEstimate:
     if not all(map(math.isfinite, (pose.x, pose.y, pose.theta))):  # a subclass of Pose may skip the check
         raise ValueError(f"update() returned a pose that is not finite: ({pose.x}, {pose.y}, {pose.theta})")
     return answer
-
-
-def _update(odometry: Odometry, frame: Frame) -> Callable[[], OdometryEstimate | NoAnswer]:
-    def update() -> OdometryEstimate | NoAnswer:
-        try:
-            return odometry.update(frame)
-        except NoAnswer as reason:
-            return reason
-
-    return update

@@ -11,7 +11,7 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.timing import Cost
-from evalkit.odometry.run_odometry import check_estimate, estimate_poses, run_odometry
+from evalkit.odometry.run_odometry import answer_frame, check_estimate, estimate_poses, run_odometry
 from evalkit.plugins.protocols import NoAnswer
 
 FRAMES = [Frame(Scan(stamp, np.array([1.0]), np.array([0.0]), 0.1, 9.0)) for stamp in (10, 20, 30)]
@@ -54,6 +54,14 @@ def test_poses_are_nan_for_unanswered_scans():
     odometry = ScriptedOdometry(OdometryEstimate(Pose()), NoAnswer("too dark"), OdometryEstimate(Pose(1.0)))
     np.testing.assert_array_equal(estimate_poses(odometry, FRAMES), [[0.0] * 3, [np.nan] * 3, [1.0, 0.0, 0.0]])
     assert estimate_poses(ScriptedOdometry(), []).shape == (0, 3)
+
+
+def test_one_frame_gives_what_update_returns_or_the_reason_for_no_answer():
+    reason = NoAnswer("too dark")
+    odometry = ScriptedOdometry("not an estimate", reason, KeyError("lost"))
+    assert [answer_frame(odometry, frame) for frame in FRAMES[:2]] == ["not an estimate", reason]
+    with pytest.raises(KeyError, match="lost"):
+        answer_frame(odometry, FRAMES[2])
 
 
 def test_stamps_that_do_not_increase_are_bad_data():

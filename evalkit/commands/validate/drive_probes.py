@@ -34,7 +34,7 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import note_place
 from evalkit.execution.task import Result
 from evalkit.odometry import frontend
-from evalkit.plugins.protocols import NoAnswer
+from evalkit.odometry.run_odometry import run_odometry
 
 SCANS, LEVER_M, COPIES = 12, 4.0, 4
 """Scans of a drive; the lever (m) at which turns are measured; copies perturbed by rounding."""
@@ -122,17 +122,15 @@ def draw_drives(seed: int) -> Iterator[tuple[str, str, tuple[Frame, ...]]]:
 
 def run_frames(side: ComparedBackend, frames: Iterable[Frame]) -> tuple[Floats, str]:
     """The poses (N, 3) of a new odometry, nan without an answer, and the exception that ended it, or ""."""
-    rows: list[Floats] = []
+    poses = np.full((SCANS, 3), np.nan)
     try:
         odometry = frontend.make_odometry(side.spec, side.parameters)
-        for frame in frames:
-            try:
-                rows.append(odometry.update(frame).pose.row)
-            except NoAnswer:
-                rows.append(np.full(3, np.nan))
+        for index, step in enumerate(run_odometry(odometry, frames)):
+            if step.estimate is not None:
+                poses[index] = step.estimate.pose.row
     except Exception as error:  # noqa: BLE001 - a third party's exception is a difference to report
-        return _padded(rows), format_exception(error)
-    return _padded(rows), ""
+        return poses, format_exception(error)
+    return poses, ""
 
 
 def distances_m(a: Floats, b: Floats) -> Floats:
@@ -142,11 +140,6 @@ def distances_m(a: Floats, b: Floats) -> Floats:
     missing = np.isnan(a[:, 0]), np.isnan(b[:, 0])
     apart = np.where(missing[0] | missing[1], np.inf, apart)
     return np.where(missing[0] & missing[1], 0.0, apart)
-
-
-def _padded(rows: list[Floats]) -> Floats:
-    missing = [np.full(3, np.nan)] * (SCANS - len(rows))
-    return np.array([*rows, *missing])
 
 
 def _with_holes(frame: Frame, rows: Ints, value: float) -> Frame:

@@ -30,10 +30,11 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import note_place
 from evalkit.execution.task import Result
 from evalkit.odometry import frontend
+from evalkit.odometry.run_odometry import estimate_poses
 from evalkit.plugins import registry
 from evalkit.plugins.changed_sequence import ChangedSequence
 from evalkit.plugins.parameters import Value
-from evalkit.plugins.protocols import NoAnswer, Odometry, Registration, Sequence
+from evalkit.plugins.protocols import Registration, Sequence
 from evalkit.plugins.specs import RegistrationSpec
 
 Plugin = Mapping[str, Any]
@@ -152,7 +153,7 @@ def perturbed_paths(backend: Plugin, on: Data, copies: int) -> Result:
     for copy in range(copies):
         note_place(f"{on['label']}, copy {copy + 1}")
         odometry = frontend.make_odometry(side.spec, side.parameters)
-        paths.append(_rows(_pose(odometry, _perturb(frame, rng)) for frame in frames))
+        paths.append(estimate_poses(odometry, (_perturb(frame, rng) for frame in frames)))
     return {"stamps_ns": np.array([frame.scan.stamp_ns for frame in frames]), "paths": np.array(paths)}
 
 
@@ -205,13 +206,6 @@ def _perturb(frame: Frame, rng: np.random.Generator) -> Frame:
     ranges = scan.ranges + rng.uniform(-reach, reach, len(scan.ranges))
     inside = np.where(scan.hits, np.clip(ranges, scan.range_min_m, scan.range_max_m), scan.ranges)
     return replace(frame, scan=replace(scan, ranges=inside))
-
-
-def _pose(odometry: Odometry, frame: Frame) -> Pose | None:
-    try:
-        return odometry.update(frame).pose
-    except NoAnswer:
-        return None
 
 
 def _pairs(on: Data, count: int, exact: bool) -> list[ScanPair]:

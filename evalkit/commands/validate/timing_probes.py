@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -19,7 +20,8 @@ from evalkit.core.timing import NO_COST, CallTiming, timed
 from evalkit.execution.sandbox import note_place
 from evalkit.execution.task import Result
 from evalkit.odometry import frontend
-from evalkit.plugins.protocols import NoAnswer, Odometry
+from evalkit.odometry.run_odometry import answer_frame
+from evalkit.plugins.protocols import NoAnswer
 
 WARM_UP = 5
 """Scans, or pairs of scans, processed before the measurement starts."""
@@ -66,16 +68,9 @@ def _load_untraced(method: Plugin) -> ComparedBackend:
     )  # fmt: skip
 
 
-def _odometry_call(backend: ComparedBackend) -> Callable[[Frame], Callable[[], OdometryEstimate | None]]:
-    odometry: Odometry = frontend.make_odometry(backend.spec, backend.parameters)
-
-    def update(frame: Frame) -> OdometryEstimate | None:
-        try:
-            return odometry.update(frame)
-        except NoAnswer:
-            return None
-
-    return lambda frame: lambda: update(frame)
+def _odometry_call(backend: ComparedBackend) -> Callable[[Frame], Callable[[], OdometryEstimate | NoAnswer]]:
+    odometry = frontend.make_odometry(backend.spec, backend.parameters)
+    return lambda frame: partial(answer_frame, odometry, frame)
 
 
 def _time_each(
@@ -87,7 +82,7 @@ def _time_each(
     for index in order:
         note_place(f"{backends[index].label}, question {number + 1}")
         answer, timing = timed(calls[index](question))
-        timings[index] = timing.including(NO_COST if answer is None else answer.cost)
+        timings[index] = timing.including(NO_COST if isinstance(answer, NoAnswer) else answer.cost)
     return [{clock: getattr(timings[index], clock) for clock in CLOCKS} for index in range(len(calls))]
 
 

@@ -19,6 +19,7 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.odometry import frontend
+from evalkit.odometry.run_odometry import answer_frame, check_estimate
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.protocols import NoAnswer, Odometry, Registration, Sequence
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec
@@ -122,7 +123,7 @@ def answer_pairs(
     rng = np.random.default_rng(0)
     for scan, frame in enumerate(islice(sequence.frames(), scans), start=1):
         calls.clear()
-        estimate = _update(a.label, odometry, frame, scan)
+        estimate = _ask_reference(a.label, odometry, frame, scan)
         answered = [
             (Question(scan, stage, target, source, guess), match)
             for stage, (target, source, guess, match) in (zip(estimate.stages, calls, strict=True) if estimate else ())
@@ -172,21 +173,21 @@ def pose_pairs(a: ComparedBackend, b: ComparedBackend, sequence: Sequence, scans
     """
     first, second = (frontend.make_odometry(side.spec, side.parameters) for side in (a, b))
     for scan, frame in enumerate(islice(sequence.frames(), scans), start=1):
-        estimate = _update(a.label, first, frame, scan)
+        estimate = _ask_reference(a.label, first, frame, scan)
         pose = None if estimate is None else estimate.pose
         try:
-            yield PosePair(scan, pose, second.update(frame).pose)
-        except NoAnswer as reason:
-            yield PosePair(scan, pose, None, f"no answer: {reason}")
+            answer = answer_frame(second, frame)
+            own = None if isinstance(answer, NoAnswer) else check_estimate(answer).pose
         except Exception as error:  # noqa: BLE001 - a third party's exception is a difference to report
             yield PosePair(scan, pose, None, format_exception(error))
             return
+        yield PosePair(scan, pose, own, f"no answer: {answer}" if isinstance(answer, NoAnswer) else "")
 
 
-def _update(label: str, odometry: Odometry, frame: Frame, scan: int) -> OdometryEstimate | None:
+def _ask_reference(label: str, odometry: Odometry, frame: Frame, scan: int) -> OdometryEstimate | None:
+    """Return the reference's estimate, None without one. Raises BackendFailed if it raises."""
     try:
-        return odometry.update(frame)
-    except NoAnswer:
-        return None
+        answer = answer_frame(odometry, frame)
+        return None if isinstance(answer, NoAnswer) else check_estimate(answer)
     except Exception as error:  # a third party's code
         raise BackendFailed(label, f"scan {scan}: {format_exception(error)}", REMEDY) from error

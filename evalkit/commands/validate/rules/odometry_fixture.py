@@ -19,7 +19,7 @@ from evalkit.commands.validate.rules.scenes import drive
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
-from evalkit.odometry.run_odometry import check_estimate
+from evalkit.odometry.run_odometry import answer_frame, check_estimate
 from evalkit.plugins.protocols import NoAnswer, Odometry
 from evalkit.plugins.specs import Role
 
@@ -73,10 +73,8 @@ class OdometryFixture:
 
 def answer_row(odometry: Odometry, frame: Frame) -> Floats:
     """The answer (3,) to one frame, nan if the odometry raises NoAnswer."""
-    try:
-        return validate_pose(odometry.update(frame)).row
-    except NoAnswer:
-        return np.full(3, np.nan)
+    answer = answer_frame(odometry, frame)
+    return np.full(3, np.nan) if isinstance(answer, NoAnswer) else validate_pose(answer).row
 
 
 def last_pose(answers: Floats) -> Pose:
