@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import platform
 import shutil
 import signal
 import struct
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -17,6 +19,7 @@ from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
@@ -358,6 +361,22 @@ def run_backend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
     follow.truth, follow.drift_m = SquareRoom.truth, SquareRoom.drift_m  # type: ignore[attr-defined]
     return follow
+
+
+@pytest.fixture(scope="session")
+def has_ended() -> Callable[[int], bool]:
+    """Return a function that waits up to 10 s for the end of a process, which may be a stranger's zombie then."""
+
+    def wait(pid: int) -> bool:
+        until = time.monotonic() + 10.0
+        with contextlib.suppress(psutil.NoSuchProcess):
+            while psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
+                if time.monotonic() > until:
+                    return False
+                time.sleep(0.01)
+        return True
+
+    return wait
 
 
 @pytest.fixture

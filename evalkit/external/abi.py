@@ -12,8 +12,12 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from evalkit.core.errors import BackendFailed
+from evalkit.execution.parent import end_with_parent
 
 VERSION = 1
+
+REQUEST, ANSWER = "request.json", "answer.json"
+"""Files of ``main``: [name, file] of a library, and its description."""
 
 KINDS: dict[int, Literal["registration", "odometry", "slam"]] = {1: "registration", 2: "odometry", 3: "slam"}
 
@@ -146,8 +150,10 @@ def _kept_arithmetic() -> Iterator[None]:
 
 
 def main() -> int:
-    """Write the description of the library on the command line, or why it cannot be used, to a file (JSON)."""
-    name, file, answer = sys.argv[1:]
+    """Write the description of the library in the folder's ``REQUEST``, or why it is unusable, to ``ANSWER``."""
+    end_with_parent()
+    folder = Path(sys.argv[1]).resolve()  # a library may change the working directory
+    name, file = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     try:
         library = load(name, Path(file))
         description: dict[str, object] = {
@@ -157,7 +163,7 @@ def main() -> int:
         }
     except BackendFailed as error:
         description = {"failed": error.args[1:]}
-    Path(answer).write_text(json.dumps(description), encoding="utf-8")
+    (folder / ANSWER).write_text(json.dumps(description), encoding="utf-8")
     return 0
 
 

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import json
-import subprocess
-import sys
 import tempfile
 import weakref
 from collections.abc import Callable, Iterable
@@ -29,7 +27,7 @@ from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import Cost, Stopwatch
 from evalkit.core.trajectory import Trajectory
-from evalkit.execution.subprocesses import signal_name
+from evalkit.execution.subprocesses import ChildProcess, signal_name
 from evalkit.external import abi, elf
 from evalkit.external.declaration import (
     broken_spec,
@@ -258,17 +256,15 @@ class Instance:
 
 
 def _describe_library(name: str, file: Path) -> dict[str, Any]:
-    """Run ``abi.main`` on a library in a separate process; return its description, or why it gives none."""
-    nowhere = subprocess.DEVNULL  # the output of a library is unbounded
+    """Run ``abi.main`` on a library in a child process; return its description, or why it gives none."""
     with tempfile.TemporaryDirectory(prefix="evalkit-look-") as place:
-        answer = Path(place) / "answer.json"
-        command = [sys.executable, "-P", "-m", abi.__name__, name, str(file), str(answer)]
-        try:
-            code = subprocess.run(
-                command, stdin=nowhere, stdout=nowhere, stderr=nowhere, timeout=LOADING_S, check=False
-            ).returncode
-        except subprocess.TimeoutExpired:
+        folder = Path(place)
+        (folder / abi.REQUEST).write_text(json.dumps([name, str(file)]), encoding="utf-8")
+        with ChildProcess(abi.__name__, folder) as child:
+            late = any(used.exceeds(LOADING_S) for used in child.watch())
+        if late:
             return {"failed": [f"was not loaded within {LOADING_S:g} s", "check its initialisation code"]}
+        answer, code = folder / abi.ANSWER, child.returncode
         if code or not answer.exists():
             how = signal_name(-code) if code < 0 else f"code {code}"
             return {"failed": [f"loading it ended the process with {how}", "correct its initialisation code"]}

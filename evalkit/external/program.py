@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import selectors
+import signal
 import subprocess
 import sys
 import threading
@@ -29,13 +30,22 @@ CHUNK_BYTES = 1 << 16
 
 
 class Program:
-    """A started program; it is ended when the object is garbage-collected."""
+    """A started program; its process group is ended when the object is garbage-collected.
+
+    It is no ``ChildProcess``: its pipes are the protocol, and its CPU time is that of one process, without a supervisor
+    in between. In a run it is below the run's supervisor, which ends what leaves the group as well.
+    """
 
     def __init__(self, name: str, argv: list[str], answer_timeout_s: float) -> None:
         self._name, self.answer_timeout_s = name, answer_timeout_s
         try:
             self._process = subprocess.Popen(
-                argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0
+                argv,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                bufsize=0,
+                process_group=0,
             )
         except OSError as error:
             what = f"cannot be started ({error.strerror or error})"
@@ -141,7 +151,7 @@ class Program:
         return self._failure(f"ended with {how} instead of answering", "see its messages")
 
     def _failure(self, what: str, remedy: str) -> BackendFailed:
-        self._process.kill()  # nothing more is read from it
+        _kill_group(self._process)  # nothing more is read from it
         stderr = _printable(b"".join(self._last_messages)[-300:].strip())
         return BackendFailed(self._name, what + (f"; last message: {stderr}" if stderr else ""), remedy)
 
@@ -158,16 +168,24 @@ def _drain(stream: IO[bytes], last_messages: deque[bytes]) -> None:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Close the program's input and wait for its end; kill it after ``EXIT_WAIT_S``."""
+    """Close the program's input and wait for its end, at most ``EXIT_WAIT_S``; kill what is left of its group."""
     if process.stdin is not None:
         process.stdin.close()
-    try:
+    with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(EXIT_WAIT_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+    _kill_group(process)
+    process.wait()
     if process.stdout is not None:
         process.stdout.close()
+
+
+def _kill_group(process: subprocess.Popen[bytes]) -> None:
+    """Kill a program and what it has started: the interpreter of a script that is only a shell's, for one."""
+    if os.name != "posix":
+        process.kill()
+        return
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # none left, which macOS calls not permitted
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def _printable(raw: bytes | bytearray) -> str:

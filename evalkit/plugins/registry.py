@@ -6,8 +6,11 @@ a name imports only the module that defines it.
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
 import re
+import signal
 import site
 import subprocess
 import sys
@@ -240,17 +243,33 @@ def _find_name(dist: Distribution) -> str:
 def _import_failure(module: str) -> str:
     """Return how importing a module ends or blocks a process, "" if it does neither; tried in a separate process.
 
-    An exception is not a failure here: the caller's own import raises it again without harm.
+    An exception is not a failure here: the caller's own import raises it again without harm. The supervisor of child
+    processes stands on this module, and takes longer than most imports; so the trial only ends its own session, and
+    an alarm ends it where evalkit was killed.
     """
     path = os.pathsep.join(filter(None, sys.path))
-    command = [sys.executable, "-P", "-c", f"try:\n import {module}\nexcept Exception: pass"]
+    alarm = f"import signal\ngetattr(signal, 'alarm', int)({math.ceil(LOADING_S) + 1})"
+    nowhere = subprocess.DEVNULL  # a pipe would stay open as long as a process that the import leaves behind
+    trial = subprocess.Popen(
+        [sys.executable, "-P", "-c", f"{alarm}\ntry:\n import {module}\nexcept Exception: pass"],
+        env={**os.environ, "PYTHONPATH": path}, stdin=nowhere, stdout=nowhere, stderr=nowhere, start_new_session=True,
+    )  # fmt: skip
     try:
-        trial = subprocess.run(
-            command, env={**os.environ, "PYTHONPATH": path}, stdin=subprocess.DEVNULL, capture_output=True,
-            timeout=LOADING_S, check=False, start_new_session=True,
-        )  # fmt: skip
+        code = trial.wait(LOADING_S)
     except subprocess.TimeoutExpired:
         return f"importing it takes more than {LOADING_S:g} s"
-    if trial.returncode < 0:
-        return f"importing it ends the process by signal {-trial.returncode}"
-    return f"importing it ends the process with code {trial.returncode}" if trial.returncode else ""
+    finally:
+        _kill_session(trial)
+    if code < 0:
+        return f"importing it ends the process by signal {-code}"
+    return f"importing it ends the process with code {code}" if code else ""
+
+
+def _kill_session(trial: subprocess.Popen[bytes]) -> None:
+    """Kill a process that was started in a session of its own, with what it has left there."""
+    if os.name == "posix":
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # none left, which macOS calls not permitted
+            os.killpg(trial.pid, signal.SIGKILL)
+    else:
+        trial.kill()
+    trial.wait()

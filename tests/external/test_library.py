@@ -252,10 +252,28 @@ def defaults(dataset):
 
 
 def test_a_library_that_hangs_when_loaded_fails(build_variant, run_backend, monkeypatch):
-    monkeypatch.setattr(library, "LOADING_S", 1.0)
+    monkeypatch.setattr(library, "LOADING_S", 0.5)
     begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(60); }"
     outcome, _ = run_backend(build_variant("#include <math.h>", begin))
-    assert (outcome.status, "was not loaded within 1 s" in outcome.reason) == ("failed", True)
+    assert (outcome.status, "was not loaded within 0.5 s" in outcome.reason) == ("failed", True)
+
+
+def test_nothing_is_left_of_a_process_that_a_library_starts_when_it_is_described(build_variant, tmp_path, has_ended):
+    left = tmp_path / "left"
+    begin = f"""
+    #include <stdio.h>
+    #include <unistd.h>
+    __attribute__((constructor)) static void begin(void) {{
+        if (fork()) return;
+        setsid();
+        FILE *file = fopen("{left}", "w");
+        fprintf(file, "%d", getpid());
+        fclose(file);
+        sleep(60);
+    }}"""
+    spec = registry.backend(build_variant("#include <math.h>", begin + "\n#include <math.h>"))
+    assert spec.broken == ""
+    assert has_ended(int(left.read_text()))
 
 
 def test_a_file_that_is_not_a_library_of_this_machine_is_reported(tmp_path, foreign_elf):

@@ -1,11 +1,13 @@
 """Programs as back ends: a correct one is followed, an incorrect one fails with a reason."""
 
+import gc
 import json
 import sys
 import textwrap
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from evalkit.config.experiment import experiment_from_tables
@@ -16,6 +18,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Frame, Scan
 from evalkit.external import process
+from evalkit.external.program import Program
 from evalkit.metrics import runtime
 from evalkit.metrics.metric import Evidence
 from evalkit.plugins import registry
@@ -136,6 +139,18 @@ def test_a_program_that_others_keep_from_computing_has_three_times_its_limit(pro
 def test_a_program_may_flood_its_standard_error_and_still_answer(program, run_backend):
     outcome, steps = run_backend(program("sys.stderr.write('x' * 500_000)\n" + ANSWER))
     assert (outcome.status, len(steps)) == ("complete", len(run_backend.truth))
+
+
+def test_a_program_ends_with_what_it_has_started(tmp_path, has_ended):
+    """The shell starts another program and waits for it: killing the shell alone would leave it."""
+    script = tmp_path / "program.sh"
+    script.write_text('sleep 60 & echo "{\\"pid\\": $!}"; read question; wait\n')
+    session = Program("mine", ["sh", str(script)], 10.0)
+    pid = json.loads(session._stdout.readline())["pid"]
+    assert psutil.pid_exists(pid)
+    del session
+    gc.collect()
+    assert has_ended(pid)
 
 
 def test_output_without_a_request_is_detected_before_the_next_answer(program, run_backend):

@@ -9,13 +9,11 @@ import shutil
 import subprocess
 import sys
 import threading
-import time
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 
 from evalkit.core.pose import Pose
@@ -206,7 +204,7 @@ def test_what_the_firmware_cannot_take_is_refused_with_a_reason(stand_in):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a process with its parent")
-def test_a_program_behind_the_line_ends_with_a_killed_bridge():
+def test_a_program_behind_the_line_ends_with_a_killed_bridge(has_ended):
     script = (
         "import time; from evalkit.external.serial_line import open_command\n"
         "print(open_command(['sleep', '60']).process.pid, flush=True); time.sleep(60)"
@@ -215,10 +213,7 @@ def test_a_program_behind_the_line_ends_with_a_killed_bridge():
         assert bridge.stdout is not None
         behind = int(bridge.stdout.readline())
         bridge.kill()
-    end = time.monotonic() + 10.0
-    while psutil.pid_exists(behind) and psutil.Process(behind).status() != psutil.STATUS_ZOMBIE:
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    assert has_ended(behind)
 
 
 def test_a_silent_board_is_an_error():

@@ -139,6 +139,18 @@ def test_a_plug_in_whose_import_crashes_or_hangs_is_reported_as_missing(stranger
     )
 
 
+def test_the_trial_import_of_a_plug_in_ends_what_it_leaves_behind(tmp_path, monkeypatch, has_ended):
+    left = tmp_path / "left"
+    starts = "subprocess.Popen(['sleep', '60']).pid"
+    (tmp_path / "leaves_a_process.py").write_text(
+        f"import subprocess\nfrom pathlib import Path\nPath({str(left)!r}).write_text(str({starts}))\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(registry, "LOADING_S", 30.0)
+    assert registry._import_failure("leaves_a_process") == ""
+    assert has_ended(int(left.read_text()))
+
+
 def test_a_back_end_under_development_is_found_by_its_module():
     assert registry.backend("evalkit_baselines.paper:TIGHT") is registry.backend("paper-tight")
     with pytest.raises(NotInstalled, match="is a str"):
