@@ -82,7 +82,7 @@ def main() -> None:
 @app.callback(invoke_without_command=True)
 def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
     if version:
-        out.print(f"evalkit {__version__}", highlight=False)
+        out.print(f"evalkit {__version__}")
         raise typer.Exit
 
 

@@ -44,5 +44,5 @@ def _require_text(words: list[str]) -> None:
 
 
 def _exit(message: str) -> NoReturn:
-    err.print(f"evalkit: {message}", style="red", markup=False, highlight=False)
+    err.print(f"evalkit: {message}", style="red")
     sys.exit(2)

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 class WordConsole(Console):
     """A console that wraps at words on a terminal, and nowhere else.
 
-    Text may come from untrusted files: control characters are printed escaped, and ":x:" stays ":x:".
+    Text may come from untrusted files: it is no mark-up, control characters are printed escaped, and ":x:" stays ":x:".
     """
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(emoji=False, **options)
+        super().__init__(emoji=False, markup=False, highlight=False, **options)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Render as ``Console.render``, with the control characters of texts escaped."""
@@ -37,9 +37,9 @@ class WordConsole(Console):
             yield segment if segment.control else segment._replace(text=show_controls(segment.text))
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print as ``Console.print``; in a text without mark-up, a word longer than a line stays whole."""
-        if self.is_terminal and not options.get("markup", True) and "soft_wrap" not in options:
-            objects = tuple(_wrap(one, self.width) if isinstance(one, str) else one for one in objects)
+        """Print as ``Console.print``; in a text, a word longer than a line stays whole."""
+        if self.is_terminal and "soft_wrap" not in options and all(isinstance(one, str) for one in objects):
+            objects = tuple(_wrap(one, self.width) for one in objects)
             options["soft_wrap"] = True
         super().print(*objects, **{"soft_wrap": not self.is_terminal, **options})
 

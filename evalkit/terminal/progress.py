@@ -9,10 +9,8 @@ from contextlib import contextmanager
 from statistics import fmean
 
 from rich import box
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
-from rich.text import Text
 
 from evalkit.config.experiment import Experiment, RunSpec
 from evalkit.core.run_result import RunResult
@@ -57,7 +55,7 @@ class TimeLeft:
 class _Display:
     """The output of progress: a bar on a terminal, lines elsewhere, nothing if ``quiet``."""
 
-    def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
+    def __init__(self, console: WordConsole, total: int, quiet: bool = False) -> None:
         self._console, self._quiet, self._total, self._done = console, quiet, total, 0
         text = TextColumn("{task.description}", markup=False)
         columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), text)
@@ -71,7 +69,7 @@ class _Display:
     def line(self, text: str) -> None:
         """Print a line."""
         if not self._quiet:
-            self._console.print(text, markup=False, highlight=False)
+            self._console.print(text)
 
     def numbered_line(self, text: str) -> None:
         """Print a line with the number of finished items."""
@@ -81,7 +79,7 @@ class _Display:
 class RunLines(_Display):
     """Progress of runs: a line per finished run; on a terminal a bar, and a line for what did not complete."""
 
-    def __init__(self, console: Console, specs: Sequence[RunSpec], jobs: int, quiet: bool = False) -> None:
+    def __init__(self, console: WordConsole, specs: Sequence[RunSpec], jobs: int, quiet: bool = False) -> None:
         super().__init__(console, len(specs), quiet)
         self._left = TimeLeft(specs, jobs)
         self._started_at: dict[str, float] = {}
@@ -114,7 +112,7 @@ class RunLines(_Display):
 
 
 @contextmanager
-def show_runs(console: Console, specs: Sequence[RunSpec], jobs: int, quiet: bool = False) -> Iterator[RunLines]:
+def show_runs(console: WordConsole, specs: Sequence[RunSpec], jobs: int, quiet: bool = False) -> Iterator[RunLines]:
     """Progress of runs: a bar on a terminal, lines elsewhere, nothing if ``quiet``."""
     shown = RunLines(console, specs, jobs, quiet)
     with shown.bar:
@@ -126,7 +124,7 @@ class TaskLines(_Display):
 
     EVERY_S = 10.0
 
-    def __init__(self, console: Console, total: int, workers: int) -> None:
+    def __init__(self, console: WordConsole, total: int, workers: int) -> None:
         super().__init__(console, total)
         self._workers, self._kept, self._printed_at = workers, 0, time.monotonic()
         self._took: list[float] = []
@@ -152,7 +150,7 @@ class TaskLines(_Display):
 
 
 @contextmanager
-def show_tasks(console: Console, total: int, workers: int) -> Iterator[TaskLines]:
+def show_tasks(console: WordConsole, total: int, workers: int) -> Iterator[TaskLines]:
     """Progress of tasks: a bar on a terminal, lines elsewhere."""
     shown = TaskLines(console, total, workers)
     with shown.bar:
@@ -160,7 +158,7 @@ def show_tasks(console: Console, total: int, workers: int) -> Iterator[TaskLines
 
 
 @contextmanager
-def announce_kept(console: Console, what: str, option: str = "") -> Iterator[None]:
+def announce_kept(console: WordConsole, what: str, option: str = "") -> Iterator[None]:
     """On an interrupt, print how to continue, and raise it again. ``what`` is kept; ``option``: " with --resume"."""
     try:
         yield
@@ -169,13 +167,12 @@ def announce_kept(console: Console, what: str, option: str = "") -> Iterator[Non
         raise
 
 
-def print_table(console: Console, table: Table) -> None:
-    """Print a table: fitted to a terminal, one line per row elsewhere. Headings are no mark-up: "[m]" is a unit.
+def print_table(console: WordConsole, table: Table) -> None:
+    """Print a table: fitted to a terminal, one line per row elsewhere.
 
     On a terminal it has no frame; words stay whole if those of all columns fit beside each other, else they are folded.
     """
     for column in table.columns:
-        column.header = Text(column.header) if isinstance(column.header, str) else column.header
         column.overflow = "fold"
     if console.is_terminal:
         table.box, table.pad_edge, table.collapse_padding = box.SIMPLE_HEAD, False, True
@@ -201,11 +198,11 @@ def format_unavailable(experiment: Experiment) -> list[str]:
     return [f"not available here: {', '.join(labels[reason])}: {reason}" for reason in by_system]
 
 
-def print_undescribed(console: Console, backends: Iterable[str]) -> None:
+def print_undescribed(console: WordConsole, backends: Iterable[str]) -> None:
     """Print a line for each back end that ``--collect`` would have to start, to know its runs."""
     for name in dict.fromkeys(backends):
         if registry.find_backend(name).broken == descriptions.UNKNOWN:
-            console.print(f"{name}: {descriptions.UNKNOWN}", markup=False, highlight=False)
+            console.print(f"{name}: {descriptions.UNKNOWN}")
 
 
 def _format_line(spec: RunSpec, result: RunResult, seconds: float) -> str:

@@ -65,7 +65,7 @@ def print_answer(console: Console, analysis: Analysis) -> None:
     if rows:
         console.print()
         for line in format_rows(head, rows, table_width(console)):
-            console.print(line, highlight=False)
+            console.print(line)
         console.print()
     for text in describe_map_fit(analysis):
         _print(console, text)
@@ -75,7 +75,7 @@ def print_answer(console: Console, analysis: Analysis) -> None:
 
 
 def _print(console: Console, text: str, style: str = "") -> None:
-    console.print(text.replace("\u00a0", " "), style=style, markup=False, highlight=False)
+    console.print(text.replace("\u00a0", " "), style=style)
 
 
 def build_rows(analysis: Analysis) -> tuple[str, list[RankedRow]]:

@@ -34,9 +34,9 @@ def print_summary(runs: Sequence[Run], title: str, store: Store, page: Path | No
     else:
         _print_counts(runs, skipped)
         if page is not None:
-            out.print(str(page.resolve()), highlight=False, markup=False, soft_wrap=True)
+            out.print(str(page.resolve()), soft_wrap=True)
             folder = shlex.quote(str(store.folder))
-            out.print(f"next: evalkit export {folder} -f latex (tables for a paper)", highlight=False, markup=False)
+            out.print(f"next: evalkit export {folder} -f latex (tables for a paper)")
     if any(result.status in BROKEN for _, result in runs):
         raise typer.Exit(1)
     if skipped:
@@ -62,13 +62,13 @@ def _print_counts(runs: Sequence[Run], skipped: Sequence[Run]) -> None:
     unavailable = len(runs) - complete - broken - len(skipped)
     names = ", ".join(_list_unavailable(runs))
     counts = f"{complete} run{'s' * (complete != 1)} complete, {broken} failed, {unavailable} not available here"
-    out.print(f"{counts}: {names}" if names else counts, markup=False, highlight=False)
+    out.print(f"{counts}: {names}" if names else counts)
     if skipped:
         missing = ", ".join(f"{spec.method.label} on {_format_sequence(spec)}" for spec, _ in skipped[:MAX_NAMED])
         more = f" and {len(skipped) - MAX_NAMED:,} more" if len(skipped) > MAX_NAMED else ""
-        out.print(f"{len(skipped)} not run yet: {missing}{more}", markup=False, highlight=False)
+        out.print(f"{len(skipped)} not run yet: {missing}{more}")
     for reason in dict.fromkeys(result.reason for _, result in skipped if result.status == RunStatus.INTERRUPTED):
-        out.print(f"interrupted: {reason}", markup=False, highlight=False)
+        out.print(f"interrupted: {reason}")
 
 
 def _format_sequence(spec: RunSpec) -> str:

@@ -16,9 +16,9 @@ def print_list(console: Console, title: str, rows: Iterable[tuple[str, str]], st
     pairs = list(rows)
     column = max((len(name) for name, _ in pairs), default=0) + 2 * INDENT
     width = console.width if console.is_terminal else 0
-    console.print(Text(title, style=style), highlight=False)
+    console.print(Text(title, style=style))
     for name, text in pairs:
-        console.print(Text(format_row(name, text, column, width)), highlight=False, soft_wrap=True)
+        console.print(Text(format_row(name, text, column, width)), soft_wrap=True)
 
 
 def print_hanging(console: Console, text: str, style: str = "") -> None:
@@ -26,7 +26,7 @@ def print_hanging(console: Console, text: str, style: str = "") -> None:
     wrapped = textwrap.fill(
         text, console.width, subsequent_indent=" " * 2 * INDENT, break_long_words=False, break_on_hyphens=False
     )
-    console.print(Text(wrapped if console.is_terminal else text, style=style), highlight=False, soft_wrap=True)
+    console.print(Text(wrapped if console.is_terminal else text, style=style), soft_wrap=True)
 
 
 def format_row(name: str, text: str, column: int, width: int) -> str:

@@ -23,7 +23,7 @@ def paper(
     """Reproduce the paper: compare every table, figure and claim with a measurement. Finished parts are kept."""
     from evalkit_paper.build import build_page  # noqa: PLC0415 - loads matplotlib
 
-    out.print(str(build_page(file, folder, workers)), markup=False, highlight=False)
+    out.print(str(build_page(file, folder, workers)))
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ def build_page(file: Path, folder: Path | None, workers: int | None) -> Path:
         settings, CHAPTERS, results, facts, _provenance_section(file, folder, settings, len(every), ran_on)
     )
     write_texts(folder, {"index.html": render(whole)})
-    err.print(f"finished in {(datetime.now(UTC) - started).total_seconds():.0f} s", markup=False, highlight=False)
+    err.print(f"finished in {(datetime.now(UTC) - started).total_seconds():.0f} s")
     return (folder / "index.html").resolve()
 
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import pytest
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from evalkit.config.experiment import Method, SequenceSpec, experiment_from_tables
 from evalkit.core.run_result import NO_STEPS, RunResult
 from evalkit.core.run_status import BROKEN, Cause, RunStatus
 from evalkit.terminal import options
+from evalkit.terminal.options import WordConsole
 from evalkit.terminal.progress import TaskLines, TimeLeft, format_unavailable, print_table, show_runs, show_tasks
 
 
@@ -60,7 +60,7 @@ def test_a_pipe_gets_one_plain_line_per_run_with_its_reason(make_plan, monkeypat
     printed = io.StringIO()
     monkeypatch.setattr(time, "monotonic", itertools.count(0.0, 2.0).__next__)
     crashed = RunResult(NO_STEPS, 0, Cause.SIGNAL, "signal [bold]11[/bold]")
-    with show_runs(Console(file=printed, soft_wrap=True), make_plan, 1) as shown:
+    with show_runs(WordConsole(file=printed, soft_wrap=True), make_plan, 1) as shown:
         for spec, result in zip(make_plan, [RunResult(NO_STEPS, 0), crashed], strict=False):
             shown.started(spec)
             shown.answered(spec, 7)
@@ -86,7 +86,7 @@ def test_unavailable_methods_are_one_line_per_reason_with_system_packages_first(
 
 def test_a_terminal_gets_a_line_only_for_what_did_not_complete(make_plan):
     told = io.StringIO()
-    screen = Console(file=told, force_terminal=True, width=100, color_system=None)
+    screen = WordConsole(file=told, force_terminal=True, width=100, color_system=None)
     with show_runs(screen, make_plan, 1) as shown:
         shown.finished(make_plan[0], RunResult(NO_STEPS, 0))
         shown.answered(make_plan[1], 1234)
@@ -97,7 +97,7 @@ def test_a_terminal_gets_a_line_only_for_what_did_not_complete(make_plan):
 
 def test_the_last_task_line_counts_stored_results_and_the_time_left():
     told = io.StringIO()
-    with show_tasks(Console(file=told, width=100), 3, 2) as done:
+    with show_tasks(WordConsole(file=told, width=100), 3, 2) as done:
         done("first", 0.0)
         done("second", 4.0)
         done("third", 2.0)
@@ -106,7 +106,7 @@ def test_the_last_task_line_counts_stored_results_and_the_time_left():
 
 def test_the_time_left_of_tasks_is_their_mean_divided_by_the_workers():
     told = io.StringIO()
-    lines = TaskLines(Console(file=told, width=100), 5, 2)
+    lines = TaskLines(WordConsole(file=told, width=100), 5, 2)
     lines.EVERY_S = 0.0
     lines("first", 30.0)
     assert told.getvalue() == "[1/5] first, 1:00 left\n"
@@ -115,7 +115,7 @@ def test_the_time_left_of_tasks_is_their_mean_divided_by_the_workers():
 def test_a_unit_in_the_heading_of_a_table_is_no_markup():
     printed = io.StringIO()
     print_table(
-        Console(file=printed, force_terminal=True, color_system=None, width=80), Table("reach [m]", "A50 [deg]")
+        WordConsole(file=printed, force_terminal=True, color_system=None, width=80), Table("reach [m]", "A50 [deg]")
     )
     assert "reach [m]" in printed.getvalue()
     assert "A50 [deg]" in printed.getvalue()
@@ -125,7 +125,7 @@ def test_a_table_on_a_terminal_cuts_no_word():
     printed = io.StringIO()
     table = Table("back end", *(f"A{n} [m]" for n in range(5)), "remark")
     table.add_row("embedded-map-line", *(["25 (5 to 70)"] * 5), "")
-    print_table(Console(file=printed, force_terminal=True, color_system=None, width=80), table)
+    print_table(WordConsole(file=printed, force_terminal=True, color_system=None, width=80), table)
     text = printed.getvalue()
     assert "…" not in text
     assert "embedded-map-line" in text

@@ -100,26 +100,25 @@ def _finish(result: BasinResult, folder: Path, as_json: bool) -> None:
         options.print_json(content | {"page": str(file)})
     else:
         progress.print_table(out, _table(result))
-        out.print(str(file.resolve()), highlight=False, markup=False)
+        out.print(str(file.resolve()))
     if result.broken:
         raise typer.Exit(1)
 
 
 def _table(result: BasinResult) -> Any:
-    from rich.markup import escape  # noqa: PLC0415 - only where a table is printed
-    from rich.table import Table  # noqa: PLC0415 - as above
+    from rich.table import Table  # noqa: PLC0415 - only where a table is printed
 
     heads = ("back end", "scene", "success [%]", "reach [m]", "reach [deg]", "A50 [m]", "A95 [m]", "remark")
     table = Table(*heads)  # printed as they are: a unit in brackets is no markup
     for row in result.rows:
         if row.basin is None:
-            table.add_row(escape(row.backend), row.scene, "-", "-", "-", "-", "-", escape(row.reason))
+            table.add_row(row.backend, row.scene, "-", "-", "-", "-", "-", row.reason)
             continue
         share, accuracy = row.basin.overall(), row.basin.accuracy()[:, 0]
         table.add_row(
-            escape(row.backend), row.scene,
+            row.backend, row.scene,
             f"{100 * share.value:.0f} ({100 * share.low:.0f} to {100 * share.high:.0f})",
             f"{row.reach_m(0.95):.2f}", f"{row.reach_deg(0.95):.0f}", f"{accuracy[0]:.3f}", f"{accuracy[2]:.3f}",
-            escape(row.reason),
+            row.reason,
         )  # fmt: skip
     return table

@@ -72,12 +72,12 @@ def calibrate(
     if as_json:
         options.print_json(content | {"page": str(folder / "index.html")})
     else:
-        out.print(texts["calibration.md"], markup=False, highlight=False)
-        out.print(str((folder / "index.html").resolve()), markup=False, highlight=False)
+        out.print(texts["calibration.md"])
+        out.print(str((folder / "index.html").resolve()))
     for line in content["skipped"]:
-        err.print(f"evalkit: skipped: {line}", markup=False, highlight=False)
+        err.print(f"evalkit: skipped: {line}")
     if content["failures"]:
-        err.print(f"evalkit: outside the limits: {'; '.join(content['failures'])}", markup=False, highlight=False)
+        err.print(f"evalkit: outside the limits: {'; '.join(content['failures'])}")
         raise typer.Exit(1)
 
 

@@ -161,7 +161,7 @@ def _name_backends(text: str, everything: bool) -> list[str]:
         return names or registry.names("backends")
     chosen = defaults.find_default_backends()
     others = len(registry.names("backends")) - len(chosen)
-    err.print(f"{len(chosen)} methods: {', '.join(chosen)} (--all adds {others})", markup=False, highlight=False)
+    err.print(f"{len(chosen)} methods: {', '.join(chosen)} (--all adds {others})")
     return chosen
 
 
@@ -178,7 +178,7 @@ def _experiment_of_recording(
     """Return the experiment of methods on one recording, whose first frame has been read; print what was chosen."""
     choices = () if as_is else recording.choose()
     for choice in choices:
-        err.print(choice.reason, markup=False, highlight=False)
+        err.print(choice.reason)
     words = ["compare", str(source)]
     words += [word for name, value in given.items() for word in (f"--{_option(name)}", value)]
     for name, value in keys.items():
@@ -210,7 +210,7 @@ def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_js
         try:
             analysis, page = run_and_report(scheduler, experiment, _executor(experiment, how))
         except NothingToCollectError as error:
-            err.print(f"evalkit: {error}", markup=False, highlight=False)
+            err.print(f"evalkit: {error}")
             raise typer.Exit(3) from None
     records = analysis.comparison.records
     if not as_json and any(record.result.is_complete for record in records):
@@ -223,7 +223,7 @@ def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_js
 def _scheduler(experiment: Experiment, store: Store, how: RunOptions) -> Iterator[Scheduler]:
     """Yield the scheduler, with progress on standard error; the environment is read before the first run."""
     for line in progress.format_unavailable(experiment):
-        err.print(line, markup=False, highlight=False)
+        err.print(line)
     progress.print_undescribed(err, [method.backend for method in experiment.methods])
     description = describe(jobs=how.jobs)
     with (

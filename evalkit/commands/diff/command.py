@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
-from rich.text import Text
 
 from evalkit.core.errors import BadData
 from evalkit.terminal import options, progress
@@ -61,7 +60,7 @@ def diff(
     if as_json:
         options.print_json(text.content)
     elif markdown:
-        out.print(format_markdown(text), markup=False, highlight=False, emoji=False, end="")
+        out.print(format_markdown(text), end="")
     else:
         _print(text)
     if text.regressions:
@@ -96,8 +95,8 @@ def _compare_results(old: Path, new: Path, error: float, time: float, everything
 def _print(text: ChangeText) -> None:
     table = Table(*text.columns, expand=out.is_terminal)
     for row in text.rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*row)
     if text.rows:
         progress.print_table(out, table)
     for line in (*text.remarks, text.conclusion):
-        out.print(line, markup=False, highlight=False, emoji=False)
+        out.print(line)

@@ -69,14 +69,12 @@ def export(
     scans = bool(WITH_SCANS & set(wanted))
     selection = load_selection(results, sequence or [], method or [], metric or [], scans)
     for remark in selection.remarks:
-        err.print(remark, markup=False, highlight=False)
+        err.print(remark)
     written = [path for name in wanted for path in _write_format(name, writers, selection, folder, "all" in formats)]
     if as_json:
         options.print_json({"written": [str(path) for path in written], "remarks": list(selection.remarks)})
     else:
-        out.print(
-            f"{len(written)} file{'s' * (len(written) != 1)} in {folder.resolve()}", markup=False, highlight=False
-        )
+        out.print(f"{len(written)} file{'s' * (len(written) != 1)} in {folder.resolve()}")
 
 
 def _check_formats(formats: list[str]) -> list[str]:
@@ -96,7 +94,7 @@ def _write_format(
     except NotInstalled as error:
         if not all_formats:
             raise
-        err.print(f"{name} is left out: {error}", markup=False, highlight=False)
+        err.print(f"{name} is left out: {error}")
         return []
 
 

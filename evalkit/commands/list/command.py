@@ -68,7 +68,7 @@ def _print_names() -> None:
     """Print the names of each kind without loading a plug-in."""
     for kind in inventory.KINDS:
         print_list(out, f"{kind}: evalkit list {kind}", [("", ", ".join(registry.names(kind)))])
-    out.print("metrics: evalkit list metrics", markup=False, highlight=False, style="bold")
+    out.print("metrics: evalkit list metrics", style="bold")
 
 
 def _describe(metric: Metric) -> str:

@@ -61,7 +61,7 @@ def calibrate(
     if as_json:
         options.print_json(content)
     else:
-        out.print(texts["map-fit.md"], markup=False, highlight=False)
+        out.print(texts["map-fit.md"])
 
 
 def _drive_all(experiment: Experiment, folder: Path, jobs: int | None) -> list[Drive]:

@@ -69,7 +69,7 @@ def validate(
     else:
         _print_agreement(content)
         _print_faults(content["faults"])
-        out.print(str((folder / "index.html").resolve()), markup=False, highlight=False)
+        out.print(str((folder / "index.html").resolve()))
     _check_faults(content["faults"])
 
 

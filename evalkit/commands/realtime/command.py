@@ -145,13 +145,13 @@ def _print(content: dict[str, Any]) -> None:
         f"every scan in time; {breaks}.",
         f"{content['median_cost_ms']:.2f} ms per scan on this machine (median). Broken: {RULE}.",
     ):
-        out.print(text, markup=False, emoji=False, highlight=False)
+        out.print(text)
     out.print()
     head = "device: error of the newest pose, dropped scans, age of an answer (95 %)"
     for line in format_rows(head, _make_rows(content), options.table_width(out), cost=""):
-        out.print(line, highlight=False)
+        out.print(line)
     words = shlex.join(["evalkit", "tune", content["backend"], "--on", content["sequence"]])
-    out.print(f"\nnext: {words} (cheaper or better parameters)", markup=False, highlight=False, soft_wrap=True)
+    out.print(f"\nnext: {words} (cheaper or better parameters)", soft_wrap=True)
 
 
 def _make_rows(content: dict[str, Any]) -> list[RankedRow]:

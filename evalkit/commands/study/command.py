@@ -61,8 +61,8 @@ def study(
         options.print_json({"title": plan.title, "page": str(page), "points": len(plan.points), "lost": lost})
     else:
         counts = f"{len(plan.points):,} points, {len(tasks):,} runs, {lost} lost"
-        out.print(counts, markup=False, highlight=False)
-        out.print(str(page.resolve()), markup=False, highlight=False)
+        out.print(counts)
+        out.print(str(page.resolve()))
 
 
 def _run_point(plan: Study, key: str, as_json: bool) -> None:
@@ -78,14 +78,14 @@ def _run_point(plan: Study, key: str, as_json: bool) -> None:
     if as_json:
         options.print_json(results)
         return
-    out.print(plan.points[key].label, markup=False, highlight=False)
+    out.print(plan.points[key].label)
     for name, result in results.items():
-        out.print(f"{name}: {result['status']} {result['reason']}".rstrip(), markup=False, highlight=False)
+        out.print(f"{name}: {result['status']} {result['reason']}".rstrip())
         for metric, value in result["scores"].items():
             text = result["why"][metric] if value is None else repr(value)
-            out.print(f"  {metric} {text}", markup=False, highlight=False)
-    out.print("\nThe experiment that runs this point:\n", markup=False)
-    out.print(format_experiment(plan.point_experiment(key)), markup=False, highlight=False)
+            out.print(f"  {metric} {text}")
+    out.print("\nThe experiment that runs this point:\n")
+    out.print(format_experiment(plan.point_experiment(key)))
 
 
 def _write(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path:

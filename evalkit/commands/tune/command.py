@@ -108,7 +108,7 @@ def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tu
 
     for tunable in tuning.methods:
         if tunable.missing:
-            err.print(f"not available here: {tunable.label}: {tunable.missing}", markup=False, highlight=False)
+            err.print(f"not available here: {tunable.label}: {tunable.missing}")
     results = folder / "results"
     backends = dict.fromkeys(tunable.method.backend for tunable in tuning.methods)
     if not collect:
@@ -121,7 +121,7 @@ def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tu
             what = (
                 f"the search is not finished: {error.missing} runs of the next points are missing; repeat the command"
             )
-            out.print(f"{what} without --collect to continue", markup=False, highlight=False)
+            out.print(f"{what} without --collect to continue")
             raise typer.Exit(3) from None
     with (
         progress.announce_kept(err, "finished runs"),
@@ -138,7 +138,7 @@ def _run_held_out(
     from evalkit.execution.scheduler import Scheduler  # noqa: PLC0415 - as above
 
     for line in progress.format_unavailable(plan):
-        err.print(line, markup=False, highlight=False)
+        err.print(line)
     with progress.announce_kept(err, "finished runs"), progress.show_runs(err, list(plan.runs()), workers) as shown:
         scheduler = Scheduler(store, shown, ran_on, resume=True, collect=collect)
         return scheduler.run_and_load(plan, LocalExecutor(workers))
@@ -161,13 +161,13 @@ def _write_results(result: TuningResult, folder: Path, as_json: bool) -> None:
         options.print_json(content | {"page": str(page)})
     else:
         for one in result.searched:
-            out.print(result.sentence(one), markup=False, highlight=False)
+            out.print(result.sentence(one))
         if skipped:
-            out.print(f"{skipped} held-out runs are missing", markup=False, highlight=False)
+            out.print(f"{skipped} held-out runs are missing")
         for text in (result.report, str(page.resolve())):
-            out.print(text, markup=False, highlight=False)
+            out.print(text)
     if result.failed:
-        err.print(f"no run completed: {', '.join(result.failed)}", markup=False, highlight=False)
+        err.print(f"no run completed: {', '.join(result.failed)}")
         raise typer.Exit(1)
     if skipped:
         raise typer.Exit(3)

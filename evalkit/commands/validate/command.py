@@ -204,7 +204,7 @@ def _compare(request: ValidationRequest, folder: Path, workers: int, display: Pr
     planned = plan.make_plan(request)
     _keep_seed(folder, request.seed)
     for name, why in planned.unavailable.items():
-        err.print(f"not available here: {name}: {why}", markup=False, highlight=False)
+        err.print(f"not available here: {name}: {why}")
     return run.ValidationRun(planned, folder, workers, display).report()
 
 
@@ -215,7 +215,7 @@ def _show_runs(plan: Experiment, workers: int) -> Iterator[Progress]:
 
 
 def _announce(name: str) -> None:
-    err.print(f"{name} ...", markup=False, highlight=False)
+    err.print(f"{name} ...")
 
 
 def _subject(name: str) -> Subject:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import typer
 from rich.table import Table
-from rich.text import Text
 
 from evalkit.commands.validate.acceptance import AcceptanceReport, as_junit
 from evalkit.io.output_files import write_texts
@@ -36,10 +35,10 @@ def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | 
         options.print_json(content)
     else:
         progress.print_table(out, format_table(report))
-        out.print(report.verdict, markup=False, emoji=False, highlight=False)
+        out.print(report.verdict)
         if (seed := report.settings.get("seed")) is not None:
-            out.print(f"{report.asked} checks, questions drawn with --seed {seed}", markup=False, highlight=False)
-        out.print(str((folder / "index.html").resolve()), markup=False, highlight=False)
+            out.print(f"{report.asked} checks, questions drawn with --seed {seed}")
+        out.print(str((folder / "index.html").resolve()))
     if not report.passed:
         raise typer.Exit(1)
 
@@ -50,12 +49,12 @@ def format_table(report: AcceptanceReport) -> Table:
         table = Table("check", "outcome", "observed", expand=out.is_terminal)
         for check in report.levels[0].checks:
             name = f"{check.name}, {check.on}" if check.on else check.name
-            table.add_row(Text(name), check.outcome, Text(check.observed))  # third-party text is no markup
+            table.add_row(name, check.outcome, check.observed)
         return table
     table = Table("level", "outcome", "observed", expand=out.is_terminal)
     for level in report.levels:
         checks = level.decisive_checks(report.claim)
         lines = [f"{one.on + ': ' if one.on else ''}{one.name}: {one.observed}" for one in checks[:MAX_LINES]]
         lines += [f"... and {len(checks) - MAX_LINES} more"] if len(checks) > MAX_LINES else []
-        table.add_row(f"{level.number} {level.name}", level.outcome(report.claim), Text("\n".join(lines)))
+        table.add_row(f"{level.number} {level.name}", level.outcome(report.claim), "\n".join(lines))
     return table

@@ -6,7 +6,7 @@ import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.progress import Progress
@@ -23,7 +23,6 @@ from evalkit_datasets.recordings.fetch import fetch, list_downloads, why_offline
 app = typer.Typer(help="List, download and generate recordings.", no_args_is_help=True, add_completion=False)
 out = options.WordConsole(soft_wrap=True)
 err = options.WordConsole(stderr=True, soft_wrap=True)
-PLAIN: dict[str, Any] = {"highlight": False, "markup": False}
 
 
 @app.command("list")
@@ -66,23 +65,23 @@ def fetch_(
     downloads = list_downloads(known)
     reason = why_offline(downloads[0].url) if downloads else ""
     if experiment is not None and reason:
-        out.print(f"{reason}: not fetched: {', '.join(_lacking(datasets))}; their runs are listed as missing", **PLAIN)
+        out.print(f"{reason}: not fetched: {', '.join(_lacking(datasets))}; their runs are listed as missing")
         files = dict.fromkeys(name for name in known if not list_downloads([name]))
     elif downloads and not reason:
         size = sum(card.bytes for card in downloads) / 1e6
-        out.print(f"downloading {format_count(len(downloads), 'file')}, {size:.1f} MB:", **PLAIN)
+        out.print(f"downloading {format_count(len(downloads), 'file')}, {size:.1f} MB:")
         for card in downloads:
-            out.print(f"  {card.name}, {card.bytes / 1e6:.1f} MB, licence: {card.licence}", **PLAIN)
+            out.print(f"  {card.name}, {card.bytes / 1e6:.1f} MB, licence: {card.licence}")
     failed = False
     for name in files:
         try:
             path = _fetch_with_progress(name)
         except EvalkitError as error:
-            (out if experiment is not None else err).print(str(error), style=None if experiment else "red", **PLAIN)
+            (out if experiment is not None else err).print(str(error), style=None if experiment else "red")
             failed = True
         else:
             if experiment is None:
-                out.print(path, **PLAIN)
+                out.print(path)
     if failed and experiment is None:
         raise typer.Exit(2)
 
@@ -105,8 +104,8 @@ def example_(
         options.print_json(asdict(example) | {"bag": str(example.bag), "truth": str(example.truth)})
         return
     summary = f"{example.bag}: {example.scans} scans, {example.duration_s:.1f} s, {example.path_m:.1f} m, simulated"
-    out.print(summary, markup=False, highlight=False)
-    out.print(f"{example.truth}: true poses", markup=False, highlight=False)
+    out.print(summary)
+    out.print(f"{example.truth}: true poses")
 
 
 def _datasets_of(experiment: Path) -> list[str]:

@@ -54,7 +54,7 @@ def inspect(
     else:
         _print_inspection(recording, advice)
         if page is not None:
-            out.print(str(page.resolve()), highlight=False, markup=False)
+            out.print(str(page.resolve()))
     if advice is None or advice.problem:
         raise typer.Exit(1)
 
@@ -76,7 +76,7 @@ def _print_proposal(file: Path, proposal: LayoutProposal, as_json: bool, save: b
         print_json({"file": str(file), "kind": COLUMNS_KIND, "scans": proposal.scans, "layout": proposal.toml})
         return
     print_hanging(out, f"{file.name}: text log in columns; {proposal.scans} scans can be read with this layout", "bold")
-    out.print(f"\n{proposal.toml}", markup=False, highlight=False, soft_wrap=True)
+    out.print(f"\n{proposal.toml}", soft_wrap=True)
     done = f"saved as {file}.toml: check it" if save else f"check it, save it as {file}.toml (--save)"
     print_hanging(out, f"{done}, and inspect the log again: evalkit inspect {file}")
 
@@ -136,7 +136,7 @@ def _print_inspection(recording: Inspection, advice: SuggestedConfig | None) -> 
         print_hanging(out, f"known defect: {defect}")
     print_hanging(out, f"does not run: {advice.problem}" if advice.problem else f"opened: {advice.scans} scans")
     block = f"\n{advice.table}\n{advice.command}"  # lines stay whole, to be copied
-    out.print(block, markup=False, highlight=False, soft_wrap=True)
+    out.print(block, soft_wrap=True)
 
 
 def _describe_streams(recording: Inspection) -> Iterator[str]:
