@@ -11,12 +11,10 @@ from typing import Any
 
 from evalkit.execution import environment
 from evalkit.execution.task import AnyTask
-from evalkit.execution.task_runner import run_tasks
-from evalkit.execution.task_store import TaskStore
 from evalkit.io.output_files import write_texts
 from evalkit.report.html.blocks import Cell, Column, Command, Fold, Section, Table, Text, render
-from evalkit.terminal import progress
 from evalkit.terminal.options import err
+from evalkit.terminal.shown_tasks import run_shown_tasks
 from evalkit_paper import page
 from evalkit_paper.chapters import CHAPTERS
 
@@ -30,8 +28,7 @@ def build_page(file: Path, folder: Path | None, workers: int | None) -> Path:
     folder = folder or Path("reports") / "build" / file.stem
     workers = workers or environment.physical_cores()
     ran_on = environment.describe(("numpy", "scipy", "open3d-cpu", "kiss-icp", "small-gicp"), jobs=workers)
-    with progress.announce_kept(err, "finished tasks"), progress.show_tasks(err, len(every), workers) as done:
-        found = run_tasks(TaskStore(folder / "results"), every, workers, done)
+    found = run_shown_tasks(every, folder, workers, "tasks")
     results = {
         chapter: {task.name: found[_with_chapter_name(chapter, task).name] for task in own}
         for chapter, own in planned.items()

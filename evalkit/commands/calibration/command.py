@@ -10,23 +10,25 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
+from evalkit.commands.calibration import coverage, page, seed_runs
+from evalkit.commands.calibration.coverage import Coverage, Verdicts
 from evalkit.config.experiment import Experiment, SequenceSpec, load_experiment
 from evalkit.core.errors import BadExperiment
 from evalkit.execution import environment
 from evalkit.io.output_files import write_texts
+from evalkit.metrics import METRICS
+from evalkit.metrics.metric import Metric
 from evalkit.plugins import registry
-from evalkit.terminal import options, progress
+from evalkit.report.analysis.pairwise import noise_floor
+from evalkit.report.html.blocks import render
+from evalkit.terminal import options
 from evalkit.terminal.options import Json, Out, err, out
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
-
-    from evalkit.commands.calibration.coverage import Coverage, Verdicts
-    from evalkit.metrics.metric import Metric
+from evalkit.terminal.shown_tasks import run_shown_tasks
 
 app = typer.Typer(help="Measure intervals and verdicts.", no_args_is_help=True, add_completion=False)
 
@@ -49,9 +51,6 @@ def calibrate(
     Measures intervals and verdicts of 1, 2, 3, 5 and 8 runs on random subsets. A recording that is not on this machine
     is skipped. The exit code is 1 if a share is outside its limits.
     """
-    from evalkit.commands.calibration import page  # noqa: PLC0415 - loads matplotlib
-    from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
-
     experiment = load_experiment(file)
     folder = folder or Path("reports") / "build" / "calibration"
     content = {
@@ -83,8 +82,6 @@ def calibrate(
 
 def measure(experiment: Experiment, seeds: int, subsets: int, folder: Path, jobs: int | None) -> dict[str, Any]:
     """Run the seeds and perturbations and resample them: the measured keys of ``calibration.json``."""
-    from evalkit.commands.calibration import coverage  # noqa: PLC0415 - loads NumPy
-
     sequences, skipped = _select_sequences(experiment)
     results = _run_all(experiment, sequences, seeds, folder, jobs)
     labels = [method.label for method in experiment.methods]
@@ -134,11 +131,6 @@ def measure_sequence(
     number: int, sequence: SequenceSpec, results: Sequence[Mapping[str, Any]], labels: Sequence[str], subsets: int
 ) -> Measured:
     """Resample the runs of one sequence in every metric; a method that failed in any run is left out."""
-    import numpy as np  # noqa: PLC0415 - loaded only if something is computed
-
-    from evalkit.commands.calibration import coverage, seed_runs  # noqa: PLC0415 - as above
-    from evalkit.metrics import METRICS  # noqa: PLC0415 - as above
-
     reasons = {label: seed_runs.read_reasons(label, results) for label in labels}
     skipped = [
         f"{sequence.label}: {label} failed in {len(found)} of {len(results)} runs ({found[0]})"
@@ -159,8 +151,8 @@ def measure_sequence(
     if able and not rows:
         skipped.append(f"{sequence.label}: too few runs have a value of {', '.join(seed_runs.METRICS)}")
     return Measured(
-        tuple(one for one in rows if isinstance(one, coverage.Coverage)),
-        tuple(one for one in rows if isinstance(one, coverage.Verdicts)),
+        tuple(one for one in rows if isinstance(one, Coverage)),
+        tuple(one for one in rows if isinstance(one, Verdicts)),
         tuple(skipped),
     )
 
@@ -171,12 +163,9 @@ def _resample(
     results: Sequence[Mapping[str, Any]],
     labels: Sequence[str],
     subsets: int,
-    rng: Generator,
+    rng: np.random.Generator,
 ) -> Iterator[Coverage | Verdicts]:
     """Resample the runs of one sequence in one metric; verdicts only where the ground truth has no noise floor."""
-    from evalkit.commands.calibration import coverage, seed_runs  # noqa: PLC0415 - loads NumPy
-    from evalkit.report.analysis.pairwise import noise_floor  # noqa: PLC0415 - as above
-
     drifts = () if sequence.perturbed else seed_runs.DRIFTS
     found = {label: seed_runs.read_runs(sequence.label, label, metric.name, results) for label in (*labels, *drifts)}
     pairs = [] if noise_floor(metric) > 0.0 else [*combinations(labels, 2), *([drifts] if drifts else [])]
@@ -191,15 +180,11 @@ def _run_all(
     experiment: Experiment, sequences: Sequence[SequenceSpec], seeds: int, folder: Path, jobs: int | None
 ) -> dict[str, Sequence[Mapping[str, Any]]]:
     """Run every seed or perturbation of every sequence; results by sequence, in the order of the seeds."""
-    from evalkit.commands.calibration.seed_runs import make_seed_task  # noqa: PLC0415 - loads NumPy
-    from evalkit.execution.task_runner import run_tasks  # noqa: PLC0415 - as above
-    from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - as above
-
     methods = [(method.label, method.backend, method.parameters) for method in experiment.methods]
     backends = [registry.plug_in_of("backends", backend).module for _, backend, _ in methods]
     repeats = {one.label: one.seeds if one.perturbed else tuple(range(seeds)) for one in sequences}
     tasks = {
-        (sequence.label, seed): make_seed_task(
+        (sequence.label, seed): seed_runs.make_seed_task(
             sequence.label,
             sequence.dataset,
             sequence.parameters_with_seed(seed),
@@ -210,7 +195,5 @@ def _run_all(
         for sequence in sequences
         for seed in repeats[sequence.label]
     }
-    at_once = jobs or environment.physical_cores()
-    with progress.announce_kept(err, "finished jobs"), progress.show_tasks(err, len(tasks), at_once) as done:
-        results = run_tasks(TaskStore(folder / "results"), list(tasks.values()), at_once, done)
+    results = run_shown_tasks(list(tasks.values()), folder, jobs, "jobs")
     return {label: [results[tasks[label, seed].name] for seed in chosen] for label, chosen in repeats.items()}

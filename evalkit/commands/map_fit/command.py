@@ -9,20 +9,23 @@ import shlex
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from evalkit.commands.map_fit import reliability
+from evalkit.commands.map_fit.drives import FAULTS, measure_drive
+from evalkit.commands.map_fit.reliability import Drive
+from evalkit.commands.metric_validation.command import format_json
 from evalkit.config.experiment import Experiment, load_experiment
 from evalkit.core.errors import BadExperiment
 from evalkit.execution import environment
+from evalkit.execution.task import make_task
 from evalkit.io.output_files import write_texts
 from evalkit.plugins import registry
-from evalkit.terminal import options, progress
-from evalkit.terminal.options import Json, Out, err, out
-
-if TYPE_CHECKING:
-    from evalkit.commands.map_fit.reliability import Drive
+from evalkit.terminal import options
+from evalkit.terminal.options import Json, Out, out
+from evalkit.terminal.shown_tasks import run_shown_tasks
 
 app = typer.Typer(help="Calibrate the fit to a known map.", no_args_is_help=True, add_completion=False)
 
@@ -41,9 +44,6 @@ def calibrate(
 
     The probabilities of each world are checked with what the other worlds taught.
     """
-    from evalkit.commands.map_fit import reliability  # noqa: PLC0415 - loads NumPy
-    from evalkit.commands.metric_validation.command import format_json  # noqa: PLC0415 - as above
-
     experiment = load_experiment(file)
     folder = folder or Path("reports") / "build" / "map-fit"
     drives = _drive_all(experiment, folder, jobs)
@@ -66,12 +66,6 @@ def calibrate(
 
 def _drive_all(experiment: Experiment, folder: Path, jobs: int | None) -> list[Drive]:
     """Make every drive: each world and seed with each tracker and fault."""
-    from evalkit.commands.map_fit.drives import FAULTS, measure_drive  # noqa: PLC0415 - loads NumPy
-    from evalkit.commands.map_fit.reliability import Drive  # noqa: PLC0415 - as above
-    from evalkit.execution.task import make_task  # noqa: PLC0415 - as above
-    from evalkit.execution.task_runner import run_tasks  # noqa: PLC0415 - as above
-    from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - as above
-
     worlds = {sequence.dataset for sequence in experiment.sequences}
     if len(worlds) < MIN_WORLDS:
         what = f"has {len(worlds)} worlds; each is checked with what the others taught: name {MIN_WORLDS} or more"
@@ -90,7 +84,5 @@ def _drive_all(experiment: Experiment, folder: Path, jobs: int | None) -> list[D
                     plug_ins = (("datasets", sequence.dataset), ("backends", method.backend))
                     modules = [registry.plug_in_of(kind, name).module for kind, name in plug_ins]
                     tasks[sequence.dataset, method.label, fault, seed, sequence.label] = task.depending_on(*modules)
-    at_once = jobs or environment.physical_cores()
-    with progress.announce_kept(err, "finished drives"), progress.show_tasks(err, len(tasks), at_once) as done:
-        results = run_tasks(TaskStore(folder / "results"), list(tasks.values()), at_once, done)
+    results = run_shown_tasks(list(tasks.values()), folder, jobs, "drives")
     return [Drive(world, method, fault, results[task.name]) for (world, method, fault, *_), task in tasks.items()]

@@ -11,18 +11,19 @@ import sys
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from rich.table import Table
 
+from evalkit.commands.metric_validation import page, validation
 from evalkit.execution import environment
 from evalkit.io.output_files import write_texts
 from evalkit.plugins import defaults
+from evalkit.report.html.blocks import render
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Json, Out, err, out
-
-if TYPE_CHECKING:
-    from evalkit.execution.task import AnyTask, Result
+from evalkit.terminal.options import Json, Out, out
+from evalkit.terminal.shown_tasks import run_shown_tasks
 
 app = typer.Typer(help="Validate the metrics themselves.", no_args_is_help=True, add_completion=False)
 
@@ -47,16 +48,13 @@ def validate(
     as_json: Json = False,
 ) -> None:
     """Measure how metrics without ground truth follow the true error of maps from perturbed trajectories."""
-    from evalkit.commands.metric_validation import page, validation  # noqa: PLC0415 - loads matplotlib
-    from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
-
     worlds = tuple(dict.fromkeys(world or [defaults.find_simulated_dataset()]))
     plan = validation.MetricValidationPlan(
         worlds[:1] if quick else worlds, mapper or defaults.find_default_mapper(), worlds[0],
         QUICK_SIZES if quick else sizes, seed, min(scans, QUICK_SCANS) if quick else scans,
     )  # fmt: skip
     folder = folder or Path("reports") / "build" / "metrics"
-    results = _run_tasks(validation.make_tasks(plan), folder, jobs)
+    results = run_shown_tasks(validation.make_tasks(plan), folder, jobs, "jobs")
     content, maps = validation.summarize(plan, results, _describe_provenance()), validation.collect_maps(plan, results)
     texts = {
         "validated.json": format_json(content) + "\n",
@@ -85,12 +83,11 @@ def selftest(
     as_json: Json = False,
 ) -> None:
     """Inject faults between a sequence and its scores; exit code 1 if the metrics miss one of them."""
-    from evalkit.commands.metric_validation import validation  # noqa: PLC0415 - loads the metrics
-
     plan = validation.MetricValidationPlan(
         (), mapper or defaults.find_default_mapper(), world or defaults.find_simulated_dataset(), seed=seed
     )
-    results = _run_tasks(validation.make_fault_tasks(plan), folder or Path("reports") / "build" / "metrics", jobs)
+    folder = folder or Path("reports") / "build" / "metrics"
+    results = run_shown_tasks(validation.make_fault_tasks(plan), folder, jobs, "jobs")
     faults = [validation.fault_as_json(*one) for one in validation.detect_faults(results).items()]
     if as_json:
         options.print_json(faults)
@@ -111,15 +108,6 @@ def format_json(value: Any, indent: int = 0) -> str:
     return "[\n" + ",\n".join(pad + format_json(part, indent + 1) for part in parts) + end + "]"
 
 
-def _run_tasks(tasks: list[AnyTask], folder: Path, jobs: int | None) -> dict[str, Result]:
-    from evalkit.execution.task_runner import run_tasks  # noqa: PLC0415 - loaded only if something is computed
-    from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - as above
-
-    at_once = jobs or environment.physical_cores()
-    with progress.announce_kept(err, "finished jobs"), progress.show_tasks(err, len(tasks), at_once) as done:
-        return run_tasks(TaskStore(folder / "results"), tasks, at_once, done)
-
-
 def _describe_provenance() -> dict[str, Any]:
     return {
         "command": shlex.join(["python", "-m", "evalkit.commands.metric_validation", *sys.argv[1:]]),
@@ -129,8 +117,6 @@ def _describe_provenance() -> dict[str, Any]:
 
 
 def _print_agreement(content: Mapping[str, Any]) -> None:
-    from rich.table import Table  # noqa: PLC0415 - loaded only if a table is printed
-
     perturbations = list(content["perturbations"])
     table = Table("metric", "Spearman", "95 %", *perturbations)
     for row in content["agreement"]:
@@ -143,13 +129,9 @@ def _print_agreement(content: Mapping[str, Any]) -> None:
 
 
 def _print_faults(faults: Sequence[Mapping[str, Any]]) -> None:
-    from rich.table import Table  # noqa: PLC0415 - loaded only if a table is printed
-
-    from evalkit.commands.metric_validation.page import format_detections  # noqa: PLC0415 - loads matplotlib
-
     table = Table("fault", "what it is", "detected by (times worse)")
     for row in faults:
-        table.add_row(row["fault"], row["what"], format_detections(row["strongest"][:3]))
+        table.add_row(row["fault"], row["what"], page.format_detections(row["strongest"][:3]))
     progress.print_table(out, table)
 
 

@@ -101,10 +101,10 @@ def test_a_clean_run_of_given_poses_has_no_error():
 
 
 def test_the_self_test_fails_if_a_fault_is_not_detected(monkeypatch):
-    monkeypatch.setattr(commands, "_run_tasks", lambda tasks, *_: {task.name: make_result(task) for task in tasks})
+    monkeypatch.setattr(commands, "run_shown_tasks", lambda tasks, *_: {task.name: make_result(task) for task in tasks})
     assert [row["metric_count"] > 0 for row in json.loads(run_app("selftest", "--json"))] == [True] * len(FAULTS)
     blind = {"scores": values(0.0)}
-    monkeypatch.setattr(commands, "_run_tasks", lambda tasks, *_: {task.name: blind for task in tasks})
+    monkeypatch.setattr(commands, "run_shown_tasks", lambda tasks, *_: {task.name: blind for task in tasks})
     result = CliRunner().invoke(app, ["selftest"], catch_exceptions=False)
     assert result.exit_code == 1
     assert "nothing" in result.output
@@ -112,7 +112,7 @@ def test_the_self_test_fails_if_a_fault_is_not_detected(monkeypatch):
 
 @pytest.mark.thorough
 def test_a_quick_validation_writes_table_page_and_values(monkeypatch, tmp_path):
-    monkeypatch.setattr(commands, "_run_tasks", lambda tasks, *_: {task.name: make_result(task) for task in tasks})
+    monkeypatch.setattr(commands, "run_shown_tasks", lambda tasks, *_: {task.name: make_result(task) for task in tasks})
     output = run_app("validate", "--quick", "--world", "lab", "-o", str(tmp_path))
     assert "split_distance_m" in output
     content = json.loads((tmp_path / "validated.json").read_text(encoding="utf-8"))
