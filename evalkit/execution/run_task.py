@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
@@ -38,6 +38,9 @@ from evalkit.results.store import Store
 COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns", "preparation_ns")
 MAX_ATTEMPTS = 2
 """A run that killed this many processes is quarantined."""
+
+BEFORE_SCORING = "before_scoring"
+"""Key of the provenance: cause and reason of a run whose scoring has failed, before it did."""
 
 NOT_TIMED = "not timed: executed where times do not count"
 
@@ -98,7 +101,9 @@ def execute_run(store: Store, settings: RunSettings, pending: PendingRun, slot: 
     """
     spec = pending.spec
     if pending.is_executed:
-        result = store.load_result(spec.key) or empty_result(Cause.UNREADABLE, "its stored result cannot be read")
+        stored = store.load_result(spec.key) or empty_result(Cause.UNREADABLE, "its stored result cannot be read")
+        if (result := before_scoring(stored)) is not stored:
+            store.save_result(spec, result)
     else:
         result = _execute(store, settings, pending, slot)
     if slot.stop.is_set():
@@ -118,6 +123,14 @@ def unavailable_result(spec: RunSpec) -> RunResult | None:
 def empty_result(cause: Cause, reason: str) -> RunResult:
     """The result of a run without an answer."""
     return RunResult(NO_STEPS, 0, cause, reason)
+
+
+def before_scoring(result: RunResult) -> RunResult:
+    """The result that a run had before its scoring failed; a result that was not changed by a scoring as it is."""
+    if (ended := result.provenance.get(BEFORE_SCORING)) is None:
+        return result
+    provenance = {name: value for name, value in result.provenance.items() if name != BEFORE_SCORING}
+    return replace(result, cause=Cause(ended["cause"]), reason=ended["reason"], provenance=provenance)
 
 
 def quarantine(
@@ -168,7 +181,7 @@ def _execute(store: Store, settings: RunSettings, pending: PendingRun, slot: Wor
 
 
 def _score(store: Store, settings: RunSettings, spec: RunSpec, result: RunResult, slot: WorkerSlot) -> RunResult:
-    """Score a run in a process of its own; returns its result, with another cause if the scoring failed."""
+    """Score a run in a process of its own; returns its result, with a cause that is stored if the scoring failed."""
     try:
         try:
             slot.scoring.run(score_and_save, store.folder, spec, result, settings, slot.core)
@@ -184,10 +197,19 @@ def _score(store: Store, settings: RunSettings, spec: RunSpec, result: RunResult
     except Exception as error:  # noqa: BLE001 - a run that cannot be scored must not stop the others
         store.discard_scores(spec.key)  # of other code, from an earlier scoring
         if fault := error if isinstance(error, MachineFault) else MachineFault.of("scoring", error):
-            return replace(result, cause=Cause.MACHINE_FAULT, reason=str(fault))
-        reason = f"scoring failed: {type(error).__name__}: {error}"
-        return replace(result, cause=Cause.SCORING_FAILED, reason=reason)
+            failed = _with_failed_scoring(result, Cause.MACHINE_FAULT, str(fault))
+            with suppress(StoreError):  # a full disk
+                store.save_result(spec, failed)
+            return failed
+        failed = _with_failed_scoring(result, Cause.SCORING_FAILED, f"scoring failed: {type(error).__name__}: {error}")
+        store.save_result(spec, failed)
+        return failed
     return result
+
+
+def _with_failed_scoring(result: RunResult, cause: Cause, reason: str) -> RunResult:
+    ended = {"cause": result.cause, "reason": result.reason}
+    return replace(result, cause=cause, reason=reason, provenance={**result.provenance, BEFORE_SCORING: ended})
 
 
 def _can_start(pool: WorkerPool) -> bool:

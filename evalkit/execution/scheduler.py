@@ -89,6 +89,8 @@ class Scheduler:
         result = self.store.load_result(spec.key) if self.resume or self.collect else None
         if result is None or self.collect:
             return result
+        if result.status not in self.rerun:
+            result = run_task.before_scoring(result)  # a failed scoring is repeated
         if result.status in self.rerun or (settings.timed and not result.provenance.get("timed", True)):
             return None
         if DISTURBED in self.rerun and result.conditions is not None and result.conditions.disturbed:

@@ -409,6 +409,8 @@ def test_a_fault_of_the_machine_interrupts_a_run_and_resume_repeats_it(tmp_path,
         assert result.status == "interrupted"
         assert f"the machine failed ({os.strerror(number)}); free disk, memory" in result.reason
         assert "repeat with --resume" in result.reason
+        stored = [Store(tmp_path).read_result(folder.parent.name) for folder in tmp_path.glob("runs/*/result.json")]
+        assert [(one.cause, one.reason) for one in stored] == [(result.cause, result.reason)] * len(stored)
     assert records(plan("none"), tmp_path, resume=True)["none"].result.status == "complete"
 
 
@@ -428,3 +430,26 @@ def test_a_failed_rescoring_leaves_no_scores_of_other_code(tmp_path, threaded_sc
         == "scoring failed: ValueError: no such metric"
     )
     assert store.load_score_values(key) == {}
+
+
+def test_a_failed_scoring_is_the_stored_cause_too_until_the_run_is_scored(tmp_path, threaded_scoring, monkeypatch):
+    def refuse(*_arguments):
+        raise ValueError("no such metric")
+
+    planned, store = plan("none"), Store(tmp_path)
+    with monkeypatch.context() as broken:
+        broken.setattr(run_task, "score_and_save", refuse)
+        for resume in (False, True):  # fails again, and keeps what was before the first failure
+            record = records(planned, tmp_path, resume=resume)["none"]
+            stored = store.read_result(record.key)
+            for result in (record.result, stored):
+                assert (result.cause, result.reason) == ("scoring failed", "scoring failed: ValueError: no such metric")
+    collected = run(planned, tmp_path, collect=True)[0].result
+    assert (collected.cause, collected.reason) == (stored.cause, stored.reason)
+    executed_at = stored.provenance["executed_at"]
+    record = records(planned, tmp_path, resume=True)["none"]
+    stored = store.read_result(record.key)
+    assert record.result.cause == stored.cause == "completed"
+    assert record.result.reason == stored.reason == ""
+    assert stored.provenance["executed_at"] == executed_at  # not executed again
+    assert "before_scoring" not in stored.provenance
