@@ -157,14 +157,54 @@ def closed(run):
 def test_loop_closures_are_listed_with_their_distance_from_the_truth_and_open_the_player(record):
     run = closed(corrected(record("slam", "room", {"ate_rmse_m": 0.1}), 0.01))
     (fold,) = list_closures([record("odometry", "room", {}), run], "sequence-1")
-    assert fold.title == "Loop closures of slam: 3 candidates"
-    (table,) = fold.blocks
-    assert [(row[0].text, row[1].text, row[2], row[3]) for row in table.rows] == [
-        ("2.0", "0.2", "rejected", "score 0.4 < 0.55"), ("5.0", "0.5", "accepted", "score 0.6 > 0.55"),
-        ("5.0", "0.5", "accepted", "score 0.9 > 0.55"),
+    assert fold.title == "Loop closures of slam: 3 candidates, 2 accepted"
+    accepted, rejected, note = fold.blocks
+    assert [(row[0].text, row[1].text, row[2], row[3].text) for row in accepted.rows] == [
+        ("5.0", "0.5", "score 0.6 > 0.55", "500\u00a0mm"), ("5.0", "0.5", "score 0.9 > 0.55", "0.0\u00a0mm"),
     ]  # fmt: skip
-    assert [row[4].text for row in table.rows[1:]] == ["500\u00a0mm", "0.0\u00a0mm"]
-    assert table.rows[0][0].link == "#sequence-1-player?by=slam&and=slam%2C%20corrected&on=own&scan=21"
+    assert [row[:4] for row in cells(rejected)] == [["score 0.4 < 0.55", "1", "2.0", "0.2"]]
+    assert rejected.columns[-1].label == "Its guess, from the true motion"
+    assert rejected.rows[0][2].link == "#sequence-1-player?by=slam&and=slam%2C%20corrected&on=own&scan=21"
+    assert run.truth.how in note.body
+
+
+def test_all_accepted_closures_come_first_and_rejected_ones_by_reason(record):
+    """40 candidates of low score precede the accepted one."""
+    run = closed(corrected(record("slam", "room", {"ate_rmse_m": 0.1}), 0.01))
+    stamps, accepted = run.result.steps["stamp_ns"], run.result.loop_closures[0]
+    low = [
+        LoopClosure(int(stamps[at]), int(stamps[0]), Pose(), False, f"score 0.{at} < 0.55") for at in range(2, 42)
+    ]  # fmt: skip
+    other = LoopClosure(int(stamps[1]), int(stamps[0]), Pose(), False, "overlap 0.6 < 0.7")
+    (fold,) = list_closures([replace(run, result=replace(run.result, loop_closures=(*low, other, accepted)))], "s")
+    assert fold.title == "Loop closures of slam: 42 candidates, 1 accepted"
+    first, second, *_ = fold.blocks
+    assert [row[2] for row in first.rows] == [accepted.reason]
+    assert [row[:2] for row in cells(second)] == [
+        ["score 0.2 < 0.55", "40"], ["score 0.3 < 0.55", ""], ["score 0.4 < 0.55", ""], ["overlap 0.6 < 0.7", "1"],
+    ]  # fmt: skip
+    (alone,) = list_closures([replace(run, result=replace(run.result, loop_closures=(accepted,)))], "s")
+    assert alone.title == "Loop closures of slam: 1 candidate, 1 accepted"
+
+
+def test_loop_closures_are_shown_where_no_error_has_a_counterpart_of_corrected_poses(record, build):
+    """As on a recording without truth, which the maps decide; and where all candidates are rejected."""
+    names = ("map_f1", "closure_candidates", "closures_accepted", "cpu_p99_ms", "cpu_max_ms")
+    table = tuple(metric for metric in metrics.METRICS if metric.name in names)
+    scores = dict(zip(names, (0.5, 3.0, 2.0, 8.0, 9.0), strict=True))
+    run = closed(corrected(record("slam", "room", scores), 0.01))
+    rejected = tuple(replace(one, accepted=False) for one in run.result.loop_closures)
+    for loops in (run.result.loop_closures, rejected):
+        runs = [
+            replace(run, result=replace(run.result, loop_closures=loops)), record("odometry", "room", {"map_f1": 0.4}),
+        ]  # fmt: skip
+        analysis = analyse(build(runs, metrics=table))
+        (sequence,) = analysis.sequences
+        assert sequence.final is None
+        heading, found, _, fold = build_corrected(analysis, sequence, 1, assign_strokes(("slam", "odometry"), ()), "s")
+        assert heading.text == "Corrected poses and loop closures"
+        assert cells(found) == [["slam", "3", "2", "8.00", "9.00"]]
+        assert fold.title == f"Loop closures of slam: 3 candidates, {sum(one.accepted for one in loops)} accepted"
 
 
 def test_corrected_poses_are_runs_of_their_own_in_charts_and_player(record):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
+from dataclasses import replace
 from urllib.parse import quote
 
 import numpy as np
 
 from evalkit.core import se2
 from evalkit.core.loop_closure import LoopClosure
-from evalkit.core.se2 import Floats
+from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
 from evalkit.report.analysis.analysis import Analysis
@@ -29,9 +31,9 @@ from evalkit.report.html.report_tables import (
 )
 from evalkit.results.run_record import RunRecord
 
-CLOSURES = (
+COUNTS = (
     "closure_candidates", "closures_accepted", "closures_rejected", "closure_precision_percent",
-    "closure_recall_percent", "corrections", "correction_max_ms",
+    "closure_recall_percent", "corrections", "correction_max_ms", "cpu_p99_ms", "cpu_max_ms",
 )  # fmt: skip
 """Metrics of the table, in order; those without a value are left out."""
 
@@ -45,35 +47,42 @@ NOTE = (
 def build_corrected(
     analysis: Analysis, sequence: SequenceAnalysis, number: int, strokes: Strokes, anchor: str
 ) -> list[Block]:
-    """Return heading, note and table of the methods with corrected poses, best corrected first; [] without any."""
-    final, deciding = sequence.final, sequence.deciding
-    if final is None or deciding is None:
+    """Return heading, note and table of the methods that correct poses, and their loop closures.
+
+    Best corrected first. [] where no method corrects poses, or none changes an error or has a candidate.
+    """
+    final, first = sequence.final, [own[0] for own in sequence.runs.values()]
+    correcting = [label for label, own in sequence.runs.items() if any(run.result.final is not None for run in own)]
+    tried = any(run.result.loop_closures for run in sequence.all_runs)
+    if not correcting or (final is None and not tried):
         return []
-    counts = [found for name in CLOSURES if (found := sequence.rankings.get(name)) is not None and found.has_values]
+    answers = () if final is None or sequence.deciding is None else (sequence.deciding, final)
+    counts = [found for name in COUNTS if (found := sequence.rankings.get(name)) is not None and found.has_values]
     places = {label: place for place, label in enumerate(analysis.comparison.methods, start=1)}
-    corrected = {score.method: score for score in final.scores if score.values}
-    ranked = [score.method for score in final.ranked]
-    labels = dict.fromkeys([*ranked, *(label for label in by_rank(sequence) if label in corrected)])
+    ranked = [score.method for score in final.ranked] if final else []
+    labels = dict.fromkeys([*ranked, *(label for label in by_rank(sequence) if label in correcting)])
     rows = []
     for label in labels:
         link = f"#{runs_anchor(number, places[label])}"
-        cells = [score_cell(one, one.of(label), link) for one in (deciding, final, *counts)]
+        cells = [score_cell(one, one.of(label), link) for one in (*answers, *counts)]
         rows.append([method_cell(analysis.comparison, strokes, label, link), *cells])
-    columns = [Column("Method"), *(metric_column(one.metric) for one in (deciding, final, *counts))]
+    columns = [Column("Method"), *(metric_column(one.metric) for one in (*answers, *counts))]
     title = "Corrected poses and loop closures"
     table = Table(columns, rows, label=f"{title} on {sequence.label}")
-    first = [own[0] for own in sequence.runs.values()]
     return [Heading(title, f"{anchor}-corrected"), table, Text(NOTE, "note"), *list_closures(first, anchor)]
 
 
-MAX_LISTED = 30
-"""More loop closures of a run are counted, not listed."""
+MAX_ACCEPTED = 100
+"""More accepted loop closures of a run are counted, not listed."""
+
+MAX_EXAMPLES, MAX_REASONS = 3, 20
+"""Rejected candidates that are listed for each reason, and reasons, most frequent first."""
 
 
 def list_closures(records: Sequence[RunRecord], anchor: str) -> list[Block]:
-    """Return a closed list of the loop closures of each run, in order of time; a time opens the player there.
+    """Return a closed list of the loop closures of each run: the accepted ones, then the rejected ones by reason.
 
-    The player places the scan by the answer and by the corrected pose: before and after.
+    A time opens the player there. It places the scan by the answer and by the corrected pose: before and after.
     """
     answered = [record.result.steps["stamp_ns"] for record in records if len(record.result.steps)]
     stamps = np.unique(np.concatenate(answered)) if answered else np.zeros(0, dtype=np.int64)
@@ -83,27 +92,85 @@ def list_closures(records: Sequence[RunRecord], anchor: str) -> list[Block]:
         if not found:
             continue
         errors = closure_errors_m(found, record.truth.trajectory)
-        start = int(record.result.steps["stamp_ns"][0])
-        rows = []
-        for one, error in zip(found[:MAX_LISTED], errors, strict=False):
-            scan = int(np.searchsorted(stamps, one.stamp_ns)) + 1
-            words = {"by": record.method, "and": f"{record.method}{SUFFIX}", "on": "own", "scan": str(scan)}
-            link = f"#{anchor}-player?{'&'.join(f'{key}={quote(value)}' for key, value in words.items())}"
-            apart = DASH if math.isnan(error) else Cell(format_length(error), error)
-            seconds = (one.stamp_ns - start) * 1e-9, (one.other_stamp_ns - start) * 1e-9
-            rows.append([
-                Cell(f"{seconds[0]:.1f}", seconds[0], link=link), Cell(f"{seconds[1]:.1f}", seconds[1]),
-                "accepted" if one.accepted else "rejected", one.reason, apart,
-            ])  # fmt: skip
-        columns = [
-            Column("At", "s", True), Column("Back to", "s", True), Column("Decision"), Column("Reason"),
-            Column("From the true motion", "", True),
-        ]  # fmt: skip
-        more = f"; the first {MAX_LISTED}" if len(found) > MAX_LISTED else ""
-        title = f"Loop closures of {record.method}: {len(found)} candidates{more}"
-        table = Table(columns, rows, label=title)
-        folds.append(Fold(title, [table], f"{anchor}-closures-{len(folds) + 1}"))
+        pairs = list(zip(found, errors.tolist(), strict=True))
+        accepted = [pair for pair in pairs if pair[0].accepted]
+        candidates = f"{len(found)} candidate{'s' if len(found) != 1 else ''}"
+        title = f"Loop closures of {record.method}: {candidates}, {len(accepted)} accepted"
+        tables = []
+        if accepted:
+            tables.append(_tabulate_accepted(record, stamps, accepted, anchor))
+        if len(accepted) < len(found):
+            tables.append(_tabulate_rejected(record, stamps, [one for one in pairs if not one[0].accepted], anchor))
+        notes: list[Block] = []
+        if np.isfinite(errors).any():
+            notes.append(Text(f"Distances are from this truth: {record.truth.how.rstrip('.')}.", "note"))
+        else:
+            tables = [_without_last_column(table) for table in tables]
+        folds.append(Fold(title, [*tables, *notes], f"{anchor}-closures-{len(folds) + 1}"))
     return folds
+
+
+def _tabulate_accepted(
+    record: RunRecord, stamps: Stamps, accepted: Sequence[tuple[LoopClosure, float]], anchor: str
+) -> Table:
+    """Return the accepted closures in order of time, each with the distance of its motion from the true one."""
+    rows: list[list[Cell | str]] = [
+        [*_cells_of_times(record, stamps, one, anchor), one.reason, _cell_of_error(error)]
+        for one, error in accepted[:MAX_ACCEPTED]
+    ]
+    columns = [
+        Column("Accepted at", "s", True), Column("Back to", "s", True), Column("Reason"),
+        Column("From the true motion", "", True, "the motion that was measured, against the truth"),
+    ]  # fmt: skip
+    more = f"The first {MAX_ACCEPTED} of {len(accepted)} accepted closures" if len(accepted) > MAX_ACCEPTED else ""
+    return Table(columns, rows, more, label=f"Accepted loop closures of {record.method}")
+
+
+def _tabulate_rejected(
+    record: RunRecord, stamps: Stamps, rejected: Sequence[tuple[LoopClosure, float]], anchor: str
+) -> Table:
+    """Return the rejected candidates by reason, most frequent first: how many, and the first of them."""
+    kinds: dict[str, list[tuple[LoopClosure, float]]] = {}
+    for pair in rejected:
+        kinds.setdefault(_without_numbers(pair[0].reason), []).append(pair)
+    rows: list[list[Cell | str]] = []
+    ordered = sorted(kinds.values(), key=lambda kind: -len(kind))
+    for kind in ordered[:MAX_REASONS]:
+        for place, (one, error) in enumerate(kind[:MAX_EXAMPLES]):
+            count = Cell(str(len(kind))) if place == 0 else Cell("")
+            rows.append([one.reason, count, *_cells_of_times(record, stamps, one, anchor), _cell_of_error(error)])
+    left = sum(map(len, ordered[MAX_REASONS:]))
+    columns = [
+        Column("Rejected"), Column("Candidates", "", True, "rejected for this reason, whatever its numbers"),
+        Column("At", "s", True), Column("Back to", "s", True),
+        Column("Its guess, from the true motion", "", True,
+               "The motion of the candidate against the truth. A method that rejects a candidate before it measures a "
+               "motion gives the one it expected: this is no error of a measurement."),
+    ]  # fmt: skip
+    more = f"{left} more for other reasons" if left else ""
+    return Table(columns, rows, more, sortable=False, label=f"Rejected loop closures of {record.method}")
+
+
+def _without_last_column(table: Table) -> Table:
+    return replace(table, columns=table.columns[:-1], rows=[row[:-1] for row in table.rows])
+
+
+def _without_numbers(reason: str) -> str:
+    return re.sub(r"\d[\d.,]*(?:e[-+]?\d+)?", "#", reason)
+
+
+def _cells_of_times(record: RunRecord, stamps: Stamps, one: LoopClosure, anchor: str) -> tuple[Cell, Cell]:
+    """Return the times of both frames in s since the first answer; the later one opens the player there."""
+    start = int(record.result.steps["stamp_ns"][0])
+    scan = int(np.searchsorted(stamps, one.stamp_ns)) + 1
+    words = {"by": record.method, "and": f"{record.method}{SUFFIX}", "on": "own", "scan": str(scan)}
+    link = f"#{anchor}-player?{'&'.join(f'{key}={quote(value)}' for key, value in words.items())}"
+    later, earlier = (one.stamp_ns - start) * 1e-9, (one.other_stamp_ns - start) * 1e-9
+    return Cell(f"{later:.1f}", later, link=link), Cell(f"{earlier:.1f}", earlier)
+
+
+def _cell_of_error(error_m: float) -> Cell:
+    return DASH if math.isnan(error_m) else Cell(format_length(error_m), error_m)
 
 
 def closure_errors_m(closures: Sequence[LoopClosure], truth: Trajectory | None) -> Floats:
