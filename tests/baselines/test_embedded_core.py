@@ -4,6 +4,7 @@ import math
 import shutil
 import subprocess
 import threading
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -373,14 +374,63 @@ def test_the_defaults_of_the_core_equal_those_of_python(precision):
 
 
 @needs_core
-def test_evalkit_run_gives_the_poses_of_the_method_embedded(core_programs, tmp_path):
+@pytest.mark.parametrize(
+    ("options", "spec", "method"),
+    [
+        ([], embedded.SPEC, "embedded"),
+        (["--line", "--polygon"], embedded.PIPELINE_LINE, "embedded-pipeline-line"),
+    ],
+)
+def test_evalkit_run_gives_the_poses_of_the_method(core_programs, tmp_path, options, spec, method):
     log, poses = tmp_path / "log", tmp_path / "poses.tum"
     frames = list(islice(registry.dataset("lab").make(**LAB).frames(), 90))
     assert scanlog.write_scan_log(log, frames) == 90
-    run_tool(str(core_programs / "evalkit-run"), str(log), str(poses))
-    odometry = frontend.make_odometry(embedded.SPEC, frontend.complete_parameters("embedded", embedded.SPEC, {}))
+    run_tool(str(core_programs / "evalkit-run"), *options, str(log), str(poses))
+    odometry = frontend.make_odometry(spec, frontend.complete_parameters(method, spec, {}))
     expected = [odometry.update(scanlog.round_frame(frame)).pose.row for frame in frames]
     written = np.loadtxt(poses)
     found = np.column_stack([written[:, 1:3], 2.0 * np.arctan2(written[:, 6], written[:, 7])])
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-7)
     assert np.hypot(*np.diff(found[:, :2], axis=0).T).sum() > 1.0  # a moving robot, not one at rest
+
+
+@needs_core
+def test_the_map_of_an_outline_has_the_walls_of_the_beams_and_frees_more(core_programs, tmp_path):
+    """Every third beam of a scan, twice at one place: neighbouring beams skip cells, which the outline frees."""
+    frame = next(iter(registry.dataset("lab").make(**LAB).frames()))
+    scan = replace(frame.scan, ranges=frame.scan.ranges[::3], angles=frame.scan.angles[::3])
+    again = replace(scan, stamp_ns=scan.stamp_ns + 100_000_000)
+    scanlog.write_scan_log(tmp_path / "log", [replace(frame, scan=one) for one in (scan, again)])
+    maps = {}
+    for name, options in (("beams", []), ("outline", ["--polygon"])):
+        run_tool(str(core_programs / "evalkit-run"), *options, *(str(tmp_path / end) for end in ("log", "tum", name)))
+        maps[name] = np.frombuffer((tmp_path / name).read_bytes()[-(1024 * 1024) :], dtype=np.uint8)
+    assert np.array_equal(maps["beams"] == 0, maps["outline"] == 0)
+    assert (maps["outline"] == 254).sum() > (maps["beams"] == 254).sum() > 0
+
+
+def write_bits(folder, name, poses, cells):
+    lines = (f"{stamp} {x.hex()} {y.hex()} {theta.hex()}\n" for stamp, (x, y, theta) in enumerate(poses))
+    (folder / f"{name}.bits").write_text("".join(lines))
+    (folder / f"{name}.pgm").write_bytes(b"P5\n2 2\n255\n" + bytes(cells))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({}, "3 poses, 0 differ on b"),
+        ({"poses": [(0.0, 0.0, 0.0), (0.5, math.nextafter(0.25, 1.0), 0.0), (1.0, 0.5, 0.0)]},
+         "3 poses, 1 differ on b, the first in line 2"),
+        ({"poses": [(0.0, 0.0, 0.0), (0.5, 0.25, 0.0)]}, "3 poses, 1 differ on b, the first in line 3"),
+        ({"poses": []}, "b.bits: absent or empty"),
+        ({"cells": (0, 205, 254, 205)}, "differ: byte 15, line 4"),
+    ],
+)  # fmt: skip
+def test_the_comparison_of_processors_fails_for_one_wrong_bit(tmp_path, change, says):
+    good = {"poses": [(0.0, 0.0, 0.0), (0.5, 0.25, 0.0), (1.0, 0.5, 0.0)], "cells": (0, 205, 254, 0)}
+    write_bits(tmp_path, "a", **good)
+    write_bits(tmp_path, "b", **good | change)
+    command = [str(FOLDER / "board" / "same_bits"), "a", "b"]
+    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert answer.returncode == bool(change)
+    assert says in answer.stdout + answer.stderr

@@ -1,6 +1,9 @@
-/* evalkit-run [--bits] LOG POSES [MAP]: run the pipeline on a scan log. Writes poses in TUM format and the map as PGM
- * (map_server's trinary values, highest y first). With --bits a pose is a line of its stamp (ns) and the bits of x, y
- * and theta as double, hexadecimal: equal lines are equal poses. Allocates memory once, at the start. */
+/* evalkit-run [--bits] [--line] [--polygon] LOG POSES [MAP]: run the pipeline on a scan log. Writes poses in TUM format and
+ * the map as PGM (map_server's trinary values, highest y first). Allocates memory once, at the start.
+ *   --bits     a pose is a line of its stamp (ns) and the bits of x, y and theta as double, hexadecimal: equal lines are
+ *              equal poses
+ *   --line     distances to walls and one lasting map, as embedded-pipeline-line, instead of points and keyframes
+ *   --polygon  the map from the outline of each scan instead of its beams */
 #include <stdlib.h>
 #include <string.h>
 
@@ -12,7 +15,7 @@ typedef struct {
     ek_scanlog log;
     ek_real *ranges, *angles;
     void *memory;
-    int bits; /* 1: write the bits of poses */
+    int bits, line, polygon; /* 1: the option was given */
 } session;
 
 static int print_error(const char *what, ek_status status)
@@ -21,10 +24,29 @@ static int print_error(const char *what, ek_status status)
     return 1;
 }
 
+/* Set the parameters of embedded-pipeline-line. */
+static void use_lines(ek_frontend_parameters *frontend)
+{
+    ek_icp_parameters icp = frontend->scan_to_map;
+    icp.metric = EK_METRIC_LINE;
+    icp.cauchy = EK_R(0.1);
+    icp.epsilon = EK_R(1e-6);
+    icp.max_correspondence = EK_R(1.0);
+    icp.one_to_one = 0;
+    frontend->scan_to_scan = frontend->scan_to_map = icp;
+    frontend->keyframe_distance = EK_R(0.3);
+    frontend->keyframe_angle = EK_R(0.17453292519943295); /* 10 deg */
+    frontend->map_voxel = EK_R(0.1);
+}
+
 static ek_status start(session *s)
 {
     ek_pipeline_parameters parameters = ek_pipeline_default();
     size_t bytes;
+    if (s->line) {
+        use_lines(&parameters.frontend);
+    }
+    parameters.grid.polygon = s->polygon;
     parameters.scan.range_min = s->log.range_min;
     parameters.scan.range_max = s->log.range_max;
     parameters.scan.base_from_sensor = s->log.base_from_sensor;
@@ -128,16 +150,35 @@ static int process(session *s, char *const *paths, int count)
     return count > 2 ? write_map(&s->pipeline.grid, paths[2]) : 0;
 }
 
+/* Returns the index of the first argument that is no known option. */
+static int read_options(session *s, int argc, char **argv)
+{
+    const struct {
+        const char *name;
+        int *given;
+    } options[] = {{"--bits", &s->bits}, {"--line", &s->line}, {"--polygon", &s->polygon}};
+    for (int next = 1; next < argc; next++) {
+        size_t k = 0;
+        while (k < sizeof options / sizeof *options && strcmp(argv[next], options[k].name) != 0) {
+            k++;
+        }
+        if (k == sizeof options / sizeof *options) {
+            return next;
+        }
+        *options[k].given = 1;
+    }
+    return argc;
+}
+
 int main(int argc, char **argv)
 {
     static session s; /* zero-initialised; too large for some stacks */
-    s.bits = argc > 1 && strcmp(argv[1], "--bits") == 0;
-    const int count = argc - 1 - s.bits;
-    if (count < 2 || count > 3) {
-        fprintf(stderr, "usage: evalkit-run [--bits] LOG POSES [MAP]\n");
+    const int first = read_options(&s, argc, argv), count = argc - first;
+    if (count < 2 || count > 3 || strncmp(argv[first], "--", 2u) == 0) {
+        fprintf(stderr, "usage: evalkit-run [--bits] [--line] [--polygon] LOG POSES [MAP]\n");
         return 2;
     }
-    const int failed = process(&s, argv + 1 + s.bits, count);
+    const int failed = process(&s, argv + first, count);
     free(s.memory);
     free(s.ranges);
     free(s.angles);
