@@ -1,5 +1,5 @@
 /* Arbitrary clouds: a registration is finite, repeatable, uses true nearest neighbours and is the same with a table of
- * them, or is refused and changes nothing; normals are unit vectors. */
+ * them and with places searched one by one, or is refused and changes nothing; normals are unit vectors. */
 #include "ek/icp.h"
 #include "ek/normals.h"
 #include "ek/table.h"
@@ -76,6 +76,19 @@ static void with_a_table(ek_icp *icp, ek_index *index, const clouds *known, ek_p
     free(arena.memory);
 }
 
+/* Searching places one by one or in groups changes no result. */
+static void one_by_one(ek_icp *icp, const ek_index *index, const clouds *known, ek_pose guess,
+                       const ek_icp_parameters *parameters, const ek_match *expected)
+{
+    const int grouped = icp->grouped;
+    ek_match found;
+    icp->grouped = 0;
+    HOLDS(ek_icp_register(icp, index, known->source, known->sources, guess, parameters, NULL, NULL, &found) == EK_OK);
+    HOLDS(same_pose(found.target_from_source, expected->target_from_source));
+    HOLDS(found.inliers == expected->inliers && found.iterations == expected->iterations);
+    icp->grouped = grouped;
+}
+
 static void ask(ek_icp *icp, ek_index *index, const clouds *known, ek_input *input)
 {
     ek_icp_parameters parameters = ek_icp_default();
@@ -108,6 +121,7 @@ static void ask(ek_icp *icp, ek_index *index, const clouds *known, ek_input *inp
     HOLDS(ek_icp_register(icp, index, known->source, known->sources, guess, &parameters, NULL, NULL, &again) == EK_OK);
     HOLDS(same_pose(match.target_from_source, again.target_from_source) && match.inliers == again.inliers);
     with_a_table(icp, index, known, guess, &parameters, &match);
+    one_by_one(icp, index, known, guess, &parameters, &match);
     const int limited = parameters.max_correspondence > EK_R(0.0) && parameters.max_correspondence < NO_LIMIT;
     const ek_real limit = limited ? parameters.max_correspondence : NO_LIMIT;
     for (size_t i = 0; i < known->sources; i++) {

@@ -1,5 +1,6 @@
 #include "ek/icp.h"
 #include "ek/fit.h"
+#include "ek/nearby.h"
 #include "ek/normals.h"
 #include "ek/table.h"
 #include "ek/tally.h"
@@ -11,8 +12,10 @@
 #define FIRST_LOOK EK_R(0.75) /* cells: half width of the first search without a known neighbour */
 #define BEYOND EK_R(0.25)     /* cells: searched beyond the last neighbour; saves later searches */
 #define ROUNDED_DOWN (EK_R(1.0) - EK_R(8.0) * EK_EPSILON)
+#define SHARE EK_R(2.0) /* of the squares around each place that the one around a group may have */
+#define DENSE 12u /* target points for each source point from which places are searched one by one */
 #define AHEAD 12u /* searches from the prefetch of a block to its use */
-#define MIN_LIMIT EK_R(1e-12) /* m; the square of a smaller limit may be rounded to 0: no table is used */
+#define MIN_LIMIT EK_R(1e-12) /* m; the square of a smaller limit may be rounded to 0: no candidates are used */
 #define MAX_DISTANCE EK_R(1e12) /* m; below EK_FAR: stands for "no limit" */
 
 ek_icp_parameters ek_icp_default(void)
@@ -48,6 +51,16 @@ ek_status ek_icp_check(const ek_icp_parameters *parameters)
     return EK_OK;
 }
 
+/* Memory for candidates. */
+static void init_candidates(ek_icp *icp, ek_arena *arena)
+{
+    const size_t candidates = EK_BLOCK * EK_PADDED(icp->capacity);
+    icp->cx = (ek_real *)ek_arena_alloc(arena, candidates, sizeof(ek_real));
+    icp->cy = (ek_real *)ek_arena_alloc(arena, candidates, sizeof(ek_real));
+    icp->slots = (uint32_t *)ek_arena_alloc(arena, candidates, sizeof(uint32_t));
+    icp->choice = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
+}
+
 ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targets)
 {
     if (!icp || !arena) {
@@ -70,6 +83,10 @@ ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targ
         *numbers[i] = (uint32_t *)ek_arena_alloc(arena, EK_PADDED(capacity), sizeof(uint32_t));
     }
     icp->owner = (uint32_t *)ek_arena_alloc(arena, targets + 1u, sizeof(uint32_t));
+    icp->grouped = EK_GROUPED;
+    if (EK_GROUPED) {
+        init_candidates(icp, arena);
+    }
     return EK_OK;
 }
 
@@ -81,6 +98,7 @@ ek_status ek_icp_init_lines(ek_icp *icp, ek_arena *arena)
     icp->nx = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
     icp->ny = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
     icp->across = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
+    icp->lined = (uint32_t *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(uint32_t));
     return EK_OK;
 }
 
@@ -89,12 +107,16 @@ ek_status ek_icp_init_table(ek_icp *icp, ek_arena *arena)
     if (!icp || !arena) {
         return EK_NULL_POINTER;
     }
-    const size_t candidates = EK_BLOCK * EK_PADDED(icp->capacity);
-    icp->cx = (ek_real *)ek_arena_alloc(arena, candidates, sizeof(ek_real));
-    icp->cy = (ek_real *)ek_arena_alloc(arena, candidates, sizeof(ek_real));
-    icp->slots = (uint32_t *)ek_arena_alloc(arena, candidates, sizeof(uint32_t));
-    icp->choice = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
+    if (!EK_GROUPED) {
+        init_candidates(icp, arena);
+    }
     return EK_OK;
+}
+
+/* Coordinate (m) of what stands for candidate k where there is none: two of one point are not equally far. */
+static inline ek_real far_away(size_t k)
+{
+    return EK_FAR * (ek_real)(k + 1u);
 }
 
 /* Load the source points; the padding repeats the first point, has no neighbour and is not searched for. */
@@ -115,9 +137,10 @@ static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
     }
     for (size_t i = 0; i < padded && icp->across; i++) {
         icp->nx[i] = icp->ny[i] = EK_R(0.0);
+        icp->lined[i] = (uint32_t)icp->targets;
     }
     for (size_t k = EK_BLOCK * (padded - EK_LANES); k < EK_BLOCK * padded && icp->choice; k++) {
-        icp->cx[k] = icp->cy[k] = EK_FAR; /* of the last lanes; those of points are overwritten by the first search */
+        icp->cx[k] = icp->cy[k] = far_away(k / EK_LANES % EK_BLOCK); /* of the last lanes; those of points are overwritten by the first search */
         icp->slots[k] = 0u;
     }
     return EK_OK;
@@ -163,12 +186,14 @@ static void move_source(const ek_icp *p, size_t padded, ek_pose pose, ek_real li
 }
 
 /* Choose the nearest of the candidates of each point, of equals the first, and give it weight 1 if the square of its
- * distance is below `reach` (m^2), else 0. */
-EK_LOOP void choose_candidates(size_t padded, ek_real reach, const ek_real *EK_RESTRICT mx, const ek_real *EK_RESTRICT my,
-                               const ek_real *EK_RESTRICT cx, const ek_real *EK_RESTRICT cy, ek_real *EK_RESTRICT tx,
-                               ek_real *EK_RESTRICT ty, ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT choice,
-                               ek_real *EK_RESTRICT weight)
+ * distance is below `reach` (m^2), else 0. Returns how often two were equally near if `ties` is 1, else 0. */
+EK_LOOP ek_real choose_candidates(size_t padded, ek_real reach, int ties, const ek_real *EK_RESTRICT mx,
+                                  const ek_real *EK_RESTRICT my, const ek_real *EK_RESTRICT cx,
+                                  const ek_real *EK_RESTRICT cy, ek_real *EK_RESTRICT tx, ek_real *EK_RESTRICT ty,
+                                  ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT choice,
+                                  ek_real *EK_RESTRICT weight)
 {
+    ek_real tied[EK_LANES] = {EK_R(0.0)}, total = EK_R(0.0);
     for (size_t i = 0; i < padded; i += EK_LANES) {
         for (size_t lane = 0; lane < EK_LANES; lane++) {
             const size_t first = EK_BLOCK * i + lane;
@@ -178,6 +203,9 @@ EK_LOOP void choose_candidates(size_t padded, ek_real reach, const ek_real *EK_R
                 const ek_real a = cx[first + EK_LANES * k], b = cy[first + EK_LANES * k];
                 const ek_real square = (x - a) * (x - a) + (y - b) * (y - b);
                 const int closer = square < best;
+                if (ties) {
+                    tied[lane] += square == best ? EK_R(1.0) : EK_R(0.0);
+                }
                 u = closer ? a : u;
                 v = closer ? b : v;
                 which = closer ? (ek_real)k : which;
@@ -190,19 +218,47 @@ EK_LOOP void choose_candidates(size_t padded, ek_real reach, const ek_real *EK_R
             weight[i + lane] = best < reach ? EK_R(1.0) : EK_R(0.0);
         }
     }
+    for (size_t lane = 0; lane < EK_LANES; lane++) {
+        total += tied[lane];
+    }
+    return total;
 }
 
-EK_WIDE static void choose_candidates_wide(const ek_icp *p, size_t padded, ek_real reach)
+EK_WIDE static ek_real choose_candidates_wide(const ek_icp *p, size_t padded, ek_real reach)
 {
-    choose_candidates(padded, reach, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
+    return choose_candidates(padded, reach, 0, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
 }
 
-static void choose_neighbours(const ek_icp *p, size_t padded, ek_real reach)
+EK_WIDE static ek_real choose_tied_wide(const ek_icp *p, size_t padded, ek_real reach)
+{
+    return choose_candidates(padded, reach, 1, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
+}
+
+static ek_real choose_neighbours(const ek_icp *p, size_t padded, ek_real reach, int ties)
 {
     if (EK_IF_WIDE(p->wide)) {
-        choose_candidates_wide(p, padded, reach);
-    } else {
-        choose_candidates(padded, reach, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
+        return ties ? choose_tied_wide(p, padded, reach) : choose_candidates_wide(p, padded, reach);
+    }
+    return choose_candidates(padded, reach, ties, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
+}
+
+/* Choose of the candidates of a point that are exactly as near as the chosen one that with the lowest index in the cloud. */
+static void choose_lowest(const ek_icp *icp, const ek_index *target, size_t count)
+{
+    for (size_t i = 0; i < count; i++) {
+        const size_t first = EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
+        size_t chosen = (size_t)(int32_t)icp->choice[i];
+        for (size_t k = 0; k < EK_BLOCK && icp->weight[i] > EK_R(0.0); k++) {
+            const ek_real a = icp->cx[first + EK_LANES * k], b = icp->cy[first + EK_LANES * k];
+            const ek_real x = icp->mx[i] - a, y = icp->my[i] - b;
+            const uint32_t *const slots = icp->slots + EK_BLOCK * i;
+            if (x * x + y * y == icp->slack[i] && target->id[slots[k]] < target->id[slots[chosen]]) {
+                chosen = k;
+                icp->tx[i] = a;
+                icp->ty[i] = b;
+            }
+        }
+        icp->choice[i] = (ek_real)chosen;
     }
 }
 
@@ -219,12 +275,17 @@ static uint32_t list_stale(size_t padded, const ek_real *EK_RESTRICT slack, uint
     return searches;
 }
 
+/* Half width (m) of the first look for the neighbour of a point. */
+static ek_real first_look(const ek_icp *icp, const ek_index *target, uint32_t i, ek_real limit)
+{
+    const ek_real known = icp->distance[i] + BEYOND * target->cells.cell;
+    return icp->distance[i] < limit ? known : FIRST_LOOK * target->cells.cell;
+}
+
 /* Search the neighbour of a point in the index. */
 static ek_neighbour search_index(const ek_icp *icp, const ek_index *target, uint32_t i, ek_real limit)
 {
-    const ek_real known = icp->distance[i] + BEYOND * target->cells.cell;
-    const ek_real radius = icp->distance[i] < limit ? known : FIRST_LOOK * target->cells.cell;
-    return ek_index_nearest(target, icp->mx[i], icp->my[i], limit, radius);
+    return ek_index_nearest(target, icp->mx[i], icp->my[i], limit, first_look(icp, target, i, limit));
 }
 
 /* Search the neighbour of every point whose neighbour may have changed; returns the number of searches. */
@@ -277,9 +338,9 @@ static void load_neighbour(ek_icp *icp, const ek_index *target, uint32_t i, ek_r
     const int found = answer.slot != EK_NONE;
     ek_block only;
     for (size_t k = 0; k < EK_BLOCK; k++) {
-        only.x[k] = found ? target->xy[2u * answer.slot] : EK_FAR;
-        only.y[k] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
-        only.slot[k] = found ? answer.slot : 0u;
+        only.x[k] = found && k == 0u ? target->xy[2u * answer.slot] : far_away(k);
+        only.y[k] = found && k == 0u ? target->xy[2u * answer.slot + 1u] : far_away(k);
+        only.slot[k] = found && k == 0u ? answer.slot : 0u;
     }
     only.centre_x = icp->mx[i];
     only.centre_y = icp->my[i];
@@ -312,6 +373,86 @@ static uint32_t load_candidates(ek_icp *icp, const ek_index *target, size_t padd
     return searches;
 }
 
+/* Take the points that were found for one place of a group as the candidates of a point. */
+static inline void load_nearby(ek_icp *icp, const ek_index *target, const ek_nearby *found, uint32_t lane, uint32_t i)
+{
+    ek_real *const EK_RESTRICT x = icp->cx + EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
+    ek_real *const EK_RESTRICT y = icp->cy + EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
+    for (size_t k = 0; k < EK_BLOCK; k++) {
+        const uint32_t slot = found->slot[lane][k];
+        const int none = slot == EK_NONE;
+        x[EK_LANES * k] = none ? far_away(k) : target->xy[2u * slot];
+        y[EK_LANES * k] = none ? far_away(k) : target->xy[2u * slot + 1u];
+        icp->slots[EK_BLOCK * i + k] = none ? 0u : slot;
+    }
+    icp->ax[i] = icp->mx[i];
+    icp->ay[i] = icp->my[i];
+    icp->others[i] = found->others[lane];
+}
+
+/* Places that are searched together. */
+typedef struct {
+    uint32_t size;
+    ek_real x[EK_GROUP], y[EK_GROUP], radius; /* m */
+} group;
+
+/* Gather the first of `count` points and those after it as long as one look for all of them is cheaper than a look for
+ * each, by the areas looked at. */
+static void gather_group(const ek_icp *icp, const ek_index *target, const uint32_t *points, uint32_t count, ek_real limit,
+                         group *places)
+{
+    const ek_real cell = target->cells.cell;
+    ek_real left = EK_FAR, right = -EK_FAR, bottom = EK_FAR, top = -EK_FAR;
+    places->radius = EK_R(0.0);
+    places->size = 0u;
+    for (uint32_t k = 0; k < EK_GROUP && k < count; k++) {
+        const ek_real x = icp->mx[points[k]], y = icp->my[points[k]], look = first_look(icp, target, points[k], limit);
+        left = x < left ? x : left;
+        right = x > right ? x : right;
+        bottom = y < bottom ? y : bottom;
+        top = y > top ? y : top;
+        const ek_real radius = look > places->radius ? look : places->radius, beside = EK_R(2.0) * radius + cell;
+        if (k && (right - left + beside) * (top - bottom + beside) > SHARE * (ek_real)(k + 1u) * beside * beside) {
+            break;
+        }
+        places->radius = radius;
+        places->x[k] = x;
+        places->y[k] = y;
+        places->size++;
+    }
+    for (uint32_t lane = places->size; lane < EK_GROUP; lane++) {
+        places->x[lane] = places->x[0];
+        places->y[lane] = places->y[0];
+    }
+}
+
+/* Search for the first of `count` points and those after it that lie beside it; returns how many these are. */
+static uint32_t load_group(ek_icp *icp, const ek_index *target, const uint32_t *points, uint32_t count, ek_real limit)
+{
+    group places;
+    ek_nearby found;
+    gather_group(icp, target, points, count, limit, &places);
+    const int near = ek_index_nearby(target, places.x, places.y, places.radius, icp->wide, &found);
+    for (uint32_t lane = 0; lane < places.size; lane++) {
+        if (near && (found.nearest[lane] < limit ? found.nearest[lane] : limit) < found.others[lane]) {
+            load_nearby(icp, target, &found, lane, points[lane]);
+        } else {
+            load_neighbour(icp, target, points[lane], limit);
+        }
+    }
+    return places.size;
+}
+
+/* As load_candidates, without a table: search the index for groups of points. */
+static uint32_t load_groups(ek_icp *icp, const ek_index *target, size_t padded, ek_real limit)
+{
+    const uint32_t searches = list_stale(padded, icp->slack, icp->stale);
+    for (uint32_t done = 0; done < searches;) {
+        done += load_group(icp, target, icp->stale + done, searches - done, limit);
+    }
+    return searches;
+}
+
 /* Take the chosen candidate of each point as its neighbour. */
 static void take_slots(size_t padded, const uint32_t *EK_RESTRICT slots, const ek_real *EK_RESTRICT choice,
                        uint32_t *EK_RESTRICT nearest)
@@ -323,30 +464,50 @@ static void take_slots(size_t padded, const uint32_t *EK_RESTRICT slots, const e
     }
 }
 
-/* Take the normals of the neighbours. */
-static void take_normals(size_t padded, const uint32_t *EK_RESTRICT nearest, const uint32_t *EK_RESTRICT id,
-                         const ek_real *EK_RESTRICT normals, ek_real *EK_RESTRICT nx, ek_real *EK_RESTRICT ny)
+/* List the points with weight 1 whose normal is not that of their neighbour; returns their number. */
+static uint32_t list_turned(size_t padded, const uint32_t *EK_RESTRICT nearest, const uint32_t *EK_RESTRICT lined,
+                            const ek_real *EK_RESTRICT weight, uint32_t *EK_RESTRICT turned)
 {
-    for (size_t i = 0; i < padded; i++) {
-        const size_t point = id[nearest[i]];
-        nx[i] = normals[2u * point];
-        ny[i] = normals[2u * point + 1u];
+    uint32_t count = 0u;
+    for (uint32_t i = 0; i < padded; i += EK_LANES) {
+        for (uint32_t k = i; k < i + EK_LANES; k++) {
+            turned[count] = k;
+            count += (nearest[k] != lined[k]) & (weight[k] > EK_R(0.0));
+        }
+    }
+    return count;
+}
+
+/* Take the normals of the neighbours where these have changed. */
+static void take_normals(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t padded)
+{
+    const uint32_t count = list_turned(padded, icp->nearest, icp->lined, icp->weight, icp->stale);
+    ek_real first = target->cells.cell;
+    for (uint32_t k = 0; k < count; k++) {
+        const uint32_t i = icp->stale[k], slot = icp->nearest[i];
+        if (target->deferred) {
+            ek_normals_ensure(target, slot, &first);
+        }
+        icp->nx[i] = normals[2u * (size_t)target->id[slot]];
+        icp->ny[i] = normals[2u * (size_t)target->id[slot] + 1u];
+        icp->lined[i] = slot;
     }
 }
 
-/* As update_neighbours, with the table of the target. */
-static uint32_t update_candidates(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t padded,
+/* As update_neighbours, with candidates: from the table of the target, or found in groups. */
+static uint32_t update_candidates(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t count,
                                   ek_real limit, ek_real reach)
 {
-    const uint32_t searches = load_candidates(icp, target, padded, limit);
-    choose_neighbours(icp, padded, reach);
-    take_slots(padded, icp->slots, icp->choice, icp->nearest);
-    ek_real first = target->cells.cell;
-    for (size_t i = 0; i < padded && normals && target->deferred; i++) {
-        ek_normals_ensure(target, icp->nearest[i], &first);
+    const size_t padded = EK_PADDED(count);
+    const ek_table *const table = target->table;
+    const uint32_t searches = EK_GROUPED && !table ? load_groups(icp, target, padded, limit)
+                                                   : load_candidates(icp, target, padded, limit);
+    if (choose_neighbours(icp, padded, reach, !table) > EK_R(0.0)) {
+        choose_lowest(icp, target, count);
     }
+    take_slots(padded, icp->slots, icp->choice, icp->nearest);
     if (normals) {
-        take_normals(padded, icp->nearest, target->id, normals, icp->nx, icp->ny);
+        take_normals(icp, target, normals, padded);
     }
     return searches;
 }
@@ -490,22 +651,23 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
     const size_t padded = EK_PADDED(count);
     const int limited = parameters->max_correspondence > EK_R(0.0) && parameters->max_correspondence < MAX_DISTANCE;
     const ek_real limit = limited ? parameters->max_correspondence : MAX_DISTANCE;
-    ek_table *const table = limit >= MIN_LIMIT ? target->table : NULL;
-    const ek_real reach = table ? square_of_limit(limit) : EK_R(0.0);
+    const int grouped = EK_GROUPED && icp->grouped && target->count <= DENSE * count;
+    const int candidates = limit >= MIN_LIMIT && (target->table || grouped);
+    const ek_real reach = candidates ? square_of_limit(limit) : EK_R(0.0);
     const ek_real *const normals = parameters->metric == EK_METRIC_LINE && target->count ? target->normals : NULL;
     ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
     ek_pose pose = guess;
     ek_real previous = (ek_real)INFINITY;
-    if (table) {
-        ek_table_attach(table, target);
+    if (candidates && target->table) {
+        ek_table_attach(target->table, target);
     }
     move_source(icp, padded, pose, limit, target->cells.margin);
     EK_COUNT(EK_POINTS, padded);
     while (match.iterations < parameters->max_iterations && !match.converged) {
         EK_COUNT(EK_ITERATIONS, 1u);
         EK_COUNT(EK_POINTS, padded);
-        if (table) {
-            match.queries += update_candidates(icp, target, normals, padded, limit, reach);
+        if (candidates) {
+            match.queries += update_candidates(icp, target, normals, count, limit, reach);
             match.inliers = select_pairs(icp, padded, icp->slack, parameters->one_to_one);
         } else {
             match.queries += update_neighbours(icp, target, normals, padded, limit);
@@ -521,7 +683,7 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
                                 pose, NULL, NULL};
         now.step = fit_step(icp, padded, pose, parameters);
         if (parameters->error_before) {
-            if (table) {
+            if (candidates) {
                 measure_distances(icp, padded);
             }
             now.error = compute_error(icp, padded, match.inliers, parameters);

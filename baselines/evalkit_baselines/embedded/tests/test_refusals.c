@@ -502,8 +502,10 @@ static void of_calls(void)
     CHECK(ek_icp_register(&matcher, &index, xy, 2u, ORIGIN, &icp, NULL, NULL, &match) == EK_OUT_OF_RANGE);
     matcher.targets = 2u;
     index.table = &table;
+    matcher.choice = NULL;
     CHECK(ek_icp_register(&matcher, &index, xy, 2u, ORIGIN, &icp, NULL, NULL, &match) == EK_NULL_POINTER); /* memory */
     index.table = NULL;
+    matcher.grouped = 0;
     icp.metric = EK_METRIC_LINE;
     CHECK(ek_icp_register(&matcher, &index, xy, 2u, ORIGIN, &icp, NULL, NULL, &match) == EK_NULL_POINTER); /* memory */
     CHECK(ek_icp_init_lines(&matcher, &arena) == EK_OK && ek_arena_check(&arena) == EK_OK);

@@ -4,6 +4,7 @@
 #include "ek/pipeline.h"
 #include "ek/slam.h"
 #include "ek/table.h"
+#include "ek/wide.h"
 
 #define REAL sizeof(ek_real)
 #define WORD 4u
@@ -36,13 +37,25 @@ static void index_of(size_t points, size_t cells)
     block(points + 1u, WORD);
 }
 
+static void candidates_of(size_t points)
+{
+    const size_t padded = (points + 7u) / 8u * 8u;
+    blocks(2u, 6u * padded, REAL);
+    block(6u * padded, WORD);
+    block(padded, REAL);
+}
+
 static void icp_of(size_t points, size_t targets, int lines)
 {
     const size_t padded = (points + 7u) / 8u * 8u;
     blocks(12u, padded, REAL);
     blocks(4u, padded, WORD);
     block(targets + 1u, WORD);
+    if (EK_GROUPED) {
+        candidates_of(points);
+    }
     blocks(lines ? 3u : 0u, padded, REAL);
+    blocks(lines ? 1u : 0u, padded, WORD);
 }
 
 static void thinner_of(size_t points)
@@ -178,9 +191,8 @@ static void small_parts(void)
         TAKES(ek_index_init(&index, &arena, n, n + 7u), index_of(n, n + 7u));
         TAKES(ek_index_updater_init(&updater, &arena, n), updater_of(n));
         TAKES(ek_icp_init(&icp, &arena, n, n + 3u), icp_of(n, n + 3u, 0));
-        TAKES(ek_icp_init_lines(&icp, &arena), blocks(3u, EK_PADDED(n), REAL));
-        TAKES(ek_icp_init_table(&icp, &arena), (blocks(2u, 6u * EK_PADDED(n), REAL), block(6u * EK_PADDED(n), WORD),
-                                                block(EK_PADDED(n), REAL)));
+        TAKES(ek_icp_init_lines(&icp, &arena), (blocks(3u, EK_PADDED(n), REAL), block(EK_PADDED(n), WORD)));
+        TAKES(ek_icp_init_table(&icp, &arena), EK_GROUPED ? (void)0 : candidates_of(n));
         TAKES(ek_scan_init(&scan, &arena, n), scan_of(n));
         TAKES(ek_thinner_init(&thinner, &arena, n), thinner_of(n));
         TAKES(ek_observer_init(&observer, &arena, n), observer_of(n));

@@ -57,19 +57,21 @@ typedef void (*ek_icp_trace)(void *context, const ek_icp_iteration *iteration);
 typedef struct {
     size_t capacity, targets;
     int wide;               /* 1: the processor has AVX2 (wide.h) */
+    int grouped;            /* 1: points that lie beside each other are searched together (nearby.h) */
     ek_real *px, *py;       /* source points */
     ek_real *mx, *my;       /* source points in the target's frame */
     ek_real *tx, *ty;       /* nearest target points; EK_FAR if there is none */
     ek_real *ax, *ay;       /* positions at the last search */
     ek_real *others;        /* lower bound on the distance to any other target point at the last search */
     ek_real *distance;      /* to the nearest target point */
-    ek_real *slack;         /* not positive: search again; afterwards, with a table, the square of the distance */
+    ek_real *slack;         /* not positive: search again; afterwards, with candidates, the square of the distance */
     ek_real *weight;        /* 1: a pair, 0: not */
     ek_real *nx, *ny;       /* normals of the nearest target points; NULL without ek_icp_init_lines */
     ek_real *across;        /* distance to their lines */
-    ek_real *cx, *cy;       /* EK_BLOCK target points that can be nearest; NULL without ek_icp_init_table */
+    uint32_t *lined;        /* with candidates: slot whose normal is stored, or `targets` */
+    ek_real *cx, *cy;       /* candidates: EK_BLOCK target points that can be nearest; NULL without memory for them */
     ek_real *choice;        /* which of them is nearest */
-    uint32_t *slots;        /* their slots in the index; 0 and EK_FAR away: none */
+    uint32_t *slots;        /* their slots in the index; 0 and EK_FAR away or farther: none */
     uint32_t *nearest;      /* slot in the index, or `targets` */
     uint32_t *stale;        /* points to search for */
     uint32_t *owner;        /* slot (and one for none) -> the closest source point */
@@ -89,14 +91,14 @@ ek_icp_parameters ek_icp_default(void);
 /* Check parameters: EK_OUT_OF_RANGE if one is outside its range or not finite, otherwise EK_OK. */
 ek_status ek_icp_check(const ek_icp_parameters *parameters);
 
-/* Initialise working memory for up to `capacity` source points and indices of up to `targets` points.
- * EK_OUT_OF_RANGE: a capacity is 0 or above 2^30. */
+/* Initialise working memory for up to `capacity` source points and indices of up to `targets` points; where EK_GROUPED
+ * (wide.h), with memory for candidates. EK_OUT_OF_RANGE: a capacity is 0 or above 2^30. */
 ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targets);
 
 /* Initialise the memory that EK_METRIC_LINE needs in addition. */
 ek_status ek_icp_init_lines(ek_icp *icp, ek_arena *arena);
 
-/* Initialise the memory that a target with a table (table.h) needs in addition. */
+/* Initialise the memory for candidates, if ek_icp_init has not. A target with a table (table.h) needs it. */
 ek_status ek_icp_init_table(ek_icp *icp, ek_arena *arena);
 
 /* Compute target_from_source, starting from `guess`. source_xy holds count pairs x y (m); trace may be NULL.

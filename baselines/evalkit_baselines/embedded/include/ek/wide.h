@@ -19,4 +19,18 @@
 #define ek_is_wide() 0
 #endif
 
+/* Loops over lanes that a compiler would unroll before it makes vectors of them. */
+#if defined(__GNUC__) && !defined(__clang__)
+#define EK_LANE_BY_LANE _Pragma("GCC unroll 1")
+#else
+#define EK_LANE_BY_LANE
+#endif
+
+/* 1: places are searched in groups (nearby.h). Not on a processor without vectors, nor where its work is counted. */
+#if (defined(__x86_64__) || defined(_M_X64) || defined(__aarch64__) || defined(_M_ARM64)) && !defined(EK_TALLY)
+#define EK_GROUPED 1
+#else
+#define EK_GROUPED 0
+#endif
+
 #endif

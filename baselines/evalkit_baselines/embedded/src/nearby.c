@@ -1,0 +1,148 @@
+#include "ek/nearby.h"
+#include "ek/wide.h"
+
+#define BITS 8 /* of a key for the number of a candidate; the 23 bits above are its squared distance */
+#define MAX_AROUND (1u << BITS)
+#define LARGEST 8387584.0f /* 2^23 - 1024: no rounding reaches 2^23 */
+#define ROUNDING EK_R(2e-6) /* error of a distance in single precision, as a share of the largest one */
+#define NO_KEY INT32_MAX
+
+/* Candidates of all places, relative to the first place (m). */
+typedef struct {
+    uint32_t count, slot[MAX_AROUND];
+    float x[MAX_AROUND], y[MAX_AROUND];
+    ek_cell_box box; /* cells that contain them */
+} surroundings;
+
+/* Keep the EK_BLOCK + 1 smallest keys of each place, in ascending order. */
+EK_LOOP void rank(uint32_t count, float scale, const float *EK_RESTRICT cx, const float *EK_RESTRICT cy,
+                  const float *EK_RESTRICT px, const float *EK_RESTRICT py, int32_t (*EK_RESTRICT ranked)[EK_GROUP])
+{
+    int32_t keys[EK_BLOCK + 1u][EK_GROUP]; /* local: kept in registers */
+    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
+        for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
+            keys[j][lane] = NO_KEY;
+        }
+    }
+    for (uint32_t k = 0; k < count; k++) {
+        const float x = cx[k], y = cy[k];
+        EK_LANE_BY_LANE
+        for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
+            const float dx = x - px[lane], dy = y - py[lane];
+            int32_t key = (int32_t)((dx * dx + dy * dy) * scale) * (int32_t)MAX_AROUND + (int32_t)k;
+            for (uint32_t j = 0; j <= EK_BLOCK; j++) {
+                const int32_t old = keys[j][lane], now = key;
+                keys[j][lane] = now < old ? now : old;
+                key = now < old ? old : now;
+            }
+        }
+    }
+    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
+        for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
+            ranked[j][lane] = keys[j][lane];
+        }
+    }
+}
+
+EK_WIDE static void rank_wide(uint32_t count, float scale, const float *cx, const float *cy, const float *px,
+                              const float *py, int32_t (*ranked)[EK_GROUP])
+{
+    rank(count, scale, cx, cy, px, py, ranked);
+}
+
+/* Gather the points in the cells that squares around the places touch, relative to (x, y); 0 if there are too many. */
+static int gather(const ek_index *index, const ek_bounds *places, ek_real radius, ek_real x, ek_real y,
+                  surroundings *around)
+{
+    const ek_cell_grid *const grid = &index->cells;
+    const int32_t last_column = (int32_t)grid->columns - 1, last_row = (int32_t)grid->rows - 1;
+    ek_cell_box *const box = &around->box;
+    box->left = ek_cell_grid_clamp((places->left - radius - grid->left) * grid->per_cell, last_column);
+    box->right = ek_cell_grid_clamp((places->right + radius - grid->left) * grid->per_cell, last_column);
+    box->bottom = ek_cell_grid_clamp((places->bottom - radius - grid->bottom) * grid->per_cell, last_row);
+    box->top = ek_cell_grid_clamp((places->top + radius - grid->bottom) * grid->per_cell, last_row);
+    uint32_t count = 0u;
+    for (int32_t row = box->bottom; row <= box->top; row++) {
+        const uint32_t *const start = index->start + (size_t)row * grid->columns;
+        const uint32_t from = start[box->left], points = start[box->right + 1] - from;
+        const ek_real *const xy = index->xy + 2u * (size_t)from;
+        if (points > MAX_AROUND - count) {
+            return 0;
+        }
+        for (uint32_t k = 0; k < points; k++) {
+            around->slot[count] = from + k;
+            around->x[count] = (float)(xy[2u * k] - x);
+            around->y[count++] = (float)(xy[2u * k + 1u] - y);
+        }
+    }
+    around->count = count;
+    return 1;
+}
+
+/* Edges of the cells of a box (m). */
+static ek_bounds find_edges(const ek_cell_grid *grid, const ek_cell_box *box)
+{
+    const ek_bounds edges = {grid->left + (ek_real)box->left * grid->cell,
+                             grid->left + (ek_real)(box->right + 1) * grid->cell,
+                             grid->bottom + (ek_real)box->bottom * grid->cell,
+                             grid->bottom + (ek_real)(box->top + 1) * grid->cell};
+    return edges;
+}
+
+/* Distance (m) from a place to the nearest edge behind which there are cells, less what rounding may be. */
+static inline ek_real distance_to_edge(const ek_cell_grid *grid, const ek_cell_box *box, const ek_bounds *edges,
+                                       ek_real x, ek_real y)
+{
+    const ek_real left = box->left > 0 ? x - edges->left : EK_FAR, bottom = box->bottom > 0 ? y - edges->bottom : EK_FAR;
+    const ek_real right = box->right + 1 < (int32_t)grid->columns ? edges->right - x : EK_FAR;
+    const ek_real top = box->top + 1 < (int32_t)grid->rows ? edges->top - y : EK_FAR;
+    const ek_real across = left < right ? left : right, up = bottom < top ? bottom : top;
+    const ek_real margin = grid->margin + EK_R(16.0) * EK_EPSILON * (EK_FABS(x) + EK_FABS(y));
+    return (across < up ? across : up) - margin;
+}
+
+int ek_index_nearby(const ek_index *index, const ek_real x[EK_GROUP], const ek_real y[EK_GROUP], ek_real radius, int wide,
+                    ek_nearby *found)
+{
+    ek_bounds places = {x[0], x[0], y[0], y[0]};
+    float px[EK_GROUP], py[EK_GROUP];
+    int32_t keys[EK_BLOCK + 1u][EK_GROUP];
+    surroundings around;
+    for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
+        places.left = x[lane] < places.left ? x[lane] : places.left;
+        places.right = x[lane] > places.right ? x[lane] : places.right;
+        places.bottom = y[lane] < places.bottom ? y[lane] : places.bottom;
+        places.top = y[lane] > places.top ? y[lane] : places.top;
+        px[lane] = (float)(x[lane] - x[0]);
+        py[lane] = (float)(y[lane] - y[0]);
+    }
+    if (index->count == 0u || !gather(index, &places, radius, x[0], y[0], &around)) {
+        return 0;
+    }
+    /* no place is farther from a candidate */
+    const ek_bounds edges = find_edges(&index->cells, &around.box);
+    const ek_real across = (edges.right > places.right ? edges.right : places.right) -
+                           (edges.left < places.left ? edges.left : places.left);
+    const ek_real up = (edges.top > places.top ? edges.top : places.top) -
+                       (edges.bottom < places.bottom ? edges.bottom : places.bottom);
+    const ek_real rounding = ROUNDING * (across + up) + index->cells.margin;
+    const float scale = LARGEST / (float)((across + up) * (across + up)), per = 1.0f / scale;
+    if (EK_IF_WIDE(wide)) {
+        rank_wide(around.count, scale, around.x, around.y, px, py, keys);
+    } else {
+        rank(around.count, scale, around.x, around.y, px, py, keys);
+    }
+    for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
+        const int32_t first = keys[0][lane] / (int32_t)MAX_AROUND, next = keys[EK_BLOCK][lane];
+        const ek_real border = distance_to_edge(&index->cells, &around.box, &edges, x[lane], y[lane]);
+        const ek_real rest = (ek_real)sqrtf((float)(next / (int32_t)MAX_AROUND) * per) - rounding;
+        const ek_real least = next == NO_KEY ? EK_FAR : rest;
+        found->nearest[lane] = (ek_real)sqrtf((float)(first + 1) * per) + rounding;
+        found->others[lane] = least < border ? least : border;
+        for (uint32_t j = 0; j < EK_BLOCK; j++) {
+            const int32_t key = keys[j][lane];
+            found->slot[lane][j] = key == NO_KEY ? EK_NONE : around.slot[(uint32_t)key % MAX_AROUND];
+        }
+    }
+    return 1;
+}
