@@ -1,5 +1,6 @@
 """The contract that every shipped plug-in must meet."""
 
+import inspect
 import itertools
 import math
 from importlib.metadata import entry_points
@@ -32,6 +33,15 @@ SYNTHETIC = [name for name in DATASETS if registry.dataset(name).seeded]
 def sequence(name, **parameters):
     spec = registry.dataset(name)
     return spec.make(**resolve_parameters(name, spec.parameters, parameters))
+
+
+@pytest.mark.parametrize("name", ["carmen", "clouds", "columns", "rosbag"])
+def test_a_reader_has_the_defaults_that_its_spec_declares(name):
+    """An object made by its class is the one made by its name; no parameter is missing on either side."""
+    spec = registry.dataset(name)
+    declared = {one.name: one.default for one in spec.parameters if one.name != "path"}
+    accepted = {one.name: one.default for one in inspect.signature(spec.make).parameters.values()}
+    assert accepted == {"path": inspect.Parameter.empty, "how": "", **declared}
 
 
 @pytest.fixture(scope="module")

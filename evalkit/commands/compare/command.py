@@ -82,7 +82,7 @@ def compare(
     ] = False,
     reader: Annotated[
         str,
-        typer.Option(help="Data set that reads it.", show_default="by its content", rich_help_panel=RECORDING),
+        typer.Option(**options.READER, rich_help_panel=RECORDING),
     ] = "",
     setting: Annotated[
         list[str] | None,

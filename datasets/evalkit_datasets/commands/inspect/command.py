@@ -13,7 +13,7 @@ import typer
 
 from evalkit.core.errors import BadData, EvalkitError
 from evalkit.io.output_files import write_texts
-from evalkit.terminal.options import Json, out, print_json
+from evalkit.terminal.options import READER, Json, out, print_json
 from evalkit.terminal.text_list import print_hanging
 from evalkit_datasets.commands.inspect.findings import Level, format_count
 from evalkit_datasets.commands.inspect.inspector import CARMEN, Inspection, find_reader_name, inspect_recording
@@ -30,7 +30,7 @@ def inspect(
     file: Annotated[
         Path, typer.Argument(help="A bag (ROS 1 or 2), a CARMEN log, or a text log in columns.", show_default=False)
     ],
-    reader: Annotated[str, typer.Option(help="Data set that reads it.", show_default="by its content")] = "",
+    reader: Annotated[str, typer.Option(**READER)] = "",
     folder: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write a page with plots there.", show_default=False)
     ] = None,
