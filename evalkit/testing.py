@@ -15,7 +15,7 @@ from evalkit.commands.validate.equivalence.comparison import assert_equivalent a
 from evalkit.commands.validate.rules import dataset_rules, runner
 from evalkit.commands.validate.rules.rule import RuleReport, RuleResult
 from evalkit.core.errors import UnknownName
-from evalkit.plugins.address import stop_loading
+from evalkit.plugins.address import backend_at, stop_loading
 from evalkit.plugins.specs import BackendSpec, DatasetSpec
 
 __all__ = [
@@ -51,7 +51,7 @@ def check_backend(backend: str | BackendSpec, /, **parameters: object) -> RuleRe
 
 def backend_rules(backend: str | BackendSpec, /) -> tuple[str, ...]:
     """The names of a back end's rules, for ``pytest.mark.parametrize("rule", backend_rules(SPEC))``."""
-    return (*runner.RULES[runner.spec_of(backend).kind], *runner.PROCESS_RULES)
+    return (*runner.RULES[backend_at(backend).kind], *runner.PROCESS_RULES)
 
 
 def check_rule(backend: str | BackendSpec, rule: str, /, **parameters: object) -> RuleResult:

@@ -173,3 +173,8 @@ class MachineFault(_RemediedError):
         if not isinstance(system, OSError) or system.errno not in _MACHINE_ERRORS:
             return None
         return cls(where, f"the machine failed ({system.strerror})", cls.REMEDY)
+
+
+def format_exception(error: BaseException) -> str:
+    """An exception as an observation."""
+    return f"raises {type(error).__name__}: {error}"

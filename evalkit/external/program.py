@@ -151,9 +151,12 @@ class Program:
         return self._failure(f"ended with {how} instead of answering", "see its messages")
 
     def _failure(self, what: str, remedy: str) -> BackendFailed:
-        _kill_group(self._process)  # nothing more is read from it
+        self._kill()  # nothing more is read from it
         stderr = _printable(b"".join(self._last_messages)[-300:].strip())
         return BackendFailed(self._name, what + (f"; last message: {stderr}" if stderr else ""), remedy)
+
+    def _kill(self) -> None:
+        _kill_group(self._process)
 
 
 def _require_pipe(pipe: IO[bytes] | None) -> IO[bytes]:

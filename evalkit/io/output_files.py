@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from evalkit.core.errors import StoreError
 
@@ -115,3 +117,15 @@ def _open_folder(path: Path, root: Path | None) -> Iterator[int]:
         yield folder
     finally:
         os.close(folder)
+
+
+def format_json(value: Any, indent: int = 0) -> str:
+    """Return JSON text in which containers without inner containers take one line."""
+    parts = list(value.values() if isinstance(value, dict) else value) if isinstance(value, dict | list | tuple) else []
+    if not any(isinstance(part, dict | list | tuple) for part in parts):
+        return json.dumps(value)
+    pad, end = " " * (indent + 1), "\n" + " " * indent
+    if isinstance(value, dict):
+        lines = [f"{pad}{json.dumps(name)}: {format_json(part, indent + 1)}" for name, part in value.items()]
+        return "{\n" + ",\n".join(lines) + end + "}"
+    return "[\n" + ",\n".join(pad + format_json(part, indent + 1) for part in parts) + end + "]"

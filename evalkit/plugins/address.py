@@ -138,3 +138,8 @@ def _address_of_class(made: type) -> Address:
         remedy = f"move it to a file, say my_icp.py, and give my_icp.{made.__name__}"
         raise NotInstalled(name, f"this class is defined {where}, where no other process can import it", remedy)
     return Address(f"{module}:{name}", module, name, str(getattr(sys.modules.get(module), "__file__", "") or ""))
+
+
+def backend_at(backend: str | BackendSpec) -> BackendSpec:
+    """Return the spec of a registered name, of "module:SPEC", or itself. Raises NotInstalled if there is none."""
+    return spec_at(address_of(backend), BackendSpec, registry.backend)

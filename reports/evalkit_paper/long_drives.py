@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.study.evaluate import RunScores, evaluate
 from evalkit.core import se2
 from evalkit.core.pose import Pose
+from evalkit.design.run_points import RunScores, evaluate
 from evalkit.odometry import frontend
 from evalkit.odometry.run_odometry import estimate_poses
 from evalkit.plugins import registry

@@ -12,13 +12,13 @@ import numpy as np
 
 from evalkit.commands.study.config import load_study
 from evalkit.commands.study.envelope import compute_panels, describe_panels
-from evalkit.commands.study.evaluate import RunScores
 from evalkit.commands.study.formatting import describe_interactions, describe_limit, describe_main_effects
 from evalkit.commands.study.page import build_sections, sum_cpu_minutes
 from evalkit.commands.study.plan import Study
 from evalkit.commands.study.result import StudyResult
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
+from evalkit.design.run_points import RunScores
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.odometry import frontend
 from evalkit.odometry.run_odometry import estimate_poses

@@ -253,4 +253,4 @@ def test_arguments_that_do_not_fit_the_function_are_an_error(squares):
 
 def test_the_key_changes_with_the_modules_that_the_result_depends_on(squares):
     task = squares("n", "square", number=1)
-    assert task.depending_on("evalkit.commands.study.design").key != task.key
+    assert task.depending_on("evalkit.design.designs").key != task.key

@@ -13,6 +13,7 @@ from evalkit.commands.validate.rules import runner
 from evalkit.execution import sandbox
 from evalkit.external import INCLUDE
 from evalkit.plugins import defaults
+from evalkit.plugins.address import backend_at
 
 FOLDER = Path(__file__).parent
 MARGINS = ["exact", "float32"]
@@ -66,7 +67,7 @@ def examine(backend: str, seed: int) -> list[str]:
 
 def compare(backend: str, seed: int) -> dict[str, Any]:
     """The texts of the failed checks of levels 1 and 2 on a few pairs of scans, drawn questions and a short drive."""
-    reference = REFERENCES.get(runner.spec_of(backend).kind, defaults.find_reference_backend())
+    reference = REFERENCES.get(backend_at(backend).kind, defaults.find_reference_backend())
     a, b = ({"name": name, "given": {}} for name in (reference, backend))
     dataset = defaults.find_simulated_dataset()
     parameters = dict(defaults.find_excerpts("quick")[dataset]) | {"seed": seed % 1000}

@@ -11,16 +11,15 @@ import numpy as np
 from evalkit.commands.basin import convergence, scenes, sequences
 from evalkit.commands.basin.scenes import KnownPair
 from evalkit.commands.basin.sequences import PairSource
-from evalkit.commands.validate.rules.rule import format_exception
-from evalkit.commands.validate.rules.runner import spec_of
 from evalkit.core.arrays import Bools
+from evalkit.core.errors import format_exception
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import Task, make_task
 from evalkit.execution.task_runner import OnDone, TaskFailure, TasksFailed, run_tasks
 from evalkit.execution.task_store import TaskStore
 from evalkit.plugins import registry
-from evalkit.plugins.address import address_of
+from evalkit.plugins.address import address_of, backend_at
 from evalkit.plugins.code_hash import hash_code, hash_files
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import Value, resolve_parameters
@@ -122,7 +121,7 @@ def answers(
     code: str,  # noqa: ARG001 - part of the task's key
 ) -> Answers:
     """Runs trials [begin, end) with a back end; ``code`` is a digest of the back end's sources."""
-    registration: Registration = spec_of(backend).make(**values)
+    registration: Registration = backend_at(backend).make(**values)
     seen = trials.pairs_of_scans()
     guesses = convergence.make_guesses(trials.offsets_drawn(), *trials.truths(seen))
     rows, claimed, reason = np.full((end - begin, 3), np.nan), np.zeros(end - begin, dtype=np.bool_), ""
@@ -169,7 +168,7 @@ class BasinMethod:
 def find_method(label: str, given: Mapping[str, str]) -> BasinMethod:
     """A back end by registered name or "module:SPEC", with parameters as texts; raises UnknownName or BadParameter."""
     address = address_of(label)
-    spec = spec_of(label) if address.module else registry.find_backend(label)
+    spec = backend_at(label) if address.module else registry.find_backend(label)
     if missing := spec.missing():
         return BasinMethod(label, spec, {}, missing)
     if not isinstance(spec, RegistrationSpec):

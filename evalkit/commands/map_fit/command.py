@@ -16,12 +16,11 @@ import typer
 from evalkit.commands.map_fit import reliability
 from evalkit.commands.map_fit.drives import FAULTS, measure_drive
 from evalkit.commands.map_fit.reliability import Drive
-from evalkit.commands.metric_validation.command import format_json
 from evalkit.config.experiment import Experiment, load_experiment
 from evalkit.core.errors import BadExperiment
 from evalkit.execution import environment
 from evalkit.execution.task import make_task
-from evalkit.io.output_files import write_texts
+from evalkit.io.output_files import format_json, write_texts
 from evalkit.plugins import registry
 from evalkit.terminal import options
 from evalkit.terminal.options import Json, Out, out

@@ -5,7 +5,6 @@ Run it as ``python -m evalkit.commands.metric_validation validate`` or ``... sel
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,7 @@ from rich.table import Table
 
 from evalkit.commands.metric_validation import page, validation
 from evalkit.execution import environment
-from evalkit.io.output_files import write_texts
+from evalkit.io.output_files import format_json, write_texts
 from evalkit.plugins import defaults
 from evalkit.report.html.blocks import render
 from evalkit.terminal import options, progress
@@ -94,18 +93,6 @@ def selftest(
     else:
         _print_faults(faults)
     _check_faults(faults)
-
-
-def format_json(value: Any, indent: int = 0) -> str:
-    """Return JSON text in which containers without inner containers take one line."""
-    parts = list(value.values() if isinstance(value, dict) else value) if isinstance(value, dict | list | tuple) else []
-    if not any(isinstance(part, dict | list | tuple) for part in parts):
-        return json.dumps(value)
-    pad, end = " " * (indent + 1), "\n" + " " * indent
-    if isinstance(value, dict):
-        lines = [f"{pad}{json.dumps(name)}: {format_json(part, indent + 1)}" for name, part in value.items()]
-        return "{\n" + ",\n".join(lines) + end + "}"
-    return "[\n" + ",\n".join(pad + format_json(part, indent + 1) for part in parts) + end + "]"
 
 
 def _describe_provenance() -> dict[str, Any]:

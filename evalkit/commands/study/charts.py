@@ -8,11 +8,12 @@ import numpy as np
 
 from evalkit.commands.study.effects import FactorEffect, Interaction, ModelFit
 from evalkit.commands.study.envelope import Panel, find_envelope_axes
-from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.formatting import describe_largest
-from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
-from evalkit.commands.study.result import StudyResult, to_scale
+from evalkit.commands.study.plan import Design, EnvelopeChoice
+from evalkit.commands.study.result import StudyResult
 from evalkit.core.se2 import Floats
+from evalkit.design.factors import Factor
+from evalkit.design.responses import Response, to_scale
 from evalkit.report.formatting import label_with_unit
 from evalkit.report.html.blocks import Figure
 from evalkit.report.html.charts import Axis, Curve, Points, bars, compute_log_ticks, heat, lines, scatter

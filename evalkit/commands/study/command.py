@@ -37,7 +37,8 @@ def study(
     Finished points are kept: repeat the command to continue an interrupted study.
     """
     from evalkit.commands.study.config import load_study  # noqa: PLC0415 - as above
-    from evalkit.commands.study.result import StudyResult, run_study_tasks  # noqa: PLC0415 - loads scipy
+    from evalkit.commands.study.result import StudyResult  # noqa: PLC0415 - loads scipy
+    from evalkit.design.run_points import run_points  # noqa: PLC0415 - as above
 
     options.add_working_directory()
     plan = load_study(file, f"evalkit study {shlex.quote(str(file))}")
@@ -54,7 +55,7 @@ def study(
     ran_on = environment.describe(jobs=workers)
     tasks = plan.tasks()
     with progress.announce_kept(err, "finished points"), progress.show_tasks(err, len(tasks), workers) as done:
-        outcome = StudyResult(plan, run_study_tasks(tasks, folder / "results", workers, done, cluster))
+        outcome = StudyResult(plan, run_points(tasks, folder / "results", workers, done, cluster))
     page = _write(outcome, folder, ran_on)
     lost = sum(bool(outcome.lost(key, seed)) for key in plan.points for seed in plan.seeds(key))
     if as_json:

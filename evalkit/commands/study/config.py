@@ -8,13 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-from evalkit.commands.study.factors import Factor, FactorLevel, Scale, Settings, read_factor
-from evalkit.commands.study.plan import Design, EnvelopeChoice, Kind, Point, Response, Study
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Kind, Point, Study
 from evalkit.commands.study.sampling import sample
 from evalkit.config.experiment import experiment_from_tables
 from evalkit.config.forms import RESPONSE, STUDY
 from evalkit.config.toml_tables import TomlTable, all_mistakes, flatten
 from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief
+from evalkit.design.factors import Factor, FactorLevel, Scale, Settings, read_factor
+from evalkit.design.responses import Response
 from evalkit.io.toml import load_toml
 from evalkit.metrics import all_metrics
 from evalkit.odometry import frontend

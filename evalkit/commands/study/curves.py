@@ -8,10 +8,11 @@ import numpy as np
 
 from evalkit.commands.study import charts
 from evalkit.commands.study.envelope import Panel, compute_panels, find_envelope_axes
-from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.formatting import describe_limit
-from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response
-from evalkit.commands.study.result import StudyResult, to_scale
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Point
+from evalkit.commands.study.result import StudyResult
+from evalkit.design.factors import Factor
+from evalkit.design.responses import Response, to_scale
 from evalkit.report.html.blocks import Block, Cell, Column, Figures, Fold, Table, Text
 
 

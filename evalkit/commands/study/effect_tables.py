@@ -13,8 +13,9 @@ from evalkit.commands.study.formatting import (
     format_effect,
     format_scatter,
 )
-from evalkit.commands.study.plan import Design, Response
-from evalkit.commands.study.result import StudyResult, to_scale
+from evalkit.commands.study.plan import Design
+from evalkit.commands.study.result import StudyResult
+from evalkit.design.responses import Response, to_scale
 from evalkit.report.html.blocks import Block, Cell, Column, Figures, Fold, Heading, Table, Text
 
 MAX_SHOWN = 4

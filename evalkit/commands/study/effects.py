@@ -9,9 +9,9 @@ from itertools import combinations
 
 import numpy as np
 
-from evalkit.commands.study.design import Model
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
+from evalkit.design.designs import Model
 from evalkit.stats.intervals import CONFIDENCE, Interval, student_quantile
 
 

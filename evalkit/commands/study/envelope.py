@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Point
 from evalkit.commands.study.result import StudyResult
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
+from evalkit.design.factors import Factor
 from evalkit.stats.intervals import Interval, wilson_interval
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from evalkit.commands.study.effects import FactorEffect, ModelFit
-from evalkit.commands.study.factors import Factor
-from evalkit.commands.study.plan import Design, EnvelopeChoice, Response, Study
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Study
+from evalkit.design.factors import Factor
+from evalkit.design.responses import Response
 from evalkit.report.formatting import join_words
 from evalkit.stats.intervals import Interval
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from evalkit.commands.study.curves import build_curve_blocks, build_envelope_blocks
-from evalkit.commands.study.design import assess_design
 from evalkit.commands.study.effect_tables import build_effect_blocks
 from evalkit.commands.study.envelope import compute_panels, describe_panels
 from evalkit.commands.study.formatting import (
@@ -18,6 +17,7 @@ from evalkit.commands.study.formatting import (
     describe_main_effects,
 )
 from evalkit.commands.study.result import StudyResult
+from evalkit.design.designs import assess_design
 from evalkit.report.html.blocks import Block, Bullets, Cell, Column, Command, Document, Fold, Section, Table, Text
 
 KIND_SENTENCES = {

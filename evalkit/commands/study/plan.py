@@ -1,4 +1,4 @@
-"""A study: responses, factors, designs and their points, ready to run."""
+"""A study: its responses, factors, designs and their points, ready to run."""
 
 from __future__ import annotations
 
@@ -9,42 +9,19 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
-from evalkit.commands.study.design import Model
-from evalkit.commands.study.evaluate import RunScores, evaluate
-from evalkit.commands.study.factors import Factor, FactorLevel, Scale
 from evalkit.config.experiment import Experiment, MapperChoice, Method, SequenceSpec
 from evalkit.config.limits import Limits
 from evalkit.core.se2 import Floats
+from evalkit.design.designs import Model
+from evalkit.design.factors import Factor, FactorLevel
+from evalkit.design.responses import Response
+from evalkit.design.run_points import RunScores, evaluate
 from evalkit.execution.task import Task, make_task
-from evalkit.metrics.metric import Metric
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import hash_files
 from evalkit.plugins.parameters import Value
 
 Kind = Literal["optimal", "fractional", "sobol", "latin", "curves", "grid"]
-
-
-@dataclass(frozen=True)
-class Response:
-    """A metric to study; ``lost``: a run with a worse value, or without a value, is lost and counts with this value.
-
-    ``scale`` "log": effects are ratios.
-    """
-
-    metric: Metric
-    scale: Scale = "linear"
-    lost: float | None = None
-
-    @property
-    def name(self) -> str:
-        """The metric's name."""
-        return self.metric.name
-
-    def worse(self, value: float) -> bool:
-        """Whether a value is at or beyond the bound."""
-        if self.lost is None:
-            return False
-        return value <= self.lost if self.metric.better == "higher" else value >= self.lost
 
 
 @dataclass(frozen=True)

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
 from evalkit.commands.study.effects import ModelFit
-from evalkit.commands.study.evaluate import RunScores
-from evalkit.commands.study.plan import Design, Point, Response, Study, format_task_name
+from evalkit.commands.study.plan import Design, Point, Study, format_task_name
 from evalkit.core.se2 import Floats
-from evalkit.execution.dask_cluster import Cluster
-from evalkit.execution.task import Task
-from evalkit.execution.task_runner import OnDone, TaskFailure, TasksFailed, run_tasks
-from evalkit.execution.task_store import TaskStore
+from evalkit.design.responses import Response, bounded_value, find_loss_reason, to_scale
+from evalkit.design.run_points import RunScores
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,60 +70,3 @@ class StudyResult:
     def fits(self, response: Response) -> list[tuple[Design, ModelFit]]:
         """The designs for which effects on a response can be computed, with their fits."""
         return [(design, fit) for design in self.study.designs if (fit := self.fit(design, response)) is not None]
-
-
-def find_loss_reason(result: RunScores, responses: Sequence[Response]) -> str:
-    """Why a run is lost (it failed, or a response is beyond its bound), or ""."""
-    if result["status"] != "complete":
-        return f"{result['status']}: {result['reason']}"
-    for response in responses:
-        value = result["scores"][response.name]
-        if response.lost is not None and value is None:
-            return f"no {response.metric.label}: {result['why'][response.name]}"
-        if value is not None and response.worse(value):
-            return f"{response.metric.label} {value:.3g} {response.metric.unit}".rstrip()
-    return ""
-
-
-def bounded_value(result: RunScores, response: Response) -> float:
-    """A response's value; its bound (nan without one) if the run failed, has no value or is beyond the bound."""
-    value = result["scores"][response.name]
-    if value is None or result["status"] != "complete" or response.worse(value):
-        return np.nan if response.lost is None else response.lost
-    return value
-
-
-def to_scale(response: Response, values: Floats) -> Floats:
-    """Values on a response's scale: natural logarithms on a log scale, nan where there is none."""
-    if response.scale == "linear":
-        return values
-    return np.log(values, out=np.full_like(values, np.nan), where=values > 0.0)
-
-
-def run_study_tasks(
-    tasks: Sequence[Task[RunScores]], folder: Path, workers: int, on_done: OnDone, cluster: Cluster | None = None
-) -> dict[str, RunScores]:
-    """The results of a study's tasks, stored in a folder; a task that died or timed out is a run without scores."""
-    store = TaskStore(folder)
-    try:
-        return run_tasks(store, tasks, workers, on_done, cluster)
-    except TasksFailed as failed:
-        failures = failed.failures
-        return {
-            task.name: store.load(task) or _make_failed_run(task, failures.get(task.name, TaskFailure("")))
-            for task in tasks
-        }
-
-
-def _make_failed_run(task: Task[RunScores], failure: TaskFailure) -> RunScores:
-    """The scores of a run that has none."""
-    metrics = task.arguments["metrics"]
-    return {
-        "status": "timeout" if failure.timed_out else "crashed",
-        "reason": failure.reason,
-        "answered": 0,
-        "expected": 0,
-        "cpu_s": 0.0,
-        "scores": dict.fromkeys(metrics),
-        "why": dict.fromkeys(metrics, failure.reason),
-    }

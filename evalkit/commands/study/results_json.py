@@ -8,8 +8,9 @@ from dataclasses import asdict
 from typing import Any
 
 from evalkit.commands.study.envelope import Panel, compute_panels, find_envelope_axes
-from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
+from evalkit.commands.study.plan import Design, EnvelopeChoice
 from evalkit.commands.study.result import StudyResult
+from evalkit.design.responses import Response
 from evalkit.stats.intervals import Interval
 
 Row = dict[str, Any]

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from evalkit.commands.study.design import Model, make_fractional, make_grid, make_optimal, make_space_filling
-from evalkit.commands.study.factors import Factor, FactorLevel
 from evalkit.core.errors import BadParameter
 from evalkit.core.se2 import Floats
+from evalkit.design.designs import Model, make_fractional, make_grid, make_optimal, make_space_filling
+from evalkit.design.factors import Factor, FactorLevel
 
 MAX_POINTS = 5000
 LevelsByFactor = Mapping[str, FactorLevel]

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from evalkit.commands.study.plan import Response
 from evalkit.commands.tune.objective import ScoredCandidate, mark_pareto_front
 from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.core.se2 import Floats
+from evalkit.design.responses import Response
 from evalkit.report.formatting import label_with_unit
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Figure

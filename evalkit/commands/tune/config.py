@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from evalkit.commands.study.factors import Factor, read_factor
-from evalkit.commands.study.plan import Response
 from evalkit.commands.tune.plan import TUNED, Training, TunableMethod, Tuning
 from evalkit.commands.tune.space import METHOD, SHARED, Space, list_own_parameters, make_declared_factors, settings
 from evalkit.config.experiment import Experiment, Method, SequenceSpec, experiment_from_tables
 from evalkit.config.forms import TUNING
 from evalkit.config.toml_tables import TomlTable, all_mistakes
 from evalkit.core.errors import BadExperiment, UnknownName
+from evalkit.design.factors import Factor, read_factor
+from evalkit.design.responses import Response
 from evalkit.io.toml import load_toml
 from evalkit.metrics import all_metrics, spans
 from evalkit.plugins import registry

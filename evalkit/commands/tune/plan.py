@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from evalkit.commands.study.evaluate import RunScores
-from evalkit.commands.study.plan import Response
 from evalkit.commands.tune.space import Candidate, Space
 from evalkit.commands.tune.trial import run_trial
 from evalkit.config.experiment import MapperChoice, Method, SequenceSpec
 from evalkit.config.limits import Limits
+from evalkit.design.responses import Response
+from evalkit.design.run_points import RunScores
 from evalkit.execution.task import Task, make_task
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import hash_files

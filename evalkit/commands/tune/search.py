@@ -9,10 +9,10 @@ from itertools import chain
 
 import numpy as np
 
-from evalkit.commands.study.design import make_grid, make_space_filling
-from evalkit.commands.study.factors import Factor
 from evalkit.commands.tune.space import Candidate, Space, is_continuous
 from evalkit.core.se2 import Floats
+from evalkit.design.designs import make_grid, make_space_filling
+from evalkit.design.factors import Factor
 
 ROUNDS = 4
 """Rounds of the second half; the steps of a round start from the best point of the rounds before."""

@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from evalkit.commands.study.evaluate import RunScores
-from evalkit.commands.study.result import run_study_tasks
 from evalkit.commands.tune.objective import (
     ScoredCandidate,
     compute_error_ratio,
@@ -20,6 +18,7 @@ from evalkit.commands.tune.plan import TUNED, TrainingRun, TunableMethod, Tuning
 from evalkit.commands.tune.search import Search
 from evalkit.commands.tune.space import Candidate
 from evalkit.config.experiment import Experiment, Method
+from evalkit.design.run_points import RunScores, run_points
 from evalkit.execution.task import Task
 from evalkit.execution.task_runner import OnDone
 from evalkit.execution.task_store import TaskStore
@@ -108,7 +107,7 @@ def make_held_out_experiment(tuning: Tuning, results: Sequence[SearchResult], fi
 
 def compute_missing(folder: Path, workers: int, on_done: OnDone) -> Compute:
     """A ``Compute`` that runs tasks without a stored result in ``workers`` processes."""
-    return lambda tasks: run_study_tasks(tasks, folder, workers, on_done)
+    return lambda tasks: run_points(tasks, folder, workers, on_done)
 
 
 def load_stored(folder: Path) -> Compute:

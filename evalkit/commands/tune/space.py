@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.commands.study.factors import Factor, FactorLevel
 from evalkit.core.se2 import Floats
+from evalkit.design.factors import Factor, FactorLevel
 from evalkit.external.library import TRACE
 from evalkit.odometry import frontend
 from evalkit.plugins.parameters import Parameter, Value

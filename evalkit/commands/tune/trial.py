@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from evalkit.commands.study.evaluate import RunScores, evaluate, prepare_sequence
+from evalkit.design.run_points import RunScores, evaluate, prepare_sequence
 from evalkit.plugins.parameters import Value
 
 MAP_SCANS = 2

@@ -24,10 +24,10 @@ from evalkit.commands.validate.equivalence.mistaken_frames import (
     skipped_scans,
 )
 from evalkit.commands.validate.rules import scenes
-from evalkit.commands.validate.rules.rule import format_exception
 from evalkit.commands.validate.rules.scenes import drive, without_hits
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
+from evalkit.core.errors import format_exception
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats

@@ -39,6 +39,7 @@ from evalkit.execution.task_store import TaskStore
 from evalkit.external import elf
 from evalkit.external.declaration import split_words
 from evalkit.plugins import defaults, registry
+from evalkit.plugins.address import backend_at
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import Value
 from evalkit.results.run_record import RunRecord
@@ -161,7 +162,7 @@ def report_rules(
 
     Raises UnknownName, BadParameter, NotInstalled or BackendFailed before anything runs.
     """
-    values = from_text(backend, runner.spec_of(backend).parameters, given)
+    values = from_text(backend, backend_at(backend).parameters, given)
     checked = runner.check(backend, values, limit_s=limit_s, only=rules, seed=seed)
     level = level_answers.rules_level(checked.results, waivers=waivers)
     alone = _report_alone(checked.label, level, {"backend": values, "seed": seed})

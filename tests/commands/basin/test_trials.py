@@ -28,7 +28,7 @@ class Raises:
 
 def run_trials(monkeypatch, make, begin=0, end=40):
     spec = RegistrationSpec(make, "", "", "")
-    monkeypatch.setattr(attempts, "spec_of", lambda _name: spec)
+    monkeypatch.setattr(attempts, "backend_at", lambda _name: spec)
     return attempts.answers(backend="x", values={}, trials=TRIALS, begin=begin, end=end, code="")
 
 
@@ -64,7 +64,7 @@ def test_every_scene_and_seed_has_its_own_scans():
 
 def test_tasks_cover_all_trials_once(monkeypatch):
     monkeypatch.setattr(attempts, "TRIALS_PER_TASK", 16)
-    spec = attempts.spec_of("paper")
+    spec = attempts.backend_at("paper")
     jobs = attempts.make_tasks("paper", spec, {}, TRIALS)
     assert [(job.arguments["begin"], job.arguments["end"]) for job in jobs] == [(0, 16), (16, 32), (32, 40)]
 
@@ -81,6 +81,6 @@ def test_the_icp_of_the_paper_converges_from_near_and_not_from_far():
 
 
 def test_a_back_end_can_be_given_as_module_and_spec():
-    assert attempts.spec_of("evalkit_baselines.paper:TIGHT").kind == "registration"
+    assert attempts.backend_at("evalkit_baselines.paper:TIGHT").kind == "registration"
     with pytest.raises(Exception, match="papr"):
-        attempts.spec_of("papr")
+        attempts.backend_at("papr")

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from evalkit import metrics
 from evalkit.commands.metric_validation import command as commands
 from evalkit.commands.metric_validation import map_rebuilding, validation
-from evalkit.commands.metric_validation.command import app, format_json
+from evalkit.commands.metric_validation.command import app
 from evalkit.commands.metric_validation.fault_injection import FAULTS, NO_FAULT
 from evalkit.commands.metric_validation.rank_agreement import reference_free_metrics
 from evalkit.core.grid import OccupancyGrid
@@ -18,6 +18,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.run_status import Cause
 from evalkit.core.trajectory import Trajectory
+from evalkit.io.output_files import format_json
 from evalkit.metrics import evaluate
 from evalkit.metrics.metric import NO_POSES, Evidence, MissingMap
 from evalkit.metrics.trajectory import match_trajectories

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evalkit.commands.study.design import DesignAxis, Model, make_fractional, make_grid, make_optimal
 from evalkit.commands.study.effects import ModelFit
+from evalkit.design.designs import DesignAxis, Model, make_fractional, make_grid, make_optimal
 
 TWO = (DesignAxis("a", 2), DesignAxis("b", 2), DesignAxis("c", 2))
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from evalkit.commands.study.envelope import compute_panels, describe_panels, find_largest_box, mark_enclosed_cells
-from evalkit.commands.study.factors import Factor, FactorLevel
-from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response, Study, format_task_name
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Study, format_task_name
 from evalkit.commands.study.result import StudyResult
+from evalkit.design.factors import Factor, FactorLevel
+from evalkit.design.responses import Response
 from evalkit.metrics import METRICS
 
 SPEEDS, TURNS = (0.5, 1.0, 2.0), (10.0, 20.0, 40.0, 80.0)

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 
 from evalkit.cli import app
 from evalkit.commands.study.config import study_from_tables
-from evalkit.commands.study.evaluate import evaluate
-from evalkit.commands.study.result import StudyResult, run_study_tasks
+from evalkit.commands.study.result import StudyResult
+from evalkit.design.run_points import evaluate, run_points
 from evalkit.execution.task import make_task
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
@@ -176,6 +176,6 @@ def test_a_run_that_hangs_is_a_lost_run_with_its_reason(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     job = make_task("p seed 0", importlib.import_module("test_study").hang, metrics=["ate_rmse_m"]).limited(1.0)
-    (result,) = run_study_tasks([job], tmp_path, 1, lambda _name, _seconds: None).values()
+    (result,) = run_points([job], tmp_path, 1, lambda _name, _seconds: None).values()
     assert (result["status"], result["scores"]) == ("timeout", {"ate_rmse_m": None})
     assert result["reason"].startswith("not finished after 1 s; it was in ")

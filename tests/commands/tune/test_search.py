@@ -8,7 +8,6 @@ import tomllib
 import numpy as np
 import pytest
 
-from evalkit.commands.study import evaluate
 from evalkit.commands.tune import search_loop, trial
 from evalkit.commands.tune.config import load_tuning, make_tuning_tables, tuning_from_tables
 from evalkit.commands.tune.objective import find_best_candidate, find_pareto_front, score_candidate
@@ -17,6 +16,7 @@ from evalkit.commands.tune.space import Space, list_own_parameters, make_declare
 from evalkit.config.experiment import experiment_from_tables
 from evalkit.config.experiment_toml import format_experiment
 from evalkit.core.errors import BadExperiment
+from evalkit.design import run_points
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter
@@ -297,7 +297,7 @@ def test_the_first_run_on_a_sequence_is_not_charged_with_its_simulation(stranger
     monkeypatch.setattr(trial, "CHECK_EVERY_S", 0.05)
     sequence = {p.name: p.default for p in registry.dataset("straight").parameters}
     slow = SlowAtFirst(registry.dataset("straight").make(**sequence))
-    monkeypatch.setattr(evaluate, "_load_sequence", lambda *_: slow)
+    monkeypatch.setattr(run_points, "_load_sequence", lambda *_: slow)
     parameters = {p.name: p.default for p in registry.backend("wheel-odometry").parameters}
     told = trial.run_trial(
         1.0, "wheel-odometry", parameters, "straight", sequence, "log-odds", ["ate_rmse_m", "pair_error"], ""

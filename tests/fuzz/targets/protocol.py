@@ -11,10 +11,13 @@ from evalkit.external.process import ProgramSession
 from evalkit.external.program import Program
 
 
-class _StubProcess:
-    """A stub of the process."""
+class _UnstartedProgram(Program):
+    """A program whose process was not started."""
 
-    def kill(self) -> None:
+    def __init__(self, last_message: bytes) -> None:
+        self._name, self._last_messages = "exec:fuzz", deque([last_message])
+
+    def _kill(self) -> None:
         """Do nothing."""
 
 
@@ -50,8 +53,7 @@ def swollen() -> list[bytes]:
 
 def read_input(data: bytes) -> None:
     """Parse a line as every type of answer."""
-    program = Program.__new__(Program)
-    program._name, program._process, program._last_messages = "exec:fuzz", _StubProcess(), deque([data[-200:]])
+    program = _UnstartedProgram(data[-200:])
     for hear in (_describe_program, _make_registration, _make_odometry):
         check_call(lambda hear=hear: hear(program, data), len(data), "exec:fuzz")
 

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.validate.rules.rule import format_exception
-from evalkit.core.errors import BackendFailed
+from evalkit.core.errors import BackendFailed, format_exception
 from evalkit.core.match import Match
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose

@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 from evalkit.commands.validate.equivalence.diagnosis import DivergenceKind
 from evalkit.commands.validate.equivalence.divergence import Divergence
 from evalkit.commands.validate.equivalence.lockstep import REMEDY
-from evalkit.commands.validate.rules.rule import format_exception
 from evalkit.core import se2
 from evalkit.core.arrays import Bools, Ints
-from evalkit.core.errors import BackendFailed
+from evalkit.core.errors import BackendFailed, format_exception
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan

@@ -12,7 +12,7 @@ import numpy as np
 from evalkit.commands.validate.rules.odometry_fixture import OdometryFixture, answer_row, last_pose
 from evalkit.commands.validate.rules.registration_rules import UNIT_TOLERANCE, check_turn
 from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, in_another_thread
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, format_exception, rule_table
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, rule_table
 from evalkit.commands.validate.rules.scenes import (
     BEAMS,
     SimulatedDrive,
@@ -22,7 +22,7 @@ from evalkit.commands.validate.rules.scenes import (
     without_hits,
 )
 from evalkit.commands.validate.rules.state_rules import FORKS, LATER_S, count_other_copies, run_elsewhere
-from evalkit.core.errors import EvalkitError
+from evalkit.core.errors import EvalkitError, format_exception
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evalkit.commands.validate.rules.rule import RuleBroken, format_exception
+from evalkit.commands.validate.rules.rule import RuleBroken
 from evalkit.commands.validate.rules.scenes import CloudPair, clear_pair, distance_m, drawn_pair, format_pose
+from evalkit.core.errors import format_exception
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud

@@ -16,7 +16,7 @@ from evalkit.commands.validate.rules import resource_rules
 from evalkit.commands.validate.rules.process_state import StateWatch
 from evalkit.commands.validate.rules.range_rules import RANGE_RULES, validate_match
 from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, Measured
-from evalkit.commands.validate.rules.rule import RuleBroken, format_exception, rule_table
+from evalkit.commands.validate.rules.rule import RuleBroken, rule_table
 from evalkit.commands.validate.rules.scenes import (
     CloudPair,
     clear_pair,
@@ -27,6 +27,7 @@ from evalkit.commands.validate.rules.scenes import (
     wall_pair,
 )
 from evalkit.commands.validate.rules.state_rules import STATE_RULES, Bits, answer_bits, match_bits
+from evalkit.core.errors import format_exception
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from evalkit.core.errors import NotInstalled
+from evalkit.core.errors import NotInstalled, format_exception
 
 RuleOutcome = Literal["passed", "failed", "not applicable"]
 
@@ -80,11 +80,6 @@ def check_rule(rule: Rule, fixture: object) -> RuleResult:
     except Exception as error:  # noqa: BLE001 - any exception of a third party's code is the observation
         outcome, observed = "failed", format_exception(error)
     return RuleResult(rule.name, rule.sentence, outcome, observed)
-
-
-def format_exception(error: BaseException) -> str:
-    """An exception as an observation."""
-    return f"raises {type(error).__name__}: {error}"
 
 
 def rule_table(*checks: Callable[[Any], str]) -> dict[str, Rule]:

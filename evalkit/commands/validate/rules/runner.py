@@ -26,7 +26,7 @@ from evalkit.execution.parent import end_with_parent
 from evalkit.execution.subprocesses import ChildProcess
 from evalkit.execution.usage import Usage
 from evalkit.plugins import registry
-from evalkit.plugins.address import Address, address_of, spec_at
+from evalkit.plugins.address import Address, address_of, backend_at, spec_at
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec, SlamSpec
 
@@ -76,7 +76,7 @@ def check(
     NotInstalled if the back end cannot run here, BackendFailed if it is a file of results, BadParameter or UnknownName
     for parameters and rules.
     """
-    address, spec = address_of(backend), spec_of(backend)
+    address, spec = address_of(backend), backend_at(backend)
     if spec.recorded:
         what = "holds recorded results: there is no behaviour to check"
         raise BackendFailed(address.label, what, RECORDED_REMEDY)
@@ -107,11 +107,6 @@ def _check_here(
     why = "checked in this process: another one cannot load an interactive session; save it in a file to isolate it"
     of_process = [RuleResult(name, sentence, "not applicable", why) for name, sentence in PROCESS_RULES.items()]
     return (*(check_rule(rule, fixture) for rule in rules.values()), *of_process)
-
-
-def spec_of(backend: str | BackendSpec) -> BackendSpec:
-    """The spec of a registered name, of "module:SPEC", or itself; NotInstalled if there is none."""
-    return spec_at(address_of(backend), BackendSpec, registry.backend)
 
 
 class _RuleRunner:

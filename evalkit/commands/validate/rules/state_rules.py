@@ -16,8 +16,9 @@ import numpy as np
 import psutil
 
 from evalkit.commands.validate.rules.resource_rules import BATCHES, in_another_thread
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, format_exception
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable
 from evalkit.commands.validate.rules.scenes import CloudPair, drawn_pair
+from evalkit.core.errors import format_exception
 from evalkit.core.match import Match
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats

@@ -1,4 +1,4 @@
-"""Run and score one point of a study in this process, with the same metrics as the report."""
+"""Run and score points of a study or a tuning: one in this process, or many as tasks; metrics as in the report."""
 
 from __future__ import annotations
 
@@ -10,13 +10,18 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any, TypedDict
 
 from evalkit import metrics
 from evalkit.core.errors import EvalkitError, plain
 from evalkit.core.run_result import RunResult, Score
 from evalkit.core.run_status import Cause
+from evalkit.execution.dask_cluster import Cluster
 from evalkit.execution.one_run import Request, record_run
+from evalkit.execution.task import Task
+from evalkit.execution.task_runner import OnDone, TaskFailure, TasksFailed, run_tasks
+from evalkit.execution.task_store import TaskStore
 from evalkit.metrics import evaluate as scoring
 from evalkit.metrics import pairs, spans
 from evalkit.metrics.metric import MAP_GROUPS, Metric
@@ -137,3 +142,32 @@ def _compute_scores(
 
 def _needs_scans(metric: Metric, scores: Mapping[str, Score]) -> bool:
     return metric.group == "residuals" and scores[metric.name].value is None
+
+
+def run_points(
+    tasks: Sequence[Task[RunScores]], folder: Path, workers: int, on_done: OnDone, cluster: Cluster | None = None
+) -> dict[str, RunScores]:
+    """The results of tasks of ``evaluate``, stored in a folder; one that died or timed out is a run without scores."""
+    store = TaskStore(folder)
+    try:
+        return run_tasks(store, tasks, workers, on_done, cluster)
+    except TasksFailed as failed:
+        failures = failed.failures
+        return {
+            task.name: store.load(task) or _make_failed_run(task, failures.get(task.name, TaskFailure("")))
+            for task in tasks
+        }
+
+
+def _make_failed_run(task: Task[RunScores], failure: TaskFailure) -> RunScores:
+    """The scores of a run that has none."""
+    metrics = task.arguments["metrics"]
+    return {
+        "status": "timeout" if failure.timed_out else "crashed",
+        "reason": failure.reason,
+        "answered": 0,
+        "expected": 0,
+        "cpu_s": 0.0,
+        "scores": dict.fromkeys(metrics),
+        "why": dict.fromkeys(metrics, failure.reason),
+    }

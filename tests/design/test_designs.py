@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from evalkit.commands.study.design import (
+from evalkit.design.designs import (
     DesignAxis,
     Model,
     assess_design,

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
 
-from evalkit.commands.study.design import DesignAxis
 from evalkit.config.forms import FACTOR
 from evalkit.config.toml_tables import TomlTable
 from evalkit.core.errors import brief
+from evalkit.design.designs import DesignAxis
 from evalkit.plugins.parameters import Value
 
 Scale = Literal["linear", "log"]
