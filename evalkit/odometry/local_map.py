@@ -68,6 +68,11 @@ class VoxelMap:
     def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
         """Add a keyframe's points (N, 2) of the base frame."""
         del base_from_sensor
+        self.collect(points, start_from_base)
+        self._cloud = None
+
+    def collect(self, points: Floats, start_from_base: Pose) -> None:
+        """Add points (N, 2) of the base frame, shown by ``cloud`` after the next ``add`` or a move."""
         moved = start_from_base.transform(points)
         keys, inverse, counts = np.unique(_keys(moved, self._voxel_m), return_inverse=True, return_counts=True)
         slots = self._slots(keys)
@@ -76,7 +81,6 @@ class VoxelMap:
             sums = np.bincount(inverse, weights=moved[:, axis], minlength=len(keys))
             self._sums[slots[open_], axis] += sums[open_]
         self._counts[slots[open_]] += counts[open_]
-        self._cloud = None
 
     def cloud(self, near: Pose) -> Cloud:
         """Return the voxel means around a pose, in the start frame; updated after ``add`` or when the pose moved."""

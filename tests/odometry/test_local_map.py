@@ -118,6 +118,18 @@ def test_the_persistent_map_object_is_reused_until_it_grows_or_the_pose_moves():
 # occupied cells
 
 
+def test_collected_points_are_shown_after_the_next_keyframe_or_when_the_pose_moves():
+    lasting, seen = VoxelMap(1.0, 10.0), Pose(0.2, 0.0, 0.0)
+    lasting.add(np.array([[0.1, 0.5]]), Pose())
+    cloud = lasting.cloud(Pose())
+    lasting.collect(np.array([[0.3, 0.5]]), seen)
+    assert lasting.cloud(Pose(1.0, 0.0, 0.0)) is cloud
+    assert lasting.cloud(Pose(1.1, 0.0, 0.0)).points.tolist() == [pytest.approx([0.3, 0.5])]
+    lasting.collect(np.array([[0.4, 0.5]]), seen)
+    lasting.add(np.array([[7.5, 0.5]]), Pose())
+    assert lasting.cloud(Pose()).points.tolist() == [pytest.approx([0.4, 0.5]), pytest.approx([7.5, 0.5])]
+
+
 def map_points(*adds, probability=0.5, radius_m=9.0):
     """Return the matched cells, ordered by position, after scans of single points."""
     local_map = GridMap(registry.mapper("log-odds").make(resolution_m=0.5), probability, radius_m)

@@ -12,6 +12,9 @@ from evalkit.core.se2 import Floats
 from evalkit.odometry.local_map import ORIGIN, VoxelMap
 from evalkit_baselines.slam.keyframes import Keyframes
 
+MAX_VOXEL_POINTS = 200
+"""A voxel with so many points takes no more."""
+
 REBUILT_EVERY_M = 5.0
 """Keyframes that came too far apart through the graph leave the map after this path."""
 
@@ -33,7 +36,7 @@ class LastingMap:
 
     def __init__(self, keyframes: Keyframes, voxel_m: float, radius_m: float, reach_m: float) -> None:
         self._keyframes, self._voxel_m, self._radius_m, self._reach_m = keyframes, voxel_m, radius_m, reach_m
-        self._voxels = VoxelMap(voxel_m, radius_m)
+        self._voxels = VoxelMap(voxel_m, radius_m, MAX_VOXEL_POINTS)
         self._built_at_m = 0.0
         self._waiting: NewKeyframe | None = None
         self.odom_from_start = Pose()
@@ -42,6 +45,14 @@ class LastingMap:
         """Hold a keyframe until ``take`` returns it; the front end's start frame is ``odom`` here."""
         del base_from_sensor  # the points alone matter
         self._waiting = NewKeyframe(points, start_from_base)
+
+    def add_between(self, points: Floats, odom_from_base: Pose) -> None:
+        """Draw a scan (N, 2) between two keyframes; ``rebuild`` leaves it out.
+
+        Near the end of the map, where few scans have seen a wall, its points are noisy, and a scan matched with them is
+        off to one side.
+        """
+        self._voxels.collect(points, odom_from_base)
 
     def take(self) -> NewKeyframe | None:
         """Return the keyframe that the last scan became, if any, once."""
@@ -64,7 +75,7 @@ class LastingMap:
         """Draw all keyframes that belong to the map at their poses of now, the oldest first."""
         keyframes = self._keyframes
         last = len(keyframes) - 1
-        self._voxels = VoxelMap(self._voxel_m, self._radius_m)
+        self._voxels = VoxelMap(self._voxel_m, self._radius_m, MAX_VOXEL_POINTS)
         self._built_at_m = keyframes.path_m[last]
         gap = keyframes.poses[:, :2] - keyframes.poses[last, :2]
         near = np.hypot(gap[:, 0], gap[:, 1]) <= 2.0 * self._radius_m

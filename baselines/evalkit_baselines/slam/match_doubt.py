@@ -46,16 +46,16 @@ class MatchDoubt:
         """Usual error of matches, a recent mean (m); 0 before the first one."""
         return self._usual_m
 
-    def observe(self, last: Pose, predicted: Pose | None, matched: Pose, match: StageEstimate, points: int) -> None:
+    def observe(self, last: Pose, predicted: Pose | None, matched: Pose, match: StageEstimate, points: int) -> bool:
         """Add a scan of so many points, by its accepted match with the map and the pose by odometry, if any.
 
-        ``last``: pose of the scan before.
+        ``last``: pose of the scan before. Returns whether the match fits about as usual.
         """
         usual = self._usual_m if self._usual_m > 0.0 else match.residual_m
         share = 1.0 if match.inliers < MIN_SHARE * points else _share(match.residual_m, DOUBTED * usual)
         self._usual_m = usual + (min(match.residual_m, DOUBTED * usual) - usual) / USUAL_SCANS
         if predicted is None:
-            return
+            return share == 0.0
         gap = predicted.inverse() @ matched
         gap_m = math.hypot(gap.x, gap.y)
         step = last.inverse() @ predicted
@@ -63,6 +63,7 @@ class MatchDoubt:
         self._usual_gap_m += (min(gap_m, 2.0 * usual_m) - self._usual_gap_m) / USUAL_SCANS
         apart = max(share, _share(gap_m, APART * usual_m))
         self._sum = Doubt(self._sum.position_m2 + apart**2 * gap_m**2, self._sum.heading_rad2 + share**2 * gap.theta**2)
+        return share == 0.0
 
     def take(self) -> Doubt:
         """Return the doubt of the step that ends now, and begin the next one."""

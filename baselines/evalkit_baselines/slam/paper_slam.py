@@ -143,14 +143,17 @@ class PaperSlam:
             return self._answer(frame, replace(estimate, pose=predicted, accepted=False))
         self._front.keep(frame, source, estimate.pose)
         self._continuity.keep()
+        fits = False
         if match is not None and match.accepted:
-            last = Pose.of(self._odom_from_base[-1])
-            self._doubt.observe(last, predicted if measured else None, estimate.pose, match, int(frame.scan.hits.sum()))
+            last, hits = Pose.of(self._odom_from_base[-1]), int(frame.scan.hits.sum())
+            fits = self._doubt.observe(last, predicted if measured else None, estimate.pose, match, hits)
         new = self._map.take() or (NewKeyframe(points, estimate.pose) if lost else None)
         if new is not None:
             new = NewKeyframe(voxel_means(new.points, _STORED_VOXEL_M), new.odom_from_base)
             kind = Step.MATCHED if not lost else Step.MEASURED if measured else Step.UNKNOWN
             self._insert(frame.scan.stamp_ns, new, wheels, kind, predicted if kind is Step.MEASURED else estimate.pose)
+        elif fits:
+            self._map.add_between(source.points, estimate.pose)
         return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
 
     def _answer(self, frame: Frame, estimate: OdometryEstimate) -> OdometryEstimate:

@@ -136,9 +136,9 @@ def test_a_kidnapped_robot_is_reported_and_found_again():
     assert one == other
 
 
-@pytest.mark.parametrize(("measured", "scans", "within"), [(True, 9, 1e-7), (True, 13, 1e-5), (False, 3, 1e-7)])
+@pytest.mark.parametrize(("measured", "scans", "within"), [(True, 9, 1e-7), (True, 13, 1e-5), (False, 2, 1e-7)])
 def test_covered_scans_are_set_aside_or_the_track_is_lost_as_in_paper_slam(measured, scans, within):
-    """From the thirteenth covered scan on, scans are matched with random points, which enlarges rounding."""
+    """From the thirteenth covered scan on, without odometry the third, scans match random points: rounding grows."""
     frames = list(shared["cover"](make_frames(RING, ring_drive(0.5)[: 20 + scans]), range(15, 15 + scans), measured))
     _, expected = run(paper_slam.make, frames)
     _, found = run(embedded_slam.make, frames, work=0, **SMALL)

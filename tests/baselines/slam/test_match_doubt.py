@@ -12,7 +12,8 @@ PREDICTED = Pose(1.0, 1.0, 0.1)
 
 def observe(doubt, residual_m, inliers=100, gap=(0.3, 0.4, 0.2), step_m=4.0):
     last = PREDICTED @ Pose(0.0, -step_m, 1.0)
-    doubt.observe(last, PREDICTED, PREDICTED @ Pose(*gap), StageEstimate(True, True, 5, residual_m, inliers), 100)
+    match = StageEstimate(True, True, 5, residual_m, inliers)
+    return doubt.observe(last, PREDICTED, PREDICTED @ Pose(*gap), match, 100)
 
 
 @pytest.mark.parametrize(
@@ -25,7 +26,7 @@ def test_a_step_is_doubted_by_the_gap_to_the_prediction_where_its_match_fits_wor
     doubt = MatchDoubt()
     observe(doubt, 0.02)  # the first match is the usual one
     assert doubt.take() == (0.0, 0.0)
-    observe(doubt, residual_m, inliers)
+    assert observe(doubt, residual_m, inliers) == (share == 0.0)
     assert doubt.take() == pytest.approx((share**2 * 0.25, share**2 * 0.04))
     assert doubt.take() == (0.0, 0.0)  # of the next step
 
@@ -33,9 +34,11 @@ def test_a_step_is_doubted_by_the_gap_to_the_prediction_where_its_match_fits_wor
 def test_without_odometry_no_gap_is_doubted_and_of_a_far_larger_error_twice_the_usual_one_counts():
     doubt = MatchDoubt()
     assert doubt.usual_m == 0.0
-    for residual_m in (0.1, 0.3):
-        doubt.observe(Pose(), None, Pose(), StageEstimate(True, True, 5, residual_m, 10), 100)
+    for residual_m, inliers, fits in ((0.1, 80, True), (0.3, 80, False)):
+        match = StageEstimate(True, True, 5, residual_m, inliers)
+        assert doubt.observe(Pose(), None, Pose(), match, 100) == fits
     assert doubt.usual_m == pytest.approx(0.1 + (0.2 - 0.1) / 50.0)
+    assert not doubt.observe(Pose(), None, Pose(), StageEstimate(True, True, 5, 0.1, 79), 100)
     assert doubt.take() == (0.0, 0.0)
 
 

@@ -6,7 +6,7 @@
 #define NEIGHBOURS 8u
 #define CELLS_PER_POINT 16u
 #define MAX_CELLS ((size_t)1 << 18)
-#define MAX_VOXEL_POINTS 20u
+#define MAX_VOXEL_POINTS 200u
 #define RECENTRE EK_R(0.1)      /* share of the map's radius that the robot moves before its part is taken again */
 #define PERIOD_MS 100           /* of the scans that `work` is meant for: a slower lidar leaves more time for loops */
 #define MAX_PERIOD_MS 2000
@@ -253,7 +253,17 @@ static void judge(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_sla
     estimate->lost = lost && !estimate->set_aside;
 }
 
-/* Keep the scan: as the one before, and as a keyframe if the base has moved enough or the track was lost. */
+/* Draw a scan between two keyframes; scans are matched with it when the next part of the map is taken. */
+static void draw_between(ek_slam *slam, ek_pose odom_from_base)
+{
+    const int32_t changed = slam->map_changed;
+    ek_work work = ek_work_make(INT64_MAX);
+    ek_slam_draw(slam, slam->drawn, slam->scan.hits, slam->scan.count, odom_from_base, &work);
+    slam->map_changed = changed;
+}
+
+/* Keep the scan: as the one before, in the map if it fits, and as a keyframe if the base has moved enough or the track was
+ * lost. */
 static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, const ek_slam_estimate *estimate, ek_work *task)
 {
     const ek_slam_parameters *const p = &slam->parameters;
@@ -262,9 +272,8 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, c
     const int keyframe = !slam->has_keyframe || far || EK_FABS(moved.theta) >= p->keyframe_angle;
     const int measured = is_measured(slam, prior);
     ek_continuity_keep(&slam->continuity);
-    if (estimate->scan_to_map_accepted) {
-        ek_slam_doubt(slam, measured ? &predicted : NULL, pose, &estimate->scan_to_map);
-    }
+    const int fits = estimate->scan_to_map_accepted &&
+                     ek_slam_doubt(slam, measured ? &predicted : NULL, pose, &estimate->scan_to_map);
     if (keyframe) {
         slam->odom_from_front = pose;
         slam->has_keyframe = 1;
@@ -275,6 +284,9 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, c
     if (status == EK_OK && (keyframe || estimate->lost)) {
         const ek_step_kind kind = !estimate->lost ? EK_STEP_MATCHED : measured ? EK_STEP_MEASURED : EK_STEP_UNKNOWN;
         return ek_slam_insert(slam, pose, kind, kind == EK_STEP_MEASURED ? predicted : pose, task);
+    }
+    if (status == EK_OK && fits) {
+        draw_between(slam, pose);
     }
     return status;
 }

@@ -213,14 +213,15 @@ static ek_real take_mean(ek_real mean, ek_real value, ek_real most)
     return mean + ((value < most ? value : most) - mean) / USUAL_SCANS;
 }
 
-void ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match)
+int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match)
 {
     const ek_real usual = slam->usual_error > EK_R(0.0) ? slam->usual_error : match->error;
     const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
     const ek_real share = paired ? share_over(match->error, DOUBTED * usual) : EK_R(1.0);
     slam->usual_error = take_mean(usual, match->error, DOUBTED * usual);
+    const int fits = share == EK_R(0.0);
     if (!predicted) {
-        return;
+        return fits;
     }
     const ek_pose step = ek_se2_between(slam->motion.start_from_base, *predicted), gap = ek_se2_between(*predicted, matched);
     const ek_real squared = gap.x * gap.x + gap.y * gap.y, metres = EK_SQRT(squared);
@@ -230,4 +231,5 @@ void ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, con
     slam->usual_gap = take_mean(slam->usual_gap, metres, EK_R(2.0) * usual_gap);
     slam->doubt.position += apart * apart * squared;
     slam->doubt.heading += share * share * gap.theta * gap.theta;
+    return fits;
 }

@@ -42,10 +42,10 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, co
 /* 0 where a match of a scan contradicts the odometry that its guess comes from (odometry_gate.py). */
 int ek_slam_is_believed(int strict, size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
 
-/* Add to the doubt of the step: where a match fits poorly or lies farther than usual from the pose that wheel odometry
+/* 1 if a match fits about as usual; adds to the doubt of the step: where a match fits poorly or lies farther than usual from the pose that wheel odometry
  * predicts (NULL: without odometry there is no such doubt), the truth may be anywhere between the two. Averages what is
  * usual. */
-void ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match);
+int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match);
 
 /* Match the projected scan with the last one and with the map; fills stages and odom_from_base. */
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work);

@@ -155,6 +155,36 @@ static void a_keyframe_is_far_enough_from_the_last(void)
     }
 }
 
+/* A scan between two keyframes enters the map where it is matched and fits about as usual; what scans are matched with stays. */
+static void a_scan_between_keyframes_is_drawn_where_it_fits(void)
+{
+    static const struct {
+        int accepted, inliers, drawn;
+        double error;
+    } cases[] = {{1, 1, 1, 0.02}, {1, 1, 1, 0.0399}, {1, 1, 0, 0.0401}, {1, 0, 0, 0.02}, {0, 1, 0, 0.02}};
+    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+        ek_arena arena = line_of(0u);
+        ek_slam_estimate estimate;
+        ek_prior prior = {1, 0, {EK_R(0.0), EK_R(0.0), EK_R(0.0)}};
+        memset(&estimate, 0, sizeof estimate);
+        slam.scan.count = 1u;
+        slam.scan.hits[0] = slam.scan.hits[1] = EK_R(1.02);
+        CHECK(keep(&slam, &prior, ORIGIN, &estimate, &work) == EK_OK && slam.maps[slam.drawn].count == 1u);
+        prior.stamp_ns = 2;
+        slam.map_changed = 0;
+        slam.usual_error = EK_R(0.02);
+        estimate.odom_from_base = pose_of(0.2, 0.0, 0.0);
+        estimate.scan_to_map_accepted = cases[k].accepted;
+        estimate.scan_to_map.error = EK_R(cases[k].error);
+        estimate.scan_to_map.inliers = cases[k].inliers;
+        CHECK(keep(&slam, &prior, ORIGIN, &estimate, &work) == EK_OK && slam.keyframes.count == 1u && !slam.map_changed);
+        const ek_voxel_map *const map = slam.maps + slam.drawn;
+        CHECK(map->count == (cases[k].drawn ? 2u : 1u));
+        CHECK_NEAR(map->voxel[map->count - 1u].x, cases[k].drawn ? 1.22 : 1.02, 1e-6);
+        free(arena.memory);
+    }
+}
+
 /* A poor match is doubted where wheel odometry says otherwise: that of this scan and that of the one before. */
 static void only_two_odometries_in_a_row_raise_doubt(void)
 {
@@ -188,6 +218,7 @@ int main(void)
     the_map_is_taken_again_after_a_tenth_of_its_radius();
     a_stage_is_accepted_with_enough_pairs();
     a_keyframe_is_far_enough_from_the_last();
+    a_scan_between_keyframes_is_drawn_where_it_fits();
     only_two_odometries_in_a_row_raise_doubt();
     return verdict();
 }
