@@ -29,7 +29,7 @@ from evalkit_baselines.slam.loop_closure import LoopSettings
 from evalkit_baselines.slam.paper_slam import SPEC as REFERENCE
 
 FINE_CORRESPONDENCE_M = 0.3
-"""Largest distance of a pair in the last match of a loop, as in ``paper-slam``."""
+"""Largest distance of a pair in the last match of a loop, and of all points of a large scan, as in ``paper-slam``."""
 
 
 @dataclass(frozen=True)

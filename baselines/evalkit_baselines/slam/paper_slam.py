@@ -93,9 +93,10 @@ class PaperSlam:
             keyframe_angle_deg=settings.keyframe_angle_deg,
         )
         wide, narrow = _make_icp(settings.matcher), _make_icp(settings.matcher, **_NARROW)
+        fine = _make_icp(settings.matcher, **_NARROW, max_iterations=FINE_ITERATIONS)
         self._tries = SecondTry(
-            CoarseToFine(wide, _make_icp(settings.matcher, max_iterations=FINE_ITERATIONS)),
-            CoarseToFine(narrow, _make_icp(settings.matcher, **_NARROW, max_iterations=FINE_ITERATIONS)),
+            CoarseToFine(wide, fine),
+            CoarseToFine(narrow, fine),
             _make_icp(settings.matcher, **_NARROW, max_iterations=TRIED_ITERATIONS),
         )
         self._gate = OdometryGate(ObservableIcp(self._tries), settings.odometry_gate)

@@ -40,7 +40,8 @@ CLOSE_M = 0.1
 in proportion to how much nearer it is. A wrong pose has many points near the map and few on it."""
 
 COARSE_POINTS, FINE_ITERATIONS = 200, 5
-"""A scan of twice as many points or more is matched first with every n-th of them, then with all, in few iterations."""
+"""A scan of twice as many points or more is matched first with every n-th of them, then with all, in few iterations and
+with near pairs: a point beyond the end of the map would be paired with that end, and pull the scan back."""
 
 TRIED_POINTS, TRIED_ITERATIONS = 100, 20
 """The same for the further tries, which are short: the best of them is matched to the end."""

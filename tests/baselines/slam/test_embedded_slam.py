@@ -10,6 +10,7 @@ import pytest
 
 from evalkit.core import se2
 from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
 from evalkit_baselines.slam import embedded_slam, paper_slam
 
 pytest.importorskip("evalkit_baselines.embedded._core64")
@@ -147,6 +148,21 @@ def test_covered_scans_are_set_aside_or_the_track_is_lost_as_in_paper_slam(measu
     gap = np.abs(se2.between(rows(expected), rows(found)))
     assert gap[:27].max() < 1e-7
     assert gap.max() < within
+
+
+@pytest.mark.parametrize("make", [paper_slam.make, embedded_slam.make])
+@pytest.mark.parametrize("beams", [399, 400, 800])
+def test_of_a_large_scan_points_half_a_metre_from_the_map_have_no_pair(make, beams):
+    angles = np.arange(beams) * 2.0 * np.pi / beams
+    room = 3.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+    ahead = np.abs(angles - np.pi) < 0.1 * np.pi  # a tenth of the beams now ends at something 0.6 m before the wall
+    slam = make()
+    for index, ranges in enumerate((room, np.where(ahead, room - 0.6, room))):
+        answer = slam.update(Frame(Scan(index * STEP_NS, ranges, angles, 0.0, 12.0), Pose(), Pose(), Pose()))
+    large = beams >= 400
+    for stage in ("s2s", "s2m"):
+        assert answer.stages[stage].inliers == beams - large * int(ahead.sum())
+    assert (np.abs(answer.pose.row).max() < 1e-3) == large  # pairs with the wall behind pull by 4 mm
 
 
 def test_noisy_fine_beams_and_a_wrong_odometry_scale_are_corrected_as_in_paper_slam():

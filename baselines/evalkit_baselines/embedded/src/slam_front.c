@@ -126,7 +126,7 @@ static void limit_iterations(ek_icp_parameters *parameters, int32_t most)
     parameters->max_iterations = parameters->max_iterations < most ? parameters->max_iterations : most;
 }
 
-/* Match a part of a large scan, then all of it. */
+/* Match a part of a large scan, then all of it with near pairs: points beyond the end of the map have none. */
 static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_pose guess,
                                       const ek_icp_parameters *parameters, ek_match *match)
 {
@@ -135,6 +135,7 @@ static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_
     if (status == EK_OK && count < slam->scan.count) {
         ek_icp_parameters fine = *parameters;
         limit_iterations(&fine, FINE_ITERATIONS);
+        fine.max_correspondence = slam->parameters.fine_correspondence;
         status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, match->target_from_source, &fine,
                                  NULL, NULL, match);
     }

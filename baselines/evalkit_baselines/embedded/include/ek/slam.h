@@ -20,7 +20,7 @@ extern "C" {
 typedef struct {
     ek_scan_parameters scan;
     ek_icp_parameters matcher;   /* EK_METRIC_LINE */
-    ek_real fine_correspondence; /* m: largest distance of a pair in the last match of a loop */
+    ek_real fine_correspondence; /* m: largest distance of a pair in the last match of a loop, and of all points of a large scan */
     int32_t deskew, use_odometry; /* 1 or 0 */
     int32_t odometry_gate;       /* 1: believe no match that is only a little off the odometry, unless it fits well */
     int32_t min_inliers;         /* with fewer pairs the result is rejected and the guess kept */
