@@ -11,6 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from evalkit.core.se2 import Floats
+from evalkit.stats.ranks import rank_values
+
+MAX_EXACT, MAX_EXACT_TIED = 50, 13
+"""Largest number of differences of which a p value is exact: all of different sizes, or some of the same size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,10 +114,28 @@ def _compute_differences(a: ArrayLike, b: ArrayLike) -> Floats:
 
 
 def _test_signed_ranks(differences: Floats) -> tuple[int, float]:
-    from scipy import stats
+    """The number of differences other than 0, and p; exact up to ``MAX_EXACT`` and ``MAX_EXACT_TIED`` of them.
 
+    Beyond, the sum of the ranks is taken as normal, its variance corrected for ties.
+    """
     nonzero = differences[differences != 0.0]
-    if not nonzero.size:
-        return 0, 1.0
-    signed = np.sign(nonzero) * stats.rankdata(np.abs(nonzero))  # ranks replace sizes, so that infinite ones are valid
-    return len(nonzero), float(stats.wilcoxon(signed).pvalue)
+    count = len(nonzero)
+    sizes = np.abs(nonzero)
+    ranks = rank_values(sizes)  # instead of sizes, so that infinite ones are valid
+    tied = np.unique(sizes, return_counts=True)[1].astype(np.float64)
+    positive = float(ranks[nonzero > 0.0].sum())
+    if count <= (MAX_EXACT if len(tied) == count else MAX_EXACT_TIED):
+        return count, _compute_exact_p(ranks, positive)
+    variance = count * (count + 1.0) * (2.0 * count + 1.0) / 24.0 - float((tied**3 - tied).sum()) / 48.0
+    return count, math.erfc(abs(positive - 0.25 * count * (count + 1.0)) / math.sqrt(2.0 * variance))
+
+
+def _compute_exact_p(ranks: Floats, positive: float) -> float:
+    """Twice the probability of a sum of ranks at least as far from its mean, where each sign is equally probable."""
+    doubled = np.rint(2.0 * ranks).astype(np.int64)  # whole numbers with ties, too
+    ways = np.zeros(int(doubled.sum()) + 1)
+    ways[0] = 1.0
+    for rank in doubled:
+        ways[rank:] += ways[: len(ways) - rank].copy()
+    at = round(2.0 * positive)
+    return min(2.0 * float(min(ways[: at + 1].sum(), ways[at:].sum())) / 2.0 ** len(ranks), 1.0)

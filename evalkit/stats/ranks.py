@@ -46,6 +46,22 @@ def compute_ranks(errors: ArrayLike) -> Floats:
     return np.asarray(0.5 + (others < own).sum(axis=2) + 0.5 * (others == own).sum(axis=2))
 
 
+def rank_values(values: ArrayLike) -> Floats:
+    """Return the ranks (..., N) of values (..., N) along the last axis: 1 for the least, ties share the mean."""
+    table = np.asarray(values, dtype=np.float64)
+    order = np.argsort(table, axis=-1, kind="stable")
+    ordered = np.take_along_axis(table, order, axis=-1)
+    places = np.broadcast_to(np.arange(1.0, table.shape[-1] + 1.0), table.shape)
+    begins = np.ones(table.shape, dtype=bool)
+    begins[..., 1:] = ordered[..., 1:] != ordered[..., :-1]
+    ends = np.roll(begins, -1, axis=-1)  # the last value ends a group because the first begins one
+    first = np.maximum.accumulate(np.where(begins, places, 1.0), axis=-1)
+    last = np.minimum.accumulate(np.where(ends, places, np.inf)[..., ::-1], axis=-1)[..., ::-1]
+    ranks = np.empty(table.shape)
+    np.put_along_axis(ranks, order, 0.5 * (first + last), axis=-1)
+    return ranks
+
+
 def friedman_test(errors: ArrayLike, alpha: float = 0.05) -> FriedmanTest | NotTested:
     """Apply Friedman's test to errors of K methods over N sequences (N, K); lower is better.
 
@@ -81,9 +97,7 @@ def success_quantiles(errors: ArrayLike, shares: Sequence[float] = (0.5, 0.75, 0
 
 def spearman_correlation(a: Floats, b: Floats) -> Floats:
     """Return Spearman's rank correlation (...,) along the last axis of series (..., N); nan if a series is constant."""
-    from scipy import stats
-
-    first, second = (stats.rankdata(series, axis=-1) for series in (a, b))
+    first, second = rank_values(a), rank_values(b)
     first = first - first.mean(axis=-1, keepdims=True)
     second = second - second.mean(axis=-1, keepdims=True)
     sizes = np.sqrt((first**2).sum(axis=-1) * (second**2).sum(axis=-1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -37,6 +38,28 @@ def test_wilcoxon_is_exact_and_a_failure_has_the_worst_rank():
     assert found["one failed"].p == pytest.approx(28 / 64)
     assert found["one failed"].p_holm == pytest.approx(56 / 64)
     assert (found["alike"].pairs, found["alike"].p) == (0, 1.0)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 10, 50, 51, 200])
+@pytest.mark.parametrize("steps", [3, 10**9])
+def test_signed_ranks_are_exact_for_few_pairs_else_normal(count, steps):
+    """Against SciPy without ties, all signs of few pairs, and else the variance of a sum with random signs."""
+    rng = np.random.default_rng(count)
+    a, b = (rng.integers(1, steps, count + 3) / steps for _ in range(2))
+    a[:2], b[2] = b[:2], math.inf
+    differences = a - b
+    nonzero = differences[differences != 0.0]
+    ranks = stats.rankdata(np.abs(nonzero))
+    positive, mean = ranks[nonzero > 0.0].sum(), 0.5 * ranks.sum()
+    if len(nonzero) <= 13:
+        sums = np.array(list(itertools.product((0.0, 1.0), repeat=len(nonzero)))) @ ranks
+        expected = min(2.0 * min((sums <= positive).mean(), (sums >= positive).mean()), 1.0)
+    elif len(nonzero) <= 50 and steps > 3:
+        expected = float(stats.wilcoxon(np.sign(nonzero) * ranks).pvalue)
+    else:
+        expected = 2.0 * stats.norm.sf(abs(positive - mean) / np.sqrt((ranks**2).sum() / 4.0))
+    found = signed_rank_tests({"pair": (a, b)})["pair"]
+    assert (found.pairs, found.p) == (len(nonzero), pytest.approx(expected, rel=1e-9))
 
 
 def test_vargha_delaney_equals_hand_counts():

@@ -13,6 +13,7 @@ from evalkit.stats.ranks import (
     NotTested,
     compute_ranks,
     friedman_test,
+    rank_values,
     spearman_correlation,
     success_quantiles,
 )
@@ -80,3 +81,12 @@ def test_the_least_share_of_all_trials_is_the_best_one():
 def test_quantiles_need_a_trial():
     with pytest.raises(ValueError, match="success_quantiles: there is no trial"):
         success_quantiles([], (0.5,))
+
+
+def test_equal_values_share_the_mean_rank_on_every_axis():
+    """By hand, and as SciPy ranks tables with many ties and infinite values."""
+    assert rank_values([3.0, 1.0, 3.0, math.inf, 1.0, 3.0]).tolist() == [4.0, 1.5, 4.0, 6.0, 1.5, 4.0]
+    assert rank_values([]).tolist() == []
+    table = np.random.default_rng(3).integers(0, 6, (4, 5, 30)).astype(np.float64)
+    table[table == 5.0] = math.inf
+    assert np.array_equal(rank_values(table), stats.rankdata(table, axis=-1))
