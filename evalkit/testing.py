@@ -60,7 +60,7 @@ def check_rule(backend: str | BackendSpec, rule: str, /, **parameters: object) -
     Raises RulesBroken if this rule is broken, UnknownName if there is no rule of this name.
     """
     stop_loading()
-    report = _checked(backend, parameters)
+    report = _find_report(backend, parameters)
     results = {one.rule: one for one in report.results}
     if rule not in results:
         raise UnknownName("rule", rule, results)
@@ -73,7 +73,7 @@ _reports: list[tuple[str | BackendSpec, dict[str, object], RuleReport]] = []
 """What ``check_rule`` has checked in this process; a spec with parameters has no hash."""
 
 
-def _checked(backend: str | BackendSpec, parameters: dict[str, object]) -> RuleReport:
+def _find_report(backend: str | BackendSpec, parameters: dict[str, object]) -> RuleReport:
     for known, given, report in _reports:
         if known == backend and given == parameters:
             return report

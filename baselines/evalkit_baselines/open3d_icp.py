@@ -38,7 +38,13 @@ from evalkit.plugins.parameters import declared_parameters, parameter
 from evalkit.plugins.specs import RegistrationSpec
 from evalkit_baselines.embedded.compiled import compiled_missing
 from evalkit_baselines.embedded.normals import MAX_NEIGHBOURS, normals_2d
-from evalkit_baselines.planar_registration import AdapterClocks, LibraryAnswer, PlanarRegistration, Prepare, prepared
+from evalkit_baselines.planar_registration import (
+    AdapterClocks,
+    LibraryAnswer,
+    PlanarRegistration,
+    Prepare,
+    keep_prepared,
+)
 
 INSTALL = "pip install 'evalkit[open3d]'"
 SYSTEM_LIBRARIES = ("libGL.so.1", "libEGL.so.1", "libX11.so.6", "libusb-1.0.so.0")
@@ -137,7 +143,7 @@ def _to_open3d(open3d: Any, describe: Describe | None = None, key: tuple[float, 
             describe(space, cloud, clocks)
         return space
 
-    return prepared(("open3d", *key), convert)
+    return keep_prepared(("open3d", *key), convert)
 
 
 def _make_align(methods: Any, method: Callable[..., Any], estimation: Any, settings: Open3DPointSettings) -> Any:

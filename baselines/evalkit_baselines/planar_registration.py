@@ -47,7 +47,7 @@ Prepare = Callable[[Cloud, AdapterClocks], Any]
 """Makes the library's form of a cloud."""
 
 
-def prepared(key: Hashable, make: Prepare) -> Prepare:
+def keep_prepared(key: Hashable, make: Prepare) -> Prepare:
     """The same ``make`` with its results kept as long as the cloud; ``key`` holds all settings they depend on."""
 
     def look_up(cloud: Cloud, clocks: AdapterClocks) -> Any:

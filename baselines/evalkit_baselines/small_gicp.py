@@ -34,7 +34,13 @@ from evalkit.core.se2 import Floats
 from evalkit.odometry import planar3d
 from evalkit.plugins.parameters import declared_parameters, parameter
 from evalkit.plugins.specs import RegistrationSpec
-from evalkit_baselines.planar_registration import AdapterClocks, LibraryAnswer, PlanarRegistration, Prepare, prepared
+from evalkit_baselines.planar_registration import (
+    AdapterClocks,
+    LibraryAnswer,
+    PlanarRegistration,
+    Prepare,
+    keep_prepared,
+)
 
 INSTALL = "pip install 'evalkit[small-gicp]'"
 
@@ -66,7 +72,7 @@ def point_to_point(**parameters: Any) -> PlanarRegistration:
             space = library.PointCloud(planar3d.points_3d(cloud.points))
         return space, library.KdTree(space, num_threads=1)
 
-    return _make(library, "ICP", prepared("small_gicp flat", make_flat), SmallGicpPointSettings(**parameters))
+    return _make(library, "ICP", keep_prepared("small_gicp flat", make_flat), SmallGicpPointSettings(**parameters))
 
 
 def point_to_plane(**parameters: Any) -> PlanarRegistration:
@@ -81,7 +87,7 @@ def point_to_plane(**parameters: Any) -> PlanarRegistration:
         return space, tree
 
     key = ("small_gicp layers", settings.layer_m, settings.normal_neighbours)
-    return _make(library, "PLANE_ICP", prepared(key, extrude), settings)
+    return _make(library, "PLANE_ICP", keep_prepared(key, extrude), settings)
 
 
 def _make(library: Any, method: str, target: Prepare, settings: SmallGicpPointSettings) -> PlanarRegistration:
@@ -101,7 +107,7 @@ def _make(library: Any, method: str, target: Prepare, settings: SmallGicpPointSe
         error = math.sqrt(2.0 * max(float(found.error), 0.0) / max(pairs, 1))
         return LibraryAnswer(found.T_target_source, pairs, error, bool(found.converged), int(found.iterations))
 
-    return PlanarRegistration(target, prepared("small_gicp source", convert), align)
+    return PlanarRegistration(target, keep_prepared("small_gicp source", convert), align)
 
 
 def extrude_layers(points: Floats, height_m: float) -> Floats:

@@ -83,7 +83,7 @@ def _option(name: str, hint: Any, default: Any) -> Option | None:
     kind, many = _kind(get_args(hint)[0])
     positional = isinstance(info, ArgumentInfo)
     dashed = name.replace("_", "-")
-    written = name.upper() if positional else ", ".join(_declared(info) or (f"--{dashed}",))
+    written = name.upper() if positional else ", ".join(_list_names(info) or (f"--{dashed}",))
     if kind is bool and default is True:
         written = f"{written} / --no-{dashed}"
     return Option(
@@ -95,7 +95,7 @@ def _option(name: str, hint: Any, default: Any) -> Option | None:
     )
 
 
-def _declared(info: OptionInfo | ArgumentInfo) -> tuple[str, ...]:
+def _list_names(info: OptionInfo | ArgumentInfo) -> tuple[str, ...]:
     """Return the declared names of an option; in an annotation typer keeps the first name as the default."""
     first = (info.default,) if isinstance(info.default, str) and info.default.startswith("-") else ()
     return (*first, *(info.param_decls or ()))

@@ -72,7 +72,7 @@ def _mapper(name: str, spec: MapperSpec) -> str:
 
 
 def _data_set(name: str, spec: DatasetSpec) -> str:
-    published = (f"{one.label}: {_published(one.value, one.spread)} ({one.source})" for one in spec.published)
+    published = (f"{one.label}: {_format_published(one.value, one.spread)} ({one.source})" for one in spec.published)
     rows = [
         ("Sensor", text(spec.sensor)),
         ("Truth", text(spec.truth)),
@@ -98,7 +98,7 @@ def _settings(values: Mapping[str, Value]) -> str:
     return ", ".join(code(f"{name} = {_value(value)}") for name, value in values.items())
 
 
-def _published(value: float, spread: float | None) -> str:
+def _format_published(value: float, spread: float | None) -> str:
     return f"{value:g}" if spread is None else f"{value:g} \u00b1 {spread:g}"
 
 

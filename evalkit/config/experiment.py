@@ -155,7 +155,7 @@ class Experiment:
         words = f"evalkit {self.source} --sequence {sequence} --method {method}{seed} --no-page --out {folder}"
         return environment + words
 
-    def untimed(self) -> Experiment:
+    def without_times(self) -> Experiment:
         """The same experiment with times that do not count."""
         return replace(self, timed=False, source=f"{self.source} --accuracy-only") if self.timed else self
 
@@ -218,7 +218,7 @@ def _read_method(table: TomlTable) -> Method:
         for name in table.texts("tuned_on"):
             registry.dataset(name)
     tuned_on = tuple(dict.fromkeys((*spec.tuned_on, *table.texts("tuned_on"))))
-    parameters = frontend.complete_parameters(table.labelled(label).place, spec, given)
+    parameters = frontend.complete_parameters(table.with_label(label).place, spec, given)
     return Method(label, use, parameters, spec.missing(), tuned_on)
 
 
@@ -237,7 +237,7 @@ def _read_sequence(table: TomlTable, repeats: tuple[int, int]) -> SequenceSpec:
     given = flatten({key: value for key, value in table.content.items() if key not in SEQUENCE.keys})
     with table.errors():
         spec = registry.dataset(use)
-    table = table.labelled(label)
+    table = table.with_label(label)
     if "seeds" in table.content and not spec.seeded:
         raise table.error(f"'seeds': {use} is a recording and has none; remove the key")
     if "seed" in given and spec.seeded:

@@ -46,7 +46,7 @@ class TomlTable:
         """The error to raise for the value of a key."""
         return self.error(f"'{key}': found {brief(self.content.get(key))}, expected {expected}")
 
-    def labelled(self, label: str) -> TomlTable:
+    def with_label(self, label: str) -> TomlTable:
         """The same table with a label behind its place, as in "method 2 (icp)"."""
         return replace(self, place=f"{self.place} ({label})") if label else self
 

@@ -239,7 +239,7 @@ class _Exchange:
 
         det(X'X - x x' + y y') / det(X'X) = (1 + y'Dy)(1 - x'Dx) + (x'Dy)^2 with D = inv(X'X).
         """
-        candidates, slopes = self._tried(row, factor)
+        candidates, slopes = self._try_levels(row, factor)
         old = self.columns[row].copy()
         spread, leverage = candidates @ self.inverse, float(old @ self.inverse @ old)
         gain = (1.0 + np.einsum("ij,ij->i", spread, candidates)) * (1.0 - leverage) + (spread @ old) ** 2
@@ -250,7 +250,7 @@ class _Exchange:
         self.inverse = _update_inverse(_update_inverse(self.inverse, candidates[best], 1.0), old, -1.0)
         return True
 
-    def _tried(self, row: int, factor: int) -> tuple[Floats, Floats]:
+    def _try_levels(self, row: int, factor: int) -> tuple[Floats, Floats]:
         """The row's columns and slopes (L, ...) with every level of the factor."""
         axis = self.model.axes[factor]
         columns = np.repeat(self.columns[row : row + 1], axis.levels, axis=0)

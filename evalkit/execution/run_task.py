@@ -241,7 +241,7 @@ def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: Run
             bool(spec.dataset_parameters.get(ALIGN_TRUTH, False)),
         )
     if not settings.timed and not result.steps["wall_ns"].any():
-        without = {name: _untimed(name, score) for name, score in scores.by_metric.items()}
+        without = {name: _drop_time(name, score) for name, score in scores.by_metric.items()}
         scores = replace(scores, by_metric=without)
     store = Store(folder)
     store.save_scores(spec.key, scores, settings.scoring_code)
@@ -249,7 +249,7 @@ def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: Run
         raise RuntimeError(f"{store.run_folder(spec.key)}: scores were written but cannot be read back")
 
 
-def _untimed(name: str, score: Score) -> Score:
+def _drop_time(name: str, score: Score) -> Score:
     return Score(None, score.support, NOT_TIMED) if name in _time_metrics() else score
 
 

@@ -32,7 +32,7 @@ ENDED = "ended"
 MODULE = "evalkit.execution.sandbox"
 
 
-def sandboxed(task: AnyTask, limit_s: float, memory_mib: int) -> AnyTask:
+def make_sandboxed_task(task: AnyTask, limit_s: float, memory_mib: int) -> AnyTask:
     """The task that runs another one in a sandbox; see ``run``."""
     inside = make_task(
         task.name, run, function=task.function, arguments=task.arguments, limit_s=limit_s, memory_mib=memory_mib

@@ -59,7 +59,7 @@ class Task(Generic[R_co]):
         """The same task with further modules that the result depends on."""
         return replace(self, modules=(*self.modules, *modules))
 
-    def limited(self, limit_s: float) -> Task[R_co]:
+    def with_limit(self, limit_s: float) -> Task[R_co]:
         """The same task with a limit of wall clock time."""
         return replace(self, limit_s=limit_s)
 

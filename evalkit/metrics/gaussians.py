@@ -99,7 +99,7 @@ def spatial_consistency(at: Ints, apart: Floats) -> float:
     return float(np.mean(spread[kept] / means[kept])) if kept.any() else float("nan")
 
 
-def _scored(measure: Callable[[Ints, Floats], float]) -> Callable[[Evidence], Score]:
+def _score_with(measure: Callable[[Ints, Floats], float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         found = _compare_voxels(evidence)
         if isinstance(found, Score):
@@ -130,8 +130,8 @@ _NO_NEIGHBOURS = "no square with walls has two neighbours with walls"
 METRICS = make_metrics(
     "gaussians",
     {
-        "map_awd_m": _scored(lambda _, apart: float(apart.mean())),
-        "map_scs": _scored(spatial_consistency),
+        "map_awd_m": _score_with(lambda _, apart: float(apart.mean())),
+        "map_scs": _score_with(spatial_consistency),
     },
     VOXEL_M=VOXEL_M,
     MIN_CELLS=MIN_CELLS,

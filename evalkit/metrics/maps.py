@@ -118,7 +118,7 @@ def _count_cells(cells: Ints) -> int:
     return len(ordered) - int(np.count_nonzero(ordered[1:] == ordered[:-1]))
 
 
-def _scored(
+def _score_with(
     measure: Callable[[WallDistances], float], without_walls: float | None = None, not_finite: str = DIVERGED
 ) -> Callable[[Evidence], Score]:
     """Return a measure of the walls as a function of the evidence.
@@ -186,17 +186,17 @@ _NOTHING_OBSERVED = "the ground-truth map has no observed cell"
 METRICS = make_metrics(
     "maps",
     {
-        "map_f1": _scored(f1, 0.0),
-        "map_precision": _scored(precision),
-        "map_recall": _scored(recall, 0.0),
-        "map_chamfer_m": _scored(chamfer),
-        "map_wall_mean_m": _scored(lambda walls: float(walls.to_true.mean())),
-        "map_wall_p95_m": _scored(lambda walls: float(np.percentile(walls.to_true, 95))),
-        "map_iou": _scored(iou),
-        "map_iou_10cm": _scored(iou_within, 0.0),
-        "map_ac_m": _scored(accuracy, not_finite=_NO_INLIER),
-        "map_com": _scored(lambda walls: recall(walls, INLIER_M), 0.0),
-        "map_knn_m": _scored(lambda walls: float(walls.to_mapped.mean())),
+        "map_f1": _score_with(f1, 0.0),
+        "map_precision": _score_with(precision),
+        "map_recall": _score_with(recall, 0.0),
+        "map_chamfer_m": _score_with(chamfer),
+        "map_wall_mean_m": _score_with(lambda walls: float(walls.to_true.mean())),
+        "map_wall_p95_m": _score_with(lambda walls: float(np.percentile(walls.to_true, 95))),
+        "map_iou": _score_with(iou),
+        "map_iou_10cm": _score_with(iou_within, 0.0),
+        "map_ac_m": _score_with(accuracy, not_finite=_NO_INLIER),
+        "map_com": _score_with(lambda walls: recall(walls, INLIER_M), 0.0),
+        "map_knn_m": _score_with(lambda walls: float(walls.to_mapped.mean())),
         "map_coverage_percent": with_true_grid(_score_coverage),
     },
     INLIER_M=INLIER_M,

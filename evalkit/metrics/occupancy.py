@@ -22,8 +22,8 @@ def find_true_states(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[Bools,
     """
     if true.resolution_m > mapped.resolution_m * (1.0 + _EDGE):
         raise ValueError(f"true: its cells of {true.resolution_m} m are coarser than the map's {mapped.resolution_m} m")
-    occupied = _touched(mapped, true, true.occupied())
-    return occupied, _touched(mapped, true, true.free()) & ~occupied
+    occupied = _find_touched(mapped, true, true.occupied())
+    return occupied, _find_touched(mapped, true, true.free()) & ~occupied
 
 
 def log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
@@ -55,7 +55,7 @@ def wall_width_m(mapped: OccupancyGrid, threshold: float = 0.65) -> float:
     return float(np.sqrt(12.0 * spread**2 + mapped.resolution_m**2).mean()) if len(spread) else float("nan")
 
 
-def _touched(mapped: OccupancyGrid, true: OccupancyGrid, cells: Bools) -> Bools:
+def _find_touched(mapped: OccupancyGrid, true: OccupancyGrid, cells: Bools) -> Bools:
     """Return the cells (H, W) of a map that contain, or touch with an edge, the centre of one of ``cells`` of the true
     map.
     """

@@ -87,7 +87,7 @@ def _compute_norms(errors: Errors) -> Errors:
     return sizes
 
 
-def _scored(
+def _score_with(
     part: Part,
     column: int,
     statistic: Callable[[Floats], np.floating],
@@ -129,18 +129,18 @@ METRICS = make_metrics(
     "relations",
     {
         **{
-            f"relations_{part}_{name}_{unit}": _scored(part, column, statistic)
+            f"relations_{part}_{name}_{unit}": _score_with(part, column, statistic)
             for part in _PARTS
             for name, statistic in _STATISTICS.items()
             for column, unit in enumerate(_UNITS)
         },
         **{
-            f"relations_{form}_{name}_m": _scored("all", 0, statistic, _compute_norms(errors))
+            f"relations_{form}_{name}_m": _score_with("all", 0, statistic, _compute_norms(errors))
             for form, errors in _FORMS.items()
             for name, statistic in _STATISTICS.items()
         },
         **{
-            f"relations_square_{name}_{unit}2": _scored(
+            f"relations_square_{name}_{unit}2": _score_with(
                 "all", column, statistic, _compute_norms(componentwise_errors), squared=True
             )
             for name, statistic in _STATISTICS.items()

@@ -69,7 +69,7 @@ def find_sources(module: str, roots: frozenset[str]) -> frozenset[Path]:
             waiting.extend(source for known, source in on_first_use.items() if known.startswith(name[:-1]))
         elif (file := _file(name, found)) is not None:
             found[name] = file
-            imports = _imported(name, file)
+            imports = _list_imports(name, file)
             waiting.extend(imports.names)
             on_first_use |= imports.on_first_use
     return frozenset([*found.values(), *filter(Path.is_file, (file.with_suffix(".toml") for file in found.values()))])
@@ -107,7 +107,7 @@ IMPORT_INSIDE_A_LINE = re.compile(rb"^[^#\n]*[:;][ \t]*(?:import[ \t]|from[ \t]+
 
 
 @cache
-def _imported(name: str, file: Path) -> _Imports:
+def _list_imports(name: str, file: Path) -> _Imports:
     if file.suffix != ".py":
         return _Imports()
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]

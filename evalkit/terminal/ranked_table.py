@@ -103,7 +103,7 @@ def _rows_of_sequence(analysis: Analysis, sequence: SequenceAnalysis) -> tuple[s
             RankedRow(
                 score.method, format_amount(ranking.metric, value), _against(value, base, score.method in baselines),
                 _cost(analysis, score.method), note, value, bounds.low if bounds else None,
-                bounds.high if bounds else None, _corrected(sequence, score.method),
+                bounds.high if bounds else None, _format_corrected(sequence, score.method),
             )
         )  # fmt: skip
     return f"{ranking.metric.label}, {sequence.label}", rows
@@ -123,7 +123,7 @@ def _rows_of_answer(analysis: Analysis) -> tuple[str, list[RankedRow]]:
     return f"error by the best one's, geometric mean over {len(answer.contests)} data sets", rows
 
 
-def _corrected(sequence: SequenceAnalysis, method: str) -> str:
+def _format_corrected(sequence: SequenceAnalysis, method: str) -> str:
     score = sequence.final.of(method) if sequence.final else None
     value = None if score is None else score.median
     return "" if sequence.final is None or value is None else format_amount(sequence.final.metric, value)

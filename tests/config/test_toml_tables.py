@@ -52,7 +52,7 @@ def test_correct_values_and_defaults_are_returned():
     assert (content.whole_number("count"), content.whole_number("points")) == (3, 7)
     assert (content.number("size"), content.whole_numbers("seeds")) == (2.0, (4, 5))
     assert [(part.place, part.whole_number("x")) for part in content.tables("part")] == [("part 1", 1), ("part 2", 5)]
-    assert content.labelled("a").place == "part 1 (a)"
+    assert content.with_label("a").place == "part 1 (a)"
 
 
 def test_an_unknown_name_within_a_table_is_an_error_of_that_table():

@@ -71,5 +71,5 @@ def test_a_place_is_recorded_only_in_a_sandbox(tmp_path, monkeypatch):
 def test_the_key_of_a_sandboxed_task_changes_with_arguments_and_limits():
     function = importlib.import_module("test_sandbox").doubled
     one, other = (make_task("x", function, row=row) for row in ([1.0], [2.0]))
-    assert sandbox.sandboxed(one, 20.0, 500).key != sandbox.sandboxed(other, 20.0, 500).key
-    assert sandbox.sandboxed(one, 20.0, 500).key != sandbox.sandboxed(one, 1.0, 500).key
+    assert sandbox.make_sandboxed_task(one, 20.0, 500).key != sandbox.make_sandboxed_task(other, 20.0, 500).key
+    assert sandbox.make_sandboxed_task(one, 20.0, 500).key != sandbox.make_sandboxed_task(one, 1.0, 500).key

@@ -140,7 +140,7 @@ def test_a_task_that_ends_its_process_is_reported_and_does_not_stop_others(squar
 
 @pytest.mark.parametrize("how", ["sleeps", "spins", "holds"])
 def test_a_task_that_hangs_is_ended_once_and_does_not_stop_others(squares, tmp_path, how):
-    hanging = squares("hanging", "hang", how=how).limited(1.0)
+    hanging = squares("hanging", "hang", how=how).with_limit(1.0)
     tasks = [hanging, *(squares(f"n{n}", "square", number=n) for n in range(3))]
     begun = time.monotonic()
     with pytest.raises(TasksFailed, match="hanging failed: not finished after 1 s; it was in "):
@@ -171,7 +171,7 @@ def test_a_second_time_limit_in_a_process_waits_for_the_first(tmp_path):
 
 def test_the_key_does_not_change_with_the_time_limit(squares):
     task = squares("n", "square", number=1)
-    assert task.limited(5.0).key == task.key
+    assert task.with_limit(5.0).key == task.key
 
 
 def test_two_tasks_with_one_name_are_an_error(squares, tmp_path):

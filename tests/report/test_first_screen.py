@@ -13,7 +13,7 @@ from evalkit.report.html.cost_plot import _find_front, draw_scatter
 from evalkit.report.html.dot_plot import draw_dots
 from evalkit.report.html.map_strip import build_tiles, choose_tiles, find_hardest
 from evalkit.report.html.method_colours import assign_strokes
-from evalkit.report.html.svg import Scale, element, log_scale, place_labels, polyline
+from evalkit.report.html.svg import AxisScale, element, log_scale, place_labels, polyline
 
 
 @pytest.fixture
@@ -46,17 +46,17 @@ def kinds(markup, method):
 
 
 def test_a_logarithmic_scale_places_decades_evenly():
-    scale = Scale(0.01, 1.0)
+    scale = AxisScale(0.01, 1.0)
     assert [scale.share(value) for value in (0.01, 0.1, 1.0)] == pytest.approx([0.0, 0.5, 1.0])
     assert scale.share(1e9) == 1.02
     assert scale.ticks(3) == (0.01, 0.1, 1.0)
-    assert Scale(0.01, 1.0).ticks(5) == (0.01, 0.03, 0.1, 0.3, 1.0)
-    assert Scale(0.0281391, 0.0441).ticks(2) == (0.035,)  # no round value within
+    assert AxisScale(0.01, 1.0).ticks(5) == (0.01, 0.03, 0.1, 0.3, 1.0)
+    assert AxisScale(0.0281391, 0.0441).ticks(2) == (0.035,)  # no round value within
 
 
 def test_a_linear_scale_has_round_ticks():
-    assert Scale(0.0, 47.0, log=False).ticks(5) == (0.0, 10.0, 20.0, 30.0, 40.0)
-    assert Scale(0.0, 0.5, log=False).share(0.25) == 0.5
+    assert AxisScale(0.0, 47.0, log=False).ticks(5) == (0.0, 10.0, 20.0, 30.0, 40.0)
+    assert AxisScale(0.0, 0.5, log=False).share(0.25) == 0.5
 
 
 def test_equal_values_still_have_a_width():

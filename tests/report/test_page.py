@@ -15,7 +15,7 @@ from evalkit.metrics.validated import load_validation
 from evalkit.report import MethodCard, SequenceCard, write_report
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_number
-from evalkit.report.html.maps import Window, compute_greys, find_window, render_map
+from evalkit.report.html.maps import MapWindow, compute_greys, find_window, render_map
 from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_page import render_report
 from evalkit.report.html.report_tables import by_rank, headline_table
@@ -281,7 +281,7 @@ def test_walls_are_black_at_their_position_in_a_map():
     observed = np.ones((40, 80), dtype=bool)
     observed[:, 70:] = False
     grid = OccupancyGrid(log_odds, observed, 0.1, -1.0, 2.0)
-    shown = Window(-1.0, 7.0, 2.0, 6.0)
+    shown = MapWindow(-1.0, 7.0, 2.0, 6.0)
     levels = compute_greys(grid, shown)
     rows, columns = np.nonzero(levels == 0)
     metres = 8.0 / levels.shape[1]
@@ -298,7 +298,7 @@ def test_a_diverged_map_does_not_shrink_the_others():
         cells = np.ones((size, size), dtype=bool)
         return OccupancyGrid(np.zeros((size, size)), cells, 1.0, 0.0, 0.0)
 
-    assert find_window([room(10), room(11), room(500)]) == Window(0.0, 11.0, 0.0, 11.0)
+    assert find_window([room(10), room(11), room(500)]) == MapWindow(0.0, 11.0, 0.0, 11.0)
     assert find_window([]) is None
 
 

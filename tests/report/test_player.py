@@ -13,7 +13,7 @@ from evalkit.core.run_result import NO_STEPS
 from evalkit.core.scan import Frame, Scan
 from evalkit.report.html import player as module
 from evalkit.report.html.array_encoding import unpack_array
-from evalkit.report.html.maps import Window
+from evalkit.report.html.maps import MapWindow
 from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.player import (
     build_player,
@@ -26,7 +26,7 @@ from evalkit.report.html.player import (
     ranges_per_sequence,
 )
 
-WINDOW = Window(0.0, 12.0, 0.0, 8.0)
+WINDOW = MapWindow(0.0, 12.0, 0.0, 8.0)
 
 
 class Wall:

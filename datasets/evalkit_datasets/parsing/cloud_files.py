@@ -169,9 +169,9 @@ def stamps_of(names: Sequence[str], period_ns: int) -> NDArray[np.int64]:
     digits = len(numbers[0].partition(".")[0])
     usual = next((power for limit, power in ((11, 9), (14, 6), (17, 3)) if digits < limit), 0)
     power = next((power for power in (9, 6, 3, 0) if 5e6 <= step * 10**power <= 5e9), usual)
-    return np.array([_scaled(text, power) for text in numbers], dtype=np.int64)
+    return np.array([_scale_decimal(text, power) for text in numbers], dtype=np.int64)
 
 
-def _scaled(text: str, power: int) -> int:
+def _scale_decimal(text: str, power: int) -> int:
     whole, _, rest = text.partition(".")
     return int(whole + rest[:power].ljust(power, "0"))

@@ -69,7 +69,7 @@ class Contents:
 
 
 @dataclass(frozen=True, eq=False)
-class Scans:
+class BagScans:
     """The scans of one topic without their ranges, in order of time; of scans with equal stamps the first is kept.
 
     ``messages`` (N,): index of each scan among the topic's messages. ``invalid`` (N,): number of invalid ranges.
@@ -90,7 +90,7 @@ class Scans:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def select(self, which: slice) -> Scans:
+    def select(self, which: slice) -> BagScans:
         """Return a slice of the scans."""
         return replace(
             self,
@@ -107,7 +107,7 @@ class Scans:
         return self.names[int(self.frames[0])]
 
 
-def read_bag(path: Path, topic: str, which: slice, options: SweepOptions) -> tuple[Scans, Contents]:
+def read_bag(path: Path, topic: str, which: slice, options: SweepOptions) -> tuple[BagScans, Contents]:
     """Return all scans of one laser topic ("": the only one), all odometry and the transforms.
 
     Of moving transforms those nearest to the first scan taken (``which``) are kept, and all that may be odometry.
@@ -128,7 +128,7 @@ def read_bag(path: Path, topic: str, which: slice, options: SweepOptions) -> tup
     return scans, contents
 
 
-def iter_sweeps(path: Path, scans: Scans, options: SweepOptions) -> Iterator[tuple[int, Sweep]]:
+def iter_sweeps(path: Path, scans: BagScans, options: SweepOptions) -> Iterator[tuple[int, Sweep]]:
     """Yield the scans in file order, each with its index in ``scans``; raises BadData if the bag has changed."""
     if not len(scans):
         return
@@ -155,7 +155,7 @@ def _reread_sweep(
     raise BadData(str(path), "", "the bag has changed since it was first read", "do not modify it during a run")
 
 
-def _read_scans(reader: Any, topic: str, contents: Contents, options: SweepOptions) -> Scans:
+def _read_scans(reader: Any, topic: str, contents: Contents, options: SweepOptions) -> BagScans:
     """Return the scans of a topic; damaged messages are counted in ``contents``."""
     columns = {name: array(kind) for name, kind in COLUMNS.items()}
     names: dict[str, int] = {}
@@ -171,7 +171,7 @@ def _read_scans(reader: Any, topic: str, contents: Contents, options: SweepOptio
     order = order_stamps(arrays["stamps_ns"])
     in_order = not (order.backwards or order.repeated)
     kept = arrays if in_order else {name: column[order.keep] for name, column in arrays.items()}
-    return Scans(topic, **kept, names=tuple(names), backwards=order.backwards, repeated=order.repeated)
+    return BagScans(topic, **kept, names=tuple(names), backwards=order.backwards, repeated=order.repeated)
 
 
 def _iter_laser_messages(reader: Any, topic: str, options: SweepOptions) -> Iterator[tuple[Any, int, bytes]]:

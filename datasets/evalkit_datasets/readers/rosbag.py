@@ -27,7 +27,7 @@ from evalkit.plugins.specs import DatasetSpec
 from evalkit_datasets.parsing import cloud_slice, rosbag_parser, truth_files
 from evalkit_datasets.parsing.buffers import PoseBuffer, sort_by_rank
 from evalkit_datasets.parsing.cloud_slice import CloudSlice
-from evalkit_datasets.parsing.rosbag_parser import Contents, Scans
+from evalkit_datasets.parsing.rosbag_parser import BagScans, Contents
 from evalkit_datasets.parsing.sweeps import Sweep, SweepOptions, parse_fields
 from evalkit_datasets.parsing.transforms import Mounting
 from evalkit_datasets.parsing.truth_files import TruthPaths
@@ -124,7 +124,7 @@ class RosBag:
         """Return the number of defects handled, by name."""
         return reader_common.drop_zeros(self._counts)
 
-    def _count_defects(self, whole: Scans, contents: Contents) -> dict[str, int]:
+    def _count_defects(self, whole: BagScans, contents: Contents) -> dict[str, int]:
         if not len(whole):
             raise BadData(
                 str(self._path),

@@ -78,10 +78,10 @@ class SuccessCounts:
         points = np.stack(coordinates, axis=1)
         trials = np.histogramdd(points, borders)[0].astype(np.int64)
         successes = np.histogramdd(points[success], borders)[0].astype(np.int64)
-        return cls.counted(borders, successes, trials)
+        return cls.from_counts(borders, successes, trials)
 
     @classmethod
-    def counted(cls, edges: tuple[Floats, ...], successes: Ints, trials: Ints) -> SuccessCounts:
+    def from_counts(cls, edges: tuple[Floats, ...], successes: Ints, trials: Ints) -> SuccessCounts:
         """The shares and intervals of given counts."""
         bounds = np.full((3, *trials.shape), np.nan)
         for at in np.argwhere(trials > 0):

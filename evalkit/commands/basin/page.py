@@ -247,11 +247,11 @@ def _overlay(row: BasinRow, scene: BasinScene, attempt: int) -> Figure:
     number = attempt % len(scene.seen)
     pair, guess, end = scene.seen[number], Pose.of(scene.guesses()[attempt]), find_answer(row, attempt)
     layers = [
-        Points("target", _thinned(pair.target.points), GREY, 3.0),
-        Points("source, guess", _thinned(guess.transform(pair.source.points)), START, 3.0),
+        Points("target", _thin(pair.target.points), GREY, 3.0),
+        Points("source, guess", _thin(guess.transform(pair.source.points)), START, 3.0),
     ]
     if end is not None:
-        layers.append(Points("source, answer", _thinned(end.transform(pair.source.points)), END, 3.0))
+        layers.append(Points("source, answer", _thin(end.transform(pair.source.points)), END, 3.0))
     metres, degrees = _apart(guess, pair.target_from_source)
     caption = f"Guess {metres:.2f} m and {degrees:.1f} deg off"
     if end is None:
@@ -311,7 +311,7 @@ def _apart(pose: Pose, truth: Pose) -> tuple[float, float]:
     return math.hypot(left.x, left.y), abs(math.degrees(left.theta))
 
 
-def _thinned(points: Floats) -> Floats:
+def _thin(points: Floats) -> Floats:
     return points[:: max(1, len(points) // MAX_POINTS)]
 
 

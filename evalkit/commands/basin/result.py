@@ -61,7 +61,7 @@ class BasinRow:
     outcome: TrialAnswers
     basin: Basin | None
 
-    def _known(self) -> Basin:
+    def _require_basin(self) -> Basin:
         if self.basin is None:
             raise ValueError(f"{self.backend}: has no basin: {self.reason}")
         return self.basin
@@ -69,21 +69,21 @@ class BasinRow:
     def cells(self) -> SuccessCounts:
         """Success over the distance (m) and the turn (rad)."""
         reach_m, reach_rad = self.trials.reach_m, self.trials.reach_rad
-        return self._known().by_distance_and_turn(
+        return self._require_basin().by_distance_and_turn(
             np.linspace(0.0, reach_m, CELLS + 1), np.linspace(0.0, reach_rad, CELLS + 1)
         )
 
     def plane(self) -> SuccessCounts:
         """Success over the offset in x and y (m)."""
-        return self._known().by_place(np.linspace(-self.trials.reach_m, self.trials.reach_m, CELLS + 1))
+        return self._require_basin().by_place(np.linspace(-self.trials.reach_m, self.trials.reach_m, CELLS + 1))
 
     def along(self) -> SuccessCounts:
         """Success over the distance (m) of guesses that are not turned."""
-        return self._known().along(np.linspace(0.0, self.trials.reach_m, BINS + 1))
+        return self._require_basin().along(np.linspace(0.0, self.trials.reach_m, BINS + 1))
 
     def around(self) -> SuccessCounts:
         """Success over the turn (rad) of guesses that are not shifted."""
-        return self._known().around(np.linspace(0.0, self.trials.reach_rad, BINS + 1))
+        return self._require_basin().around(np.linspace(0.0, self.trials.reach_rad, BINS + 1))
 
     def reach_m(self, level: float) -> float:
         """The largest shift (m) of a guess without turn up to which every bin reaches this share of success."""

@@ -105,7 +105,7 @@ def measure(experiment: Experiment, seeds: int, subsets: int, folder: Path, jobs
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class SequenceCalibration:
     """Intervals and verdicts of one sequence, and what of it was skipped, in words."""
 
     coverage: tuple[Coverage, ...]
@@ -129,7 +129,7 @@ def _select_sequences(experiment: Experiment) -> tuple[list[SequenceSpec], list[
 
 def measure_sequence(
     number: int, sequence: SequenceSpec, results: Sequence[Mapping[str, Any]], labels: Sequence[str], subsets: int
-) -> Measured:
+) -> SequenceCalibration:
     """Resample the runs of one sequence in every metric; a method that failed in any run is left out."""
     reasons = {label: seed_runs.read_reasons(label, results) for label in labels}
     skipped = [
@@ -150,7 +150,7 @@ def measure_sequence(
             )
     if able and not rows:
         skipped.append(f"{sequence.label}: too few runs have a value of {', '.join(seed_runs.METRICS)}")
-    return Measured(
+    return SequenceCalibration(
         tuple(one for one in rows if isinstance(one, Coverage)),
         tuple(one for one in rows if isinstance(one, Verdicts)),
         tuple(skipped),

@@ -140,7 +140,7 @@ def compare(
             experiment = load_experiment(source)
         else:
             experiment = _experiment_of_recording(recording, source, given, keys, named, setting or [], as_is, reader)
-        experiment = experiment.untimed() if accuracy_only else experiment
+        experiment = experiment.without_times() if accuracy_only else experiment
         experiment = experiment.select(sequence or [], method or [], seed or [])
         how = RunOptions.of(jobs, resume, rerun, collect, engine, scheduler, insecure)
         (_run if no_page else _run_and_report)(experiment, Store(folder), how, as_json)

@@ -141,7 +141,7 @@ def simulate_devices(
     runs: dict[bytes, _OdometryRun] = {}
     devices = []
     for factor in factors:
-        schedule = virtual_clock.compute_schedule(sequence.arrivals_ns, costs.profile.slowed(factor), policy)
+        schedule = virtual_clock.compute_schedule(sequence.arrivals_ns, costs.profile.slow_down(factor), policy)
         key = schedule.answered.tobytes()
         if key not in runs:
             runs[key] = _run_or_fail(method, [sequence.frames[index] for index in schedule.answered])

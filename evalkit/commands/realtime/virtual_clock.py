@@ -135,7 +135,7 @@ class CostProfile:
         """The cost of a scan on this machine."""
         return float(self.scans_ns[index] * np.interp(np.log(gap), np.log(self.gaps), self.growth))
 
-    def slowed(self, factor: float) -> Cost:
+    def slow_down(self, factor: float) -> Cost:
         """The cost on a device that takes ``factor`` times as long, for ``compute_schedule``."""
         return lambda index, gap: round(factor * self.ns(index, gap))
 

@@ -217,4 +217,4 @@ def _read_envelope(table: TomlTable, designs: list[Design], responses: list[Resp
 
 def _label_table(table: TomlTable) -> TomlTable:
     """The table with its name, or what it sets, in its place."""
-    return table.labelled(str(table.content.get("name", table.content.get("sets", ""))))
+    return table.with_label(str(table.content.get("name", table.content.get("sets", ""))))

@@ -142,7 +142,7 @@ class Study:
             dataset=self.dataset, sequence=sequence, mapper=self.mapper, mapper_parameters=dict(point.mapper),
             scans=self.scans, metrics=[response.name for response in self.responses],
             code=self.code + hash_files(sequence),
-        ).limited(self.limit_s)  # fmt: skip
+        ).with_limit(self.limit_s)  # fmt: skip
 
     def point_experiment(self, key: str) -> Experiment:
         """The experiment that runs one point with all its seeds."""

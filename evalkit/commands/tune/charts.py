@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from evalkit.commands.tune.objective import ScoredCandidate, mark_pareto_front
-from evalkit.commands.tune.search_loop import SearchResult
+from evalkit.commands.tune.search_loop import MethodSearch
 from evalkit.core.se2 import Floats
 from evalkit.design.responses import Response
 from evalkit.report.formatting import label_with_unit
@@ -22,7 +22,7 @@ MIN_MS = 1e-3
 """The smallest time drawn, because a logarithmic axis has no zero."""
 
 
-def draw_pareto_fronts(results: Sequence[SearchResult], objective: Response) -> Figure:
+def draw_pareto_fronts(results: Sequence[MethodSearch], objective: Response) -> Figure:
     """The Pareto fronts of all back ends, with default and tuned points."""
     x, y = _make_axes([_collect_places(one.tried) for one in results], objective)
     layers: list[Points] = []
@@ -46,7 +46,7 @@ def draw_pareto_fronts(results: Sequence[SearchResult], objective: Response) -> 
     return Figure(charts.scatter(layers, x, y, equal=False), "Accuracy against compute, all back ends", caption)
 
 
-def draw_points(one: SearchResult, objective: Response) -> Figure:
+def draw_points(one: MethodSearch, objective: Response) -> Figure:
     """Every point of one back end."""
     x, y = _make_axes([_collect_places(one.tried)], objective)
     on_front = mark_pareto_front(one.tried)

@@ -23,7 +23,7 @@ from evalkit.terminal.options import Collect, Jobs, Json, err, out
 if TYPE_CHECKING:
     from evalkit.commands.tune.plan import Tuning
     from evalkit.commands.tune.result import TuningResult
-    from evalkit.commands.tune.search_loop import SearchResult
+    from evalkit.commands.tune.search_loop import MethodSearch
     from evalkit.config.experiment import Experiment
     from evalkit.results.run_record import RunRecord
 
@@ -102,7 +102,7 @@ def _read_tuning(
     return config.tuning_from_tables(content, "evalkit tune", name, command)
 
 
-def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tuple[SearchResult, ...]:
+def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tuple[MethodSearch, ...]:
     """The results of the search; exit code 3 if ``collect`` and a result is missing."""
     from evalkit.commands.tune import search_loop  # noqa: PLC0415 - loads scipy
 

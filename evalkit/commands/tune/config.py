@@ -54,7 +54,7 @@ def tuning_from_tables(content: Mapping[str, Any], file: str, name: str, command
         _read_objective(table.table("objective", " with metric and lost")),
         table.number("run_cpu_s"),
         tuple(
-            _make_tunable(each.labelled(method.label), method)
+            _make_tunable(each.with_label(method.label), method)
             for each, method in zip(methods, held_out.methods, strict=True)
         ),
         training,
@@ -109,7 +109,7 @@ def _read_training(table: TomlTable) -> tuple[Training, ...]:
     sequences = _make_plan(table, tables, "training").sequences
     training = []
     for each, sequence in zip(tables, sequences, strict=True):
-        place = each.labelled(sequence.label)
+        place = each.with_label(sequence.label)
         if sequence.missing:
             raise place.error(f"cannot be trained on here: {sequence.missing}")
         training.append(Training(sequence, _read_confirm_seeds(place, sequences, sequence)))

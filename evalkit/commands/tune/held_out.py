@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evalkit.commands.tune.plan import TUNED
-from evalkit.commands.tune.search_loop import SearchResult
+from evalkit.commands.tune.search_loop import MethodSearch
 from evalkit.core.run_status import NOT_EXECUTED, RunStatus
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison
@@ -51,7 +51,7 @@ class HeldOutVerdict:
     verdict: str
 
 
-def judge_held_out(analysis: Analysis, results: Sequence[SearchResult]) -> tuple[HeldOutVerdict, ...]:
+def judge_held_out(analysis: Analysis, results: Sequence[MethodSearch]) -> tuple[HeldOutVerdict, ...]:
     """The verdicts on all back ends that were tuned, adjusted together (Holm)."""
     labels = [one.tunable.label for one in results if one.tuned]
     pairs = compare_pairs(analysis.comparison, analysis.sequences, [(label + TUNED, label) for label in labels])

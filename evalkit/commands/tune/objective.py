@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.commands.tune.plan import COST
-from evalkit.commands.tune.space import Candidate
+from evalkit.commands.tune.space import TuningCandidate
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.design.responses import Response, bounded_value, find_loss_reason
@@ -33,7 +33,7 @@ class ScoredCandidate:
     runs come first, because small errors elsewhere do not make up for a lost robot.
     """
 
-    candidate: Candidate
+    candidate: TuningCandidate
     errors: Floats
     lost: tuple[str, ...]
     cpu_ms: float
@@ -56,7 +56,7 @@ class ScoredCandidate:
         return self.losses, round(math.log(self.error), 9)
 
 
-def score_candidate(candidate: Candidate, results: Sequence[RunScores], objective: Response) -> ScoredCandidate:
+def score_candidate(candidate: TuningCandidate, results: Sequence[RunScores], objective: Response) -> ScoredCandidate:
     """A point with the results of its runs."""
     errors = np.array([max(bounded_value(result, objective), 1e-12) for result in results])
     costs_ms = [cost for result in results if (cost := result["scores"][COST]) is not None]

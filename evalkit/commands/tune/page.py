@@ -11,7 +11,7 @@ from evalkit.commands.tune.objective import mark_pareto_front
 from evalkit.commands.tune.plan import TUNED
 from evalkit.commands.tune.result import TuningResult
 from evalkit.commands.tune.rows import build_held_out_blocks, format_number
-from evalkit.commands.tune.search_loop import SearchResult
+from evalkit.commands.tune.search_loop import MethodSearch
 from evalkit.commands.tune.space import get_parameter_name, is_continuous
 from evalkit.report.html.blocks import (
     Block,
@@ -79,7 +79,7 @@ def _build_summary(result: TuningResult) -> Section:
     return Section("Summary", blocks, "summary")
 
 
-def _make_summary_row(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
+def _make_summary_row(result: TuningResult, one: MethodSearch) -> Sequence[Cell | str]:
     label = one.tunable.label
     if one.failed:
         why = next(iter(filter(None, one.default.lost)), "")
@@ -102,7 +102,7 @@ def _make_summary_row(result: TuningResult, one: SearchResult) -> Sequence[Cell 
     )  # fmt: skip
 
 
-def _make_ratio_cell(one: SearchResult) -> Cell:
+def _make_ratio_cell(one: MethodSearch) -> Cell:
     """The error ratio of best point and default on fresh seeds."""
     ratio = one.ratio
     if ratio is None:
@@ -110,7 +110,7 @@ def _make_ratio_cell(one: SearchResult) -> Cell:
     return Cell(f"{ratio.value:.2f} ({ratio.low:.2f} to {ratio.high:.2f})", ratio.value, tip=f"{ratio.support} runs")
 
 
-def _describe_changes(one: SearchResult) -> str:
+def _describe_changes(one: MethodSearch) -> str:
     values, default = one.chosen.candidate.values, one.default.candidate.values
     changed = [
         f"{name} {_format_value(default[name])} → {_format_value(values[name])}"
@@ -153,7 +153,7 @@ def _build_budget(result: TuningResult) -> list[Block]:
     return [Table(columns, [_make_budget_row(result, one) for one in result.searches]), *_build_sequences(result)]
 
 
-def _make_budget_row(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
+def _make_budget_row(result: TuningResult, one: MethodSearch) -> Sequence[Cell | str]:
     fresh = one.confirmed or ()
     points, size = len(one.tried), one.tunable.space.size
     remark = ""
@@ -215,7 +215,7 @@ def _build_spaces(result: TuningResult) -> list[Block]:
     return blocks
 
 
-def _build_points(result: TuningResult, one: SearchResult) -> Block:
+def _build_points(result: TuningResult, one: MethodSearch) -> Block:
     names = [get_parameter_name(factor) for factor in one.tunable.space.factors]
     columns: tuple[Column | str, ...] = (
         Column("#", number=True), "found by", *names,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from evalkit.commands.tune.space import Candidate, Space
+from evalkit.commands.tune.space import Space, TuningCandidate
 from evalkit.commands.tune.trial import run_trial
 from evalkit.config.experiment import MapperChoice, Method, SequenceSpec
 from evalkit.config.limits import Limits
@@ -95,7 +95,7 @@ class Tuning:
         """The runs on which default and best point are compared; the search does not use them."""
         return tuple(TrainingRun(one.sequence, seed) for one in self.training for seed in one.confirm)
 
-    def task(self, tunable: TunableMethod, candidate: Candidate, run: TrainingRun) -> Task[RunScores]:
+    def task(self, tunable: TunableMethod, candidate: TuningCandidate, run: TrainingRun) -> Task[RunScores]:
         """One run of one point."""
         return make_task(
             f"{tunable.label} | {run.label} | {candidate.name}", run_trial, cpu_s=self.run_cpu_s,
@@ -103,7 +103,7 @@ class Tuning:
             sequence=run.sequence.parameters_with_seed(run.seed), mapper=self.mapper.name,
             metrics=[self.objective.name, COST],
             code=self._code(tunable.method.backend, run.sequence.dataset) + hash_files(run.sequence.parameters),
-        ).limited(self.limits.run_s)  # fmt: skip
+        ).with_limit(self.limits.run_s)  # fmt: skip
 
     def _code(self, backend: str, dataset: str) -> str:
         known = (backend, dataset)

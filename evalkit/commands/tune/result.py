@@ -8,7 +8,7 @@ from functools import cached_property
 
 from evalkit.commands.tune.held_out import HeldOutVerdict, judge_held_out
 from evalkit.commands.tune.plan import Tuning
-from evalkit.commands.tune.search_loop import SearchResult
+from evalkit.commands.tune.search_loop import MethodSearch
 from evalkit.report.analysis.analysis import Analysis, analyse
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.scores import STATUS_LABELS
@@ -24,13 +24,13 @@ class TuningResult:
     """
 
     tuning: Tuning
-    searches: Sequence[SearchResult]
+    searches: Sequence[MethodSearch]
     comparison: Comparison
     ran_on: Mapping[str, str]
     report: str
 
     @property
-    def searched(self) -> tuple[SearchResult, ...]:
+    def searched(self) -> tuple[MethodSearch, ...]:
         """The searches of back ends that have something to search."""
         return tuple(one for one in self.searches if one.tunable.space.factors)
 
@@ -54,13 +54,13 @@ class TuningResult:
         never += [label for label, own in statuses.items() if all(each in FAILED for each in own)]
         return tuple(dict.fromkeys(never))
 
-    def verdict(self, one: SearchResult) -> str:
+    def verdict(self, one: MethodSearch) -> str:
         """The verdict on a back end in one phrase."""
         if one.failed:
             return "failed: no run of any point was completed"
         return self.held[one.tunable.label].verdict if one.tuned else one.why
 
-    def sentence(self, one: SearchResult) -> str:
+    def sentence(self, one: MethodSearch) -> str:
         """The verdict on a back end with its numbers."""
         held = self.held.get(one.tunable.label)
         paired = held.paired if held is not None else None

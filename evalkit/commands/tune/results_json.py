@@ -23,7 +23,7 @@ from evalkit.commands.tune.held_out import HeldOutVerdict
 from evalkit.commands.tune.objective import ScoredCandidate, mark_pareto_front
 from evalkit.commands.tune.plan import TunableMethod
 from evalkit.commands.tune.result import TuningResult
-from evalkit.commands.tune.search_loop import SearchResult
+from evalkit.commands.tune.search_loop import MethodSearch
 from evalkit.commands.tune.space import METHOD, is_continuous
 from evalkit.config.experiment import SequenceSpec
 
@@ -64,7 +64,7 @@ def _sequence_as_json(sequence: SequenceSpec) -> dict[str, Any]:
     return {"label": sequence.label, "dataset": sequence.dataset, "seeds": seeds, "parameters": parameters}
 
 
-def _backend_as_json(result: TuningResult, tunable: TunableMethod, one: SearchResult | None) -> dict[str, Any]:
+def _backend_as_json(result: TuningResult, tunable: TunableMethod, one: MethodSearch | None) -> dict[str, Any]:
     space = {
         factor.name: {
             "levels": [level.label if level.number is None else level.number for level in factor.levels],
@@ -83,7 +83,7 @@ def _backend_as_json(result: TuningResult, tunable: TunableMethod, one: SearchRe
     return head if one is None else head | _search_as_json(result, one)
 
 
-def _search_as_json(result: TuningResult, one: SearchResult) -> dict[str, Any]:
+def _search_as_json(result: TuningResult, one: MethodSearch) -> dict[str, Any]:
     on = mark_pareto_front(one.tried).tolist()
     pair = (*one.tried, *(one.confirmed or ()))
     runs = sum(len(each.errors) for each in pair)
@@ -105,7 +105,7 @@ def _search_as_json(result: TuningResult, one: SearchResult) -> dict[str, Any]:
     }
 
 
-def _point_as_json(one: SearchResult, each: ScoredCandidate, on: bool) -> dict[str, Any]:
+def _point_as_json(one: MethodSearch, each: ScoredCandidate, on: bool) -> dict[str, Any]:
     names = [name.removeprefix(METHOD) for factor in one.tunable.space.factors for name in factor.sets]
     return {
         "found": each.candidate.found,
@@ -118,7 +118,7 @@ def _point_as_json(one: SearchResult, each: ScoredCandidate, on: bool) -> dict[s
     }
 
 
-def _confirmed_as_json(one: SearchResult) -> dict[str, Any] | None:
+def _confirmed_as_json(one: MethodSearch) -> dict[str, Any] | None:
     if one.confirmed is None or one.ratio is None:
         return None
     default, best = one.confirmed

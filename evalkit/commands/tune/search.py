@@ -9,7 +9,7 @@ from itertools import chain
 
 import numpy as np
 
-from evalkit.commands.tune.space import Candidate, Space, is_continuous
+from evalkit.commands.tune.space import Space, TuningCandidate, is_continuous
 from evalkit.core.se2 import Floats
 from evalkit.design.designs import make_grid, make_space_filling
 from evalkit.design.factors import Factor
@@ -38,7 +38,7 @@ class Search:
     budget: int
     seed: int = 0
 
-    def next(self, tried: Sequence[Candidate], best: Candidate | None) -> tuple[Candidate, ...]:
+    def next(self, tried: Sequence[TuningCandidate], best: TuningCandidate | None) -> tuple[TuningCandidate, ...]:
         """The points to try after ``tried``, of which ``best`` is the best; none if the search is over."""
         left = self._point_count() - len(tried)
         if not tried:
@@ -60,12 +60,12 @@ class Search:
         most = self._point_count()
         return most if most < self.budget else math.ceil(most / 2)
 
-    def _all_combinations(self) -> Iterator[Candidate]:
+    def _all_combinations(self) -> Iterator[TuningCandidate]:
         levels = [len(factor.levels) for factor in self.space.factors]
         for row in make_grid(levels).tolist():
             yield self.space.at([(at + 0.5) / of for at, of in zip(row, levels, strict=True)], "all")
 
-    def _spread(self) -> tuple[Candidate, ...]:
+    def _spread(self) -> tuple[TuningCandidate, ...]:
         start = self.space.start()
         if not self.space.factors:
             return (start,)
@@ -75,11 +75,13 @@ class Search:
         shares = make_space_filling(factors, SPARE * self._spread_count(), rng)
         return _take_untried(chain([start], (self.space.at(row, "spread") for row in shares)), (), self._spread_count())
 
-    def _steps(self, tried: Sequence[Candidate], best: Candidate, points: int) -> tuple[Candidate, ...]:
+    def _steps(
+        self, tried: Sequence[TuningCandidate], best: TuningCandidate, points: int
+    ) -> tuple[TuningCandidate, ...]:
         rng = np.random.default_rng([self.seed, len(tried)])
         spread, steps = self._spread_count(), max(self._point_count() - self._spread_count(), 2)
 
-        def draw_steps() -> Iterator[Candidate]:
+        def draw_steps() -> Iterator[TuningCandidate]:
             for attempt in range(SPARE * SPARE * points):
                 step = len(tried) - spread + attempt % points + 1
                 share = max(1.0 - math.log(step) / math.log(steps), 0.0) if step < steps else 0.0
@@ -122,10 +124,12 @@ def _reflect_share(share: float) -> float:
     return min(max(inside, 0.0), 1.0)
 
 
-def _take_untried(candidates: Iterable[Candidate], tried: Sequence[Candidate], points: int) -> tuple[Candidate, ...]:
+def _take_untried(
+    candidates: Iterable[TuningCandidate], tried: Sequence[TuningCandidate], points: int
+) -> tuple[TuningCandidate, ...]:
     """The first ``points`` candidates whose values are not tried yet."""
     seen = {candidate.key for candidate in tried}
-    chosen: list[Candidate] = []
+    chosen: list[TuningCandidate] = []
     for candidate in candidates:
         if len(chosen) == points:
             break

@@ -16,7 +16,7 @@ from evalkit.commands.tune.objective import (
 )
 from evalkit.commands.tune.plan import TUNED, TrainingRun, TunableMethod, Tuning
 from evalkit.commands.tune.search import Search
-from evalkit.commands.tune.space import Candidate
+from evalkit.commands.tune.space import TuningCandidate
 from evalkit.config.experiment import Experiment, Method
 from evalkit.design.run_points import RunScores, run_points
 from evalkit.execution.task import Task
@@ -27,7 +27,7 @@ from evalkit.stats.intervals import Interval
 Compute = Callable[[Sequence[Task[RunScores]]], Mapping[str, RunScores]]
 """Returns the results of tasks by name."""
 
-Candidates = list[tuple[TunableMethod, Candidate]]
+Candidates = list[tuple[TunableMethod, TuningCandidate]]
 
 
 class ResultsMissing(Exception):
@@ -39,7 +39,7 @@ class ResultsMissing(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class SearchResult:
+class MethodSearch:
     """The search of one back end: every point in the order tried, and the best point against the default.
 
     ``confirmed``: default and best point on fresh seeds, None if the default was best. ``ratio``: of their errors
@@ -79,7 +79,7 @@ class SearchResult:
         return float(sum(one.cpu_s for one in (*self.tried, *(self.confirmed or ()))))
 
 
-def run_search(tuning: Tuning, compute: Compute) -> tuple[SearchResult, ...]:
+def run_search(tuning: Tuning, compute: Compute) -> tuple[MethodSearch, ...]:
     """Searches every back end that can run here, all with the same budget; the same tuning tries the same points."""
     methods = [tunable for tunable in tuning.methods if not tunable.missing]
     tried: dict[str, list[ScoredCandidate]] = {tunable.label: [] for tunable in methods}
@@ -89,7 +89,7 @@ def run_search(tuning: Tuning, compute: Compute) -> tuple[SearchResult, ...]:
     return _confirm_best(tuning, compute, methods, tried)
 
 
-def make_held_out_experiment(tuning: Tuning, results: Sequence[SearchResult], file: str) -> Experiment:
+def make_held_out_experiment(tuning: Tuning, results: Sequence[MethodSearch], file: str) -> Experiment:
     """The experiment of every method with its defaults, and tuned if that is better, on the held-out sequences."""
     by_label = {one.tunable.label: one for one in results}
     methods: list[Method] = []
@@ -159,7 +159,7 @@ def _score(
 
 def _confirm_best(
     tuning: Tuning, compute: Compute, methods: Sequence[TunableMethod], tried: Mapping[str, Sequence[ScoredCandidate]]
-) -> tuple[SearchResult, ...]:
+) -> tuple[MethodSearch, ...]:
     """Runs default and best point on fresh seeds for every back end whose best point is not the default."""
     candidates: Candidates = []
     for tunable in methods:
@@ -174,16 +174,16 @@ def _confirm_best(
 
 def _decide_result(
     tuning: Tuning, tunable: TunableMethod, tried: Sequence[ScoredCandidate], pair: Sequence[ScoredCandidate]
-) -> SearchResult:
+) -> MethodSearch:
     """Takes the best point or keeps the default, by the ``pair`` of default and best on fresh seeds."""
     if not pair:
         why = "it has nothing to search" if len(tried) == 1 else "no point was better in the search"
-        return SearchResult(tunable, tuple(tried), None, None, False, f"default kept: {why}")
+        return MethodSearch(tunable, tuple(tried), None, None, False, f"default kept: {why}")
     default, candidate = pair
     ratio = compute_error_ratio(candidate, default, tuning.seed)
     tuned = is_better(candidate, default, ratio)
     why = "better on fresh seeds by more than noise" if tuned else _explain_default(candidate, default)
-    return SearchResult(tunable, tuple(tried), (default, candidate), ratio, tuned, why)
+    return MethodSearch(tunable, tuple(tried), (default, candidate), ratio, tuned, why)
 
 
 def _explain_default(candidate: ScoredCandidate, default: ScoredCandidate) -> str:

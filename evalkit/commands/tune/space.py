@@ -32,7 +32,7 @@ SHARED = frozenset(parameter.name for parameter in frontend.PARAMETERS)
 
 
 @dataclass(frozen=True)
-class Candidate:
+class TuningCandidate:
     """A point: its place in the unit cube (D,), its values by parameter, and how it was found."""
 
     shares: tuple[float, ...]
@@ -57,17 +57,17 @@ class Space:
     factors: tuple[Factor, ...]
     default: Mapping[str, Value]
 
-    def at(self, shares: Sequence[float] | Floats, found: str) -> Candidate:
+    def at(self, shares: Sequence[float] | Floats, found: str) -> TuningCandidate:
         """The point at a place in the unit cube: between the ends of a float's levels, otherwise one of the levels."""
         values = dict(self.default)
         for factor, share in zip(self.factors, shares, strict=True):
             values |= settings(factor.at(float(share))[0])
-        return Candidate(tuple(map(float, shares)), values, found)
+        return TuningCandidate(tuple(map(float, shares)), values, found)
 
-    def start(self) -> Candidate:
+    def start(self) -> TuningCandidate:
         """The default exactly, even if it lies outside the bounds; its place is then at the border."""
         shares = tuple(_find_share(factor, self.default) for factor in self.factors)
-        return Candidate(shares, dict(self.default), "default")
+        return TuningCandidate(shares, dict(self.default), "default")
 
     @property
     def size(self) -> int | None:

@@ -17,7 +17,13 @@ from evalkit.commands.validate.equivalence.comparison import FLOAT32, MarginChoi
 from evalkit.commands.validate.equivalence.diagnosis import EXPLAINED
 from evalkit.commands.validate.equivalence.divergence import Divergence
 from evalkit.commands.validate.equivalence.lockstep import ComparedBackend
-from evalkit.commands.validate.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale, float32_margin
+from evalkit.commands.validate.equivalence.margins import (
+    FLOAT32_ROUNDOFF,
+    TIE_ROUNDINGS,
+    GeometryScale,
+    Margin,
+    float32_margin,
+)
 from evalkit.commands.validate.equivalence.mistaken_frames import (
     mistaken_frames,
     mistaken_trajectories,
@@ -85,39 +91,39 @@ def draw_drives(seed: int) -> Iterator[tuple[str, str, tuple[Frame, ...]]]:
     """Drives of a seed: family, description, frames."""
     rng = np.random.default_rng([seed, 4])
 
-    def drawn(**options: Any) -> tuple[Frame, ...]:
+    def draw(**options: Any) -> tuple[Frame, ...]:
         return drive(SCANS, float(rng.uniform(0.2, 0.6)), float(rng.uniform(-0.6, 0.6)), **options).frames
 
-    yield "drive", "a drive", drawn()
-    yield "drive", "a drive with wheels 10 % too large", drawn(odometry_gain=1.1)
+    yield "drive", "a drive", draw()
+    yield "drive", "a drive with wheels 10 % too large", draw(odometry_gain=1.1)
     yield (
         "mounting",
         "a lidar mounted off the centre",
-        drawn(base_from_sensor=Pose(*rng.uniform(-1.0, 1.0, 3) * (0.3, 0.2, 3.0))),
+        draw(base_from_sensor=Pose(*rng.uniform(-1.0, 1.0, 3) * (0.3, 0.2, 3.0))),
     )
-    yield "beams", "all beams at once", drawn(sweeping=False)
+    yield "beams", "all beams at once", draw(sweeping=False)
     first = float(rng.uniform(-2.5, -2.0))
-    sector = tuple(scenes.sector(one, first, first + 4.5) for one in drawn(sweeping=False))
+    sector = tuple(scenes.sector(one, first, first + 4.5) for one in draw(sweeping=False))
     yield "beams", f"a lidar of 4.5 rad from {first:.3g} rad on", sector
     for value, name in ((np.inf, "no return"), (np.nan, "invalid")):
         holes = [np.flatnonzero(rng.random(360) < 0.3) for _ in range(SCANS)]
-        frames = zip(drawn(), holes, strict=True)
+        frames = zip(draw(), holes, strict=True)
         yield "ranges", f"30 % of the ranges {name}", tuple(_with_holes(one, rows, value) for one, rows in frames)
     gap = set(rng.choice(np.arange(2, SCANS - 1), 2, replace=False).tolist())
     yield (
         "returns",
         "two scans without returns",
-        tuple(without_hits(one) if number in gap else one for number, one in enumerate(drawn())),
+        tuple(without_hits(one) if number in gap else one for number, one in enumerate(draw())),
     )
     yield (
         "wheel odometry",
         "two scans without wheel odometry",
         tuple(
             replace(one, odom_from_base=None, start_from_end=None) if number in gap else one
-            for number, one in enumerate(drawn())
+            for number, one in enumerate(draw())
         ),
     )
-    yield "wheel odometry", "none", drawn(odometry_gain=None)
+    yield "wheel odometry", "none", draw(odometry_gain=None)
 
 
 def run_frames(side: ComparedBackend, frames: Iterable[Frame]) -> tuple[Floats, str]:
@@ -170,7 +176,7 @@ def _limit_m(one: Driven, margin: MarginChoice) -> float:
     known = margin
     if isinstance(known, str):
         scan = one.frames[0].scan
-        known = float32_margin(Scale(scan.range_max_m, len(scan.ranges), 1.0))
+        known = float32_margin(GeometryScale(scan.range_max_m, len(scan.ranges), 1.0))
         return max(known.metres + LEVER_M * known.radians, 3.0 * one.rounding_m)
     return known.metres + LEVER_M * known.radians
 

@@ -52,7 +52,7 @@ def rules_level(
 def waive(level: AcceptanceLevel, waivers: Mapping[str, str]) -> AcceptanceLevel:
     """The level with the failed checks waived whose name, or its last word, is excepted; the detail is the reason."""
 
-    def waived(check: Check) -> Check:
+    def apply_waiver(check: Check) -> Check:
         reason = waivers.get(check.name) or waivers.get(check.name.split(" ", 1)[-1].rpartition(": ")[2])
         return (
             replace(check, outcome="waived", detail=f"waived: {reason}")
@@ -60,7 +60,7 @@ def waive(level: AcceptanceLevel, waivers: Mapping[str, str]) -> AcceptanceLevel
             else check
         )
 
-    return replace(level, checks=tuple(map(waived, level.checks)))
+    return replace(level, checks=tuple(map(apply_waiver, level.checks)))
 
 
 def registrations_level(
@@ -205,14 +205,14 @@ def _name_by_questions(checks: list[Check], drawn: Results, terms: ComparisonTer
                 and where not in one.observed and one.deciding == "equal" else one for one in checks]  # fmt: skip
     start = next(one[terms.margin]["start"] for one in drawn.values() if ENDED not in one)
 
-    def named(check: Check) -> Check:
+    def name_cause(check: Check) -> Check:
         text = check.observed
         if check.outcome == "failed" and any(phrase in text for phrase in UNNAMED):
             cause = _describe_cause(text, families[0], start, where)
             return replace(check, observed=f"{text}; {cause}" if cause else text)
         return check
 
-    return [named(check) for check in checks]
+    return [name_cause(check) for check in checks]
 
 
 def _describe_cause(text: str, families: Mapping[str, Mapping[str, Any]], start: str, where: str) -> str:

@@ -165,15 +165,15 @@ class ValidationPlan:
                 seed=request.seed, margins=request.margins, quick=effort.quick,
             )  # fmt: skip
             modules = self._modules(self.backend, self.reference)
-            yield sandbox.sandboxed(drawn.depending_on(*modules), effort.limit_s, effort.memory_mib)
+            yield sandbox.make_sandboxed_task(drawn.depending_on(*modules), effort.limit_s, effort.memory_mib)
         for place in seeded_sequences(self.experiment):
             exact = registry.dataset(place.sequence.dataset).seeded  # a simulated truth has no error
-            yield self._sandboxed(
+            yield self._make_sandboxed_task(
                 f"pairs, {place.label}", place, probes.compare_pairs,
                 a=a, b=b, on=place.data, count=effort.pairs, exact=exact, margins=request.margins,
             )  # fmt: skip
             for name in self._registering_peers():
-                yield self._sandboxed(
+                yield self._make_sandboxed_task(
                     f"answers of {name}, {place.label}", place, probes.answer_pairs,
                     backend=self._plugin(name), on=place.data, count=effort.pairs, exact=exact,
                 )  # fmt: skip
@@ -182,7 +182,7 @@ class ValidationPlan:
         """The tasks of level 2."""
         request, a, b = self.request, self._plugin(self.reference), self._plugin(self.backend)
         for place in seeded_sequences(self.experiment):
-            yield self._sandboxed(
+            yield self._make_sandboxed_task(
                 f"scans, {place.label}", place, probes.compare_scans, a=a, b=b, on=place.data,
                 scans=request.effort.scans, margins=request.margins, disturbed=request.disturbed,
             )  # fmt: skip
@@ -191,7 +191,7 @@ class ValidationPlan:
         """The comparisons of mappers in level 4."""
         own, reference = ({"name": name, "given": {}} for name in self.mappers)
         for place in self._first_seeds() if all(self.mappers) else ():
-            yield self._sandboxed(
+            yield self._make_sandboxed_task(
                 f"mapper, {place.label}", place, probes.compare_maps,
                 a=reference, b=own, on=place.data, scans=self.request.effort.mapper_scans, margin=EXACT,
             )  # fmt: skip
@@ -200,7 +200,7 @@ class ValidationPlan:
         """The reference over copies of each sequence perturbed by rounding."""
         for place in seeded_sequences(self.experiment):
             backend = self._plugin(self.reference)
-            yield self._sandboxed(
+            yield self._make_sandboxed_task(
                 f"copies, {place.label}", place, probes.perturbed_paths, backend=backend, on=place.data, copies=COPIES
             )
 
@@ -210,12 +210,12 @@ class ValidationPlan:
         registrations = [self._plugin(name) for name in self.registrations]
         effort = self.request.effort
         for place in self._first_seeds():
-            yield self._sandboxed(
+            yield self._make_sandboxed_task(
                 f"time, {place.label}", place, timing_probes.time_scans,
                 methods=methods, on=place.data, scans=effort.timed,
             )  # fmt: skip
             if self.backend in self.registrations:
-                yield self._sandboxed(
+                yield self._make_sandboxed_task(
                     f"time of a pair, {place.label}", place, timing_probes.time_pairs,
                     methods=registrations, on=place.data, count=effort.pairs,
                 )  # fmt: skip
@@ -227,14 +227,14 @@ class ValidationPlan:
             first.setdefault(place.sequence.label, place)
         return list(first.values())
 
-    def _sandboxed(
+    def _make_sandboxed_task(
         self, name: str, place: SeededSequence, function: Callable[Parameters, Result], /,
         *args: Parameters.args, **kwargs: Parameters.kwargs,
     ) -> AnyTask:  # fmt: skip
         """The task that runs a probe in a sandbox."""
         modules = (*self._modules(*self.methods), registry.plug_in_of("datasets", place.sequence.dataset).module)
         probe = make_task(name, function, *args, **kwargs).depending_on(*modules)
-        return sandbox.sandboxed(probe, self.request.effort.limit_s, self.request.effort.memory_mib)
+        return sandbox.make_sandboxed_task(probe, self.request.effort.limit_s, self.request.effort.memory_mib)
 
     def _plugin(self, name: str) -> dict[str, Any]:
         """A back end with its given parameters; the digest distinguishes builds of a library."""

@@ -245,7 +245,7 @@ def _compare(
         beyond = [one for one in answered if _beyond_rounding(one, result.margin)]
         fields = result.fields
         if choice == FLOAT32 and (beyond or fields):
-            undecided = _undecided(answered, beyond, result.margin, reference_of)
+            undecided = _find_undecided(answered, beyond, result.margin, reference_of)
             beyond = [one for one in beyond if id(one) not in undecided]
             decided = [(one, result.margin) for one in answered if id(one) not in undecided]
             fields = comparison.count_fields(decided, choice)
@@ -258,7 +258,7 @@ def _compare(
     return results
 
 
-def _undecided(
+def _find_undecided(
     answered: list[AnswerPair], beyond: list[AnswerPair], margin: Margin,
     reference_of: Callable[[str], Registration | None],
 ) -> set[int]:  # fmt: skip

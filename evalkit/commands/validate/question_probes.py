@@ -17,7 +17,7 @@ from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING, 
 from evalkit.commands.validate.equivalence.diagnosis import mistakes_in_start
 from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence, wrong_fields
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, Question
-from evalkit.commands.validate.equivalence.margins import Margin, Scale, float32_margin, float64_margin
+from evalkit.commands.validate.equivalence.margins import GeometryScale, Margin, float32_margin, float64_margin
 from evalkit.commands.validate.equivalence.questions import MAX_FLOAT32_REACH_M, DrawnQuestion, draw_questions
 from evalkit.commands.validate.equivalence.rounding import is_decided_by_rounding, is_ill_conditioned
 from evalkit.commands.validate.probes import Plugin, load_backend, parse_margin
@@ -80,7 +80,7 @@ def compare_questions(a: Plugin, b: Plugin, seed: int, margins: list[str], quick
 
 def _ask_all(sides: tuple[ComparedBackend, ComparedBackend], drawn: list[DrawnQuestion]) -> list[Asked]:
     @cache
-    def made(side: int, key: Key) -> Registration:
+    def make_registration(side: int, key: Key) -> Registration:
         one = sides[side]
         return replace(one, parameters={**one.parameters, **dict(key)}).registrations()["s2m"]
 
@@ -89,7 +89,7 @@ def _ask_all(sides: tuple[ComparedBackend, ComparedBackend], drawn: list[DrawnQu
         note_place(f"drawn questions, {one.family}: {one.what}")
         key = tuple(sorted(one.changes.items()))
         try:
-            first = made(0, key)
+            first = make_registration(0, key)
             match = first.register(one.question.target, one.question.source, one.question.guess)
             others = tuple(first.register(tie.target, tie.source, tie.guess) for tie in one.ties)
         except Exception:  # noqa: BLE001 - what the reference refuses is no question
@@ -97,15 +97,15 @@ def _ask_all(sides: tuple[ComparedBackend, ComparedBackend], drawn: list[DrawnQu
 
         def ask(question: Question, first: Registration = first, key: Key = key) -> AnswerPair:
             match = first.register(question.target, question.source, question.guess)
-            return _answer(lambda: made(1, key), question, match, first)
+            return _answer(lambda: make_registration(1, key), question, match, first)
 
-        answers = _answer(lambda key=key: made(1, key), one.question, match, first)
-        asked.append(Asked(one, answers, others, _effect(made, one, answers), True, first, ask))
+        answers = _answer(lambda key=key: make_registration(1, key), one.question, match, first)
+        asked.append(Asked(one, answers, others, _effect(make_registration, one, answers), True, first, ask))
         bits.append(None if answers.b is None else match_bits(answers.b))
-    return _ask_again(asked, bits, made)
+    return _ask_again(asked, bits, make_registration)
 
 
-def _ask_again(asked: list[Asked], bits: list[Any], made: Any) -> list[Asked]:
+def _ask_again(asked: list[Asked], bits: list[Any], make_registration: Any) -> list[Asked]:
     """The same, with whether each small question has the same answer again, in the opposite order."""
     again = list(asked)
     for number in reversed(range(len(asked))):
@@ -113,7 +113,7 @@ def _ask_again(asked: list[Asked], bits: list[Any], made: Any) -> list[Asked]:
         if bits[number] is None or len(one.question.target) + len(one.question.source) > 5000:
             continue
         note_place(f"drawn questions again, {one.family}: {one.what}")
-        registration = made(1, tuple(sorted(one.changes.items())))
+        registration = make_registration(1, tuple(sorted(one.changes.items())))
         answers = lockstep.answer(registration, one.question, asked[number].answers.a)
         repeats = answers.b is not None and match_bits(answers.b) == bits[number]
         again[number] = replace(asked[number], repeats=repeats)
@@ -128,13 +128,13 @@ def _answer(make: Any, question: Question, match: Match, reference: Registration
     return lockstep.answer(registration, question, match, reference)
 
 
-def _effect(made: Any, one: DrawnQuestion, answers: AnswerPair) -> Effect:
+def _effect(make_registration: Any, one: DrawnQuestion, answers: AnswerPair) -> Effect:
     """Whether a single parameter that changes the answer of the reference changes the other one too."""
     if len(one.changes) != 1 or answers.b is None or math.isnan(answers.b.error):
         return "not asked"
     question = one.question
-    base_a = made(0, ()).register(question.target, question.source, question.guess)
-    base_b = lockstep.answer(made(1, ()), question, base_a).b
+    base_a = make_registration(0, ()).register(question.target, question.source, question.guess)
+    base_b = lockstep.answer(make_registration(1, ()), question, base_a).b
     if base_b is None or match_bits(base_a) == match_bits(answers.a):
         return "not asked"
     return "none" if match_bits(base_b) == match_bits(answers.b) else "some"
@@ -142,7 +142,7 @@ def _effect(made: Any, one: DrawnQuestion, answers: AnswerPair) -> Effect:
 
 def _margin_of(question: Question, margin: MarginChoice) -> Margin | None:
     """The margin of one question at its scale; None if single precision cannot hold its coordinates."""
-    scale = Scale.of(question.target, question.source, question.guess)
+    scale = GeometryScale.of(question.target, question.source, question.guess)
     if margin == FLOAT32:
         return float32_margin(scale) if scale.reach_m < MAX_FLOAT32_REACH_M else None
     return float64_margin(scale, margin)

@@ -189,7 +189,7 @@ def report_mapper(request: ValidationRequest, folder: Path, workers: int, displa
     margin = EXACT if request.margin == AUTO else request.margin
     modules = [registry.plug_in_of("mappers", name).module for name in (request.backend, reference)]
     tasks = [
-        sandbox.sandboxed(
+        sandbox.make_sandboxed_task(
             make_task(
                 f"mapper, {place.label}", probes.compare_maps,
                 a={"name": reference, "given": given_reference}, b={"name": request.backend, "given": given},

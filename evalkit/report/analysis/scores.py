@@ -149,7 +149,9 @@ def compute_score(
     scored = [(run, run.scores.by_metric[metric.name]) for run in complete if metric.name in run.scores.by_metric]
     known = [(run, score.value, score.support) for run, score in scored if score.value is not None]
     partial = [
-        run.scores.by_metric[metric.name].value for run in unfinished(runs) if metric.name in run.scores.by_metric
+        run.scores.by_metric[metric.name].value
+        for run in select_unfinished(runs)
+        if metric.name in run.scores.by_metric
     ]
     values = tuple(value for _, value, _ in known)
     perturbed, losses = (
@@ -194,7 +196,7 @@ def median_over_runs(draws: Sequence[Floats]) -> Floats:
     return np.asarray(np.median(table[chosen, np.arange(DRAWS)[:, None]], axis=1))
 
 
-def unfinished(runs: Sequence[RunRecord]) -> tuple[RunRecord, ...]:
+def select_unfinished(runs: Sequence[RunRecord]) -> tuple[RunRecord, ...]:
     """Return the runs that did not complete, in order."""
     return tuple(run for run in runs if not run.result.is_complete)
 
@@ -215,5 +217,5 @@ def _compute_interval(values: Sequence[float], draws: Sequence[BootstrapDraws | 
 def _reason_without_value(runs: Sequence[RunRecord], metric: Metric) -> str:
     complete = [run for run in runs if run.result.is_complete and metric.name in run.scores.by_metric]
     reasons = [run.scores.by_metric[metric.name].reason for run in complete]
-    reasons += [f"{STATUS_LABELS[run.result.status]}: {run.result.reason}" for run in unfinished(runs)]
+    reasons += [f"{STATUS_LABELS[run.result.status]}: {run.result.reason}" for run in select_unfinished(runs)]
     return "; ".join(dict.fromkeys(reasons)) or "not scored"

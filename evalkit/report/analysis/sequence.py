@@ -11,7 +11,7 @@ from evalkit.report.analysis.comparison import Comparison, SequenceCard
 from evalkit.report.analysis.driven_paths import describe_alignments, describe_drive
 from evalkit.report.analysis.map_agreement import MapAgreement, compute_map_agreement, find_worse_than
 from evalkit.report.analysis.ranking import PairwiseTable, Ranking, compute_pairwise, compute_rankings, find_deciding
-from evalkit.report.analysis.scores import MethodScore, unfinished
+from evalkit.report.analysis.scores import MethodScore, select_unfinished
 from evalkit.results.run_record import RunRecord
 
 
@@ -69,7 +69,7 @@ class SequenceAnalysis:
     @property
     def none_finished(self) -> bool:
         """Whether no run completed."""
-        return len(unfinished(self.all_runs)) == len(self.all_runs)
+        return len(select_unfinished(self.all_runs)) == len(self.all_runs)
 
     def is_behind(self, method: str) -> bool:
         """Return whether a method is clearly worse than a baseline."""

@@ -12,7 +12,7 @@ from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.standings import Standing
 from evalkit.report.formatting import format_milliseconds
 from evalkit.report.html.method_colours import Stroke
-from evalkit.report.html.svg import Scale, element, join, log_scale, place_labels
+from evalkit.report.html.svg import AxisScale, element, join, log_scale, place_labels
 
 Strokes = Mapping[str, Stroke]
 SCATTER = (360.0, 296.0)
@@ -69,7 +69,7 @@ def draw_scatter(analysis: Analysis, strokes: Strokes) -> Markup | None:
     return element("svg", join(parts), class_="scatter", viewBox=size, role="img", aria_label=finding)
 
 
-def _grid(x: Scale, y: Scale) -> list[Markup]:
+def _grid(x: AxisScale, y: AxisScale) -> list[Markup]:
     left, top, right, bottom = PLOT
     parts = []
     for tick in x.ticks(4):

@@ -16,7 +16,7 @@ from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.standings import Contest
 from evalkit.report.formatting import format_amount, format_loss, format_tick
 from evalkit.report.html.method_colours import Stroke
-from evalkit.report.html.svg import Scale, element, join, log_scale
+from evalkit.report.html.svg import AxisScale, element, join, log_scale
 
 Strokes = Mapping[str, Stroke]
 ROW = 22
@@ -70,7 +70,7 @@ class _Panel:
     sequence: str
     ranking: Ranking
     contest: Contest | None
-    scale: Scale
+    scale: AxisScale
     runs: SequenceAnalysis
     width_px: float
 

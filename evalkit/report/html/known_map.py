@@ -65,7 +65,7 @@ def build_known_map(
         Heading("In the known map", f"{anchor}-known-map"), Text(f"{NOTE} {describe_calibration()}", "note"),
         Table(columns, rows, label=f"In the known map, {sequence.label}"),
     ]  # fmt: skip
-    pairs = {label: known for label, record in first.items() if len(known := _known(record.scores.fit))}
+    pairs = {label: known for label, record in first.items() if len(known := _select_known(record.scores.fit))}
     return [*blocks, *([Figures([draw_calibration(pairs, strokes)])] if pairs else [])]
 
 
@@ -88,6 +88,6 @@ def draw_calibration(pairs: dict[str, Floats], strokes: Strokes) -> Figure:
     return Figure(charts.scatter(layers, x, y, equal=False), "Predicted and true error", caption, alt=caption)
 
 
-def _known(fit: Floats | None) -> Floats:
+def _select_known(fit: Floats | None) -> Floats:
     """Return the pairs (K, 2) of which both errors are known."""
     return np.zeros((0, 2)) if fit is None else fit[np.isfinite(fit).all(axis=1)]

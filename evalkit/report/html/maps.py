@@ -19,7 +19,7 @@ Greys = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class MapWindow:
     """The part of the world (m) that all maps of a sequence show."""
 
     x_min: float
@@ -40,7 +40,7 @@ class Window:
         return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= quarter))
 
 
-def find_window(grids: Sequence[OccupancyGrid], reference: OccupancyGrid | None = None) -> Window | None:
+def find_window(grids: Sequence[OccupancyGrid], reference: OccupancyGrid | None = None) -> MapWindow | None:
     """Return the window that contains the observed cells of all maps, except of maps above twice the usual size.
 
     ``reference``: the true map, whose size is then the usual one; else the median size is. None if no cell is observed.
@@ -55,15 +55,15 @@ def find_window(grids: Sequence[OccupancyGrid], reference: OccupancyGrid | None 
     limit = 2.0 * np.hypot(usual[1] - usual[0], usual[3] - usual[2])
     kept = [usual, *(box for box in boxes if np.hypot(box[1] - box[0], box[3] - box[2]) <= limit)]
     low, high = np.min(kept, axis=0), np.max(kept, axis=0)
-    return Window(float(low[0]), float(high[1]), float(low[2]), float(high[3]))
+    return MapWindow(float(low[0]), float(high[1]), float(low[2]), float(high[3]))
 
 
-def render_map(grid: OccupancyGrid, shown: Window) -> bytes:
+def render_map(grid: OccupancyGrid, shown: MapWindow) -> bytes:
     """Return a PNG of the map within a window: black occupied, white free, grey not observed."""
     return encode_png(compute_greys(grid, shown))
 
 
-def compute_greys(grid: OccupancyGrid, shown: Window) -> Greys:
+def compute_greys(grid: OccupancyGrid, shown: MapWindow) -> Greys:
     """Return levels 0 (p >= 0.9) to 15 (p <= 0.1), row 0 at the top; a pixel of several cells shows the darkest."""
     width, height = shown.size_m
     per_pixel, step = _sampling(grid, shown)
@@ -80,14 +80,14 @@ def compute_greys(grid: OccupancyGrid, shown: Window) -> Greys:
     return np.round(15.0 * _darkest(white, per_pixel)).astype(np.uint8)
 
 
-def measure_image(grid: OccupancyGrid, shown: Window) -> tuple[int, int]:
+def measure_image(grid: OccupancyGrid, shown: MapWindow) -> tuple[int, int]:
     """Return the width and height of a map's image in pixels."""
     per_pixel, step = _sampling(grid, shown)
     width, height = (max(1, round(side / step / per_pixel)) for side in shown.size_m)
     return width, height
 
 
-def pixel_m(grid: OccupancyGrid, shown: Window) -> float:
+def pixel_m(grid: OccupancyGrid, shown: MapWindow) -> float:
     """Return the size of a pixel of the map's image in metres."""
     per_pixel, step = _sampling(grid, shown)
     return per_pixel * step
@@ -104,7 +104,7 @@ def encode_png(levels: Greys) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, body) for kind, body in chunks)
 
 
-def _sampling(grid: OccupancyGrid, shown: Window) -> tuple[int, float]:
+def _sampling(grid: OccupancyGrid, shown: MapWindow) -> tuple[int, float]:
     """Return the number of samples per pixel along each side, and their distance (m)."""
     longest = max(shown.size_m)
     per_pixel = int(np.clip(np.ceil(longest / grid.resolution_m / PIXELS), 1, 4))

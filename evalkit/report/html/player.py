@@ -23,7 +23,7 @@ from evalkit.metrics.neighbourhoods import nearest_distances_m
 from evalkit.plugins.protocols import Sequence
 from evalkit.report.html.array_encoding import NONE, Steps, dequantise, pack_array, quantise
 from evalkit.report.html.corrected_runs import SUFFIX
-from evalkit.report.html.maps import Window, pixel_m
+from evalkit.report.html.maps import MapWindow, pixel_m
 from evalkit.report.html.method_colours import Stroke
 from evalkit.results.run_record import RunRecord
 
@@ -78,7 +78,7 @@ class Player:
 def build_player(
     records: Several[RunRecord],
     scans: Callable[[], Sequence] | None,
-    shown: Window | None,
+    shown: MapWindow | None,
     lines: Mapping[str, Stroke],
     most_ranges: int = MAX_RANGES,
     preferred: str = "",
@@ -330,7 +330,7 @@ def _at(true: Trajectory, stamps: Stamps) -> Floats:
     return found
 
 
-def _pixels(records: Several[RunRecord], shown: Window | None) -> Mapping[str, float]:
+def _pixels(records: Several[RunRecord], shown: MapWindow | None) -> Mapping[str, float]:
     """Return metres per pixel of each map's image; the true map has the name ""."""
     if shown is None:
         return {}

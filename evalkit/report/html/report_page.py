@@ -39,7 +39,7 @@ from evalkit.report.html.blocks import (
     Text,
     load_template,
 )
-from evalkit.report.html.maps import Window, find_window, measure_image, render_map
+from evalkit.report.html.maps import MapWindow, find_window, measure_image, render_map
 from evalkit.report.html.method_colours import Stroke, assign_strokes
 from evalkit.report.html.player import build_player, ranges_per_sequence
 from evalkit.results.run_record import RunRecord
@@ -57,7 +57,7 @@ class SequenceMaps:
     """The maps of each method's first run over a sequence, in a common window; ``window`` is None without any."""
 
     figures: Mapping[str, Figure]
-    window: Window | None
+    window: MapWindow | None
 
 
 def render_report(analysis: Analysis) -> str:
@@ -156,7 +156,7 @@ def _draw_charts(
 
 
 def _build_player(
-    analysis: Analysis, sequence: SequenceAnalysis, first: Sequence[RunRecord], shown: Window | None,
+    analysis: Analysis, sequence: SequenceAnalysis, first: Sequence[RunRecord], shown: MapWindow | None,
     strokes: Mapping[str, Stroke], anchor: str,
 ) -> list[Block]:  # fmt: skip
     comparison = analysis.comparison

@@ -11,7 +11,7 @@ from evalkit.plugins.specs import Published
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, Ranking, mark
-from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, unfinished
+from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, select_unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import capitalise, count_losses, format_amount, format_loss, format_number
 from evalkit.report.html.blocks import Block, Cell, Chips, Column, Table, Text, Tone
@@ -129,16 +129,16 @@ def _describe_state(sequence: SequenceAnalysis, label: str, repeated: bool) -> l
         chips.append(("; ".join(filter(None, (format_loss(score.lost), counted))), "bad"))
     if sequence.is_behind(label):
         chips.append(("worse than the baseline", "warn"))
-    if not repeated and (broken := unfinished(sequence.runs[label])):
+    if not repeated and (broken := select_unfinished(sequence.runs[label])):
         chips.append((STATUS_LABELS[broken[0].result.status], "bad"))
     return chips
 
 
 def success_cell(records: Sequence[RunRecord]) -> Cell:
     """Return the number of complete runs, with the interval of the share of runs that finish."""
-    complete, count = len(records) - len(unfinished(records)), len(records)
+    complete, count = len(records) - len(select_unfinished(records)), len(records)
     started = [record for record in records if record.result.status not in NOT_EXECUTED]
-    share = wilson_interval(len(started) - len(unfinished(started)), len(started)) if started else None
+    share = wilson_interval(len(started) - len(select_unfinished(started)), len(started)) if started else None
     extent = f"{100.0 * share.low:.0f}–{100.0 * share.high:.0f} %" if share and count > 1 else ""
     return Cell(f"{complete} of {count}", complete / count, "" if complete == count else "bad", extent=extent)
 
@@ -258,7 +258,7 @@ def published_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Str
 def failure_texts(records: Sequence[RunRecord]) -> list[str]:
     """Return the runs that did not complete in words; those of one method with one reason are one entry."""
     together: dict[tuple[str, RunStatus, str], list[RunRecord]] = {}
-    for record in unfinished(records):
+    for record in select_unfinished(records):
         together.setdefault((record.method, record.result.status, record.result.reason), []).append(record)
     texts = []
     for (method, status, reason), own in together.items():

@@ -14,7 +14,7 @@ from evalkit.metrics.runtime import period_ns
 from evalkit.report.formatting import format_length, format_milliseconds, format_tick
 from evalkit.report.html.method_colours import Stroke
 from evalkit.report.html.run_lines import POINTS, STRETCHES, bin_series, find_frame, seconds_of, thin_points, world_path
-from evalkit.report.html.svg import Scale, element, join, log_scale, polyline
+from evalkit.report.html.svg import AxisScale, element, join, log_scale, polyline
 from evalkit.results.run_record import RunRecord
 
 Series = Mapping[str, tuple[Floats, Floats]]
@@ -123,7 +123,7 @@ def cost_chart(records: Sequence[RunRecord], strokes: Strokes, leader: str) -> M
 
 
 def _cost_row(
-    label: str, row: Sequence[float], scale: Scale, period: float, strokes: Strokes, leader: str
+    label: str, row: Sequence[float], scale: AxisScale, period: float, strokes: Strokes, leader: str
 ) -> Markup:  # fmt: skip
     low, q1, middle, _, high, most = (f"{100 * scale.share(value):.1f}%" for value in row)
     wide = f"{100 * (scale.share(row[3]) - scale.share(row[1])):.1f}%"
@@ -153,8 +153,8 @@ def _time_chart(
     wide = max(usual) > MAX_RATIO * max(min(usual), 1e-3)
     end = max(*(float(seconds[-1]) for seconds, _ in lines.values()), 1e-3)
     top = max(float(np.max(values)) for _, values in lines.values())
-    y = Scale(max(min(usual) / 10.0, 1e-4), 1.1 * top) if wide else Scale(0.0, max(1.1 * top, 1e-4), log=False)
-    x = Scale(0.0, end, log=False)
+    y = AxisScale(max(min(usual) / 10.0, 1e-4), 1.1 * top) if wide else AxisScale(0.0, max(1.1 * top, 1e-4), log=False)
+    x = AxisScale(0.0, end, log=False)
 
     def place(seconds: Floats, values: Floats) -> Floats:
         heights = np.array([y.share(value) for value in values.tolist()])

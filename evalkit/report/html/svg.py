@@ -16,7 +16,7 @@ STEPS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0))
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class AxisScale:
     """A range of values drawn as shares 0..1, logarithmic or linear (``low`` > 0 if logarithmic)."""
 
     low: float
@@ -48,14 +48,14 @@ class Scale:
         return found or (float(f"{math.sqrt(self.low * self.high):.2g}"),)
 
 
-def log_scale(values: Iterable[float], margin: float = 0.08) -> Scale:
+def log_scale(values: Iterable[float], margin: float = 0.08) -> AxisScale:
     """Return the scale of positive values with a margin on both sides, at least a factor 1.5 wide."""
     known = [max(value, 1e-9) for value in values] or [1.0]
     low, high = math.log(min(known)), math.log(max(known))
     wide = max(high - low, math.log(1.5))
     middle = 0.5 * (low + high)
     half = wide * (0.5 + margin)
-    return Scale(math.exp(middle - half), math.exp(middle + half))
+    return AxisScale(math.exp(middle - half), math.exp(middle + half))
 
 
 def element(name: str, content: object = "", **attributes: object) -> Markup:

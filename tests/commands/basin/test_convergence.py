@@ -65,12 +65,12 @@ def test_success_rates_equal_hand_counts_with_wilson_intervals():
 @pytest.mark.parametrize(("level", "reach"), [(0.5, 3.0), (0.75, 2.0), (0.95, 1.0), (0.1, 4.0)])
 def test_the_reach_ends_before_the_first_failing_cell(level, reach):
     counts = np.array([20, 17, 10, 4])
-    shares = SuccessCounts.counted((np.arange(5.0),), counts, np.full(4, 20))
+    shares = SuccessCounts.from_counts((np.arange(5.0),), counts, np.full(4, 20))
     assert shares.reach(level) == reach
 
 
 def test_a_cell_without_trials_ends_the_reach():
-    shares = SuccessCounts.counted((np.arange(4.0),), np.array([5, 0, 5]), np.array([5, 0, 5]))
+    shares = SuccessCounts.from_counts((np.arange(4.0),), np.array([5, 0, 5]), np.array([5, 0, 5]))
     assert shares.reach(0.5) == 1.0
 
 

@@ -78,7 +78,7 @@ def test_the_cost_function_receives_the_gap_since_the_last_answer():
 def test_the_schedule_is_repeatable_and_a_slower_device_answers_no_more_scans(costs, factor, slower, policy):
     profile = CostProfile(np.full(len(costs), costs[0]), np.array([1, 4]), np.array([1.0, 1.5]))
     first, again, later = (
-        compute_schedule(arrivals(len(costs)), profile.slowed(f), policy) for f in (factor, factor, factor * slower)
+        compute_schedule(arrivals(len(costs)), profile.slow_down(f), policy) for f in (factor, factor, factor * slower)
     )
     assert first.answered.tolist() == again.answered.tolist()
     assert first.done_ns.tolist() == again.done_ns.tolist()
@@ -92,14 +92,14 @@ def test_the_schedule_is_repeatable_and_a_slower_device_answers_no_more_scans(co
 def test_the_growth_is_interpolated_between_gaps_and_constant_beyond():
     profile = CostProfile(np.array([100, 200]), np.array([1, 2, 8]), np.array([1.0, 1.5, 2.5]))
     assert [profile.ns(1, gap) for gap in (1, 2, 4, 8, 100)] == pytest.approx([200, 300, 400, 500, 500])
-    assert profile.slowed(10.0)(0, 2) == 1500
+    assert profile.slow_down(10.0)(0, 2) == 1500
 
 
 def test_the_headroom_is_set_by_the_slowest_scan():
     profile = CostProfile(np.array([10, 40, 20]), np.array([1]), np.array([1.0]))
     assert compute_headroom(arrivals(3), profile) == 2.5
-    assert not compute_schedule(arrivals(3), profile.slowed(2.5)).late.any()
-    assert compute_schedule(arrivals(3), profile.slowed(2.6)).late.any()
+    assert not compute_schedule(arrivals(3), profile.slow_down(2.5)).late.any()
+    assert compute_schedule(arrivals(3), profile.slow_down(2.6)).late.any()
 
 
 def test_the_linear_fit_recovers_its_line_and_reports_the_held_out_error():

@@ -175,7 +175,7 @@ def hang(metrics):
 def test_a_run_that_hangs_is_a_lost_run_with_its_reason(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
-    job = make_task("p seed 0", importlib.import_module("test_study").hang, metrics=["ate_rmse_m"]).limited(1.0)
+    job = make_task("p seed 0", importlib.import_module("test_study").hang, metrics=["ate_rmse_m"]).with_limit(1.0)
     (result,) = run_points([job], tmp_path, 1, lambda _name, _seconds: None).values()
     assert (result["status"], result["scores"]) == ("timeout", {"ate_rmse_m": None})
     assert result["reason"].startswith("not finished after 1 s; it was in ")

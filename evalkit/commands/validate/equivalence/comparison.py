@@ -18,8 +18,8 @@ from evalkit.commands.validate.equivalence.divergence import Divergence, first_d
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, PosePair
 from evalkit.commands.validate.equivalence.margins import (
     EquivalenceInterval,
+    GeometryScale,
     Margin,
-    Scale,
     difference,
     float32_margin,
     interval,
@@ -160,7 +160,7 @@ def load_backend(name: str, backend: str | BackendSpec, given: Given) -> Compare
 def compare_answers(sides: Sides, name: str, answered: list[AnswerPair], margin: MarginChoice) -> Equivalence:
     """The comparison of both sides' answers to the same questions."""
     questions = [one.question for one in answered]
-    known = _compute_margin(margin, (Scale.of(one.target, one.source, one.guess) for one in questions))
+    known = _compute_margin(margin, (GeometryScale.of(one.target, one.source, one.guess) for one in questions))
     diverged: list[tuple[AnswerPair, Divergence]] = []
     for one in answered:
         if divergence := first_divergence(one, known, explain=len(diverged) < EXPLAINED_QUESTIONS):
@@ -220,7 +220,7 @@ def _intervals(stage: str, answered: list[AnswerPair], margin: Margin) -> tuple[
 def pose_margin(margin: MarginChoice, sequence: Sequence, scans: int) -> Margin:
     """The margin of odometries over a sequence: rounding grows with its scans."""
     frames = islice(sequence.frames(), scans)
-    return _compute_margin(margin, (Scale(one.scan.range_max_m, len(one.scan.ranges), 1.0) for one in frames))
+    return _compute_margin(margin, (GeometryScale(one.scan.range_max_m, len(one.scan.ranges), 1.0) for one in frames))
 
 
 def compare_poses(sides: Sides, name: str, poses: list[PosePair], margin: Margin) -> Equivalence:
@@ -264,8 +264,8 @@ def _depth(answered: list[AnswerPair]) -> Depth:
     return "pairs of every iteration" if paired else "poses of every iteration"
 
 
-def _compute_margin(margin: MarginChoice, scales: Iterator[Scale]) -> Margin:
-    return float32_margin(Scale.largest(scales)) if margin == FLOAT32 else margin
+def _compute_margin(margin: MarginChoice, scales: Iterator[GeometryScale]) -> Margin:
+    return float32_margin(GeometryScale.largest(scales)) if margin == FLOAT32 else margin
 
 
 def _count_kinds(divergences: list[Divergence]) -> dict[str, int]:

@@ -22,7 +22,7 @@ Explanation = tuple[DivergenceKind, str]
 
 def same_pairs(a: Ints, b: Ints) -> bool:
     """Whether two lists of pairs (K, 2) are equal in any order."""
-    return len(a) == len(b) and bool(np.array_equal(_ordered(a), _ordered(b)))
+    return len(a) == len(b) and bool(np.array_equal(_sort_pairs(a), _sort_pairs(b)))
 
 
 def explain_difference(
@@ -191,5 +191,5 @@ def _count_shared(onto: Ints) -> int:
     return len(paired) - len(np.unique(paired))
 
 
-def _ordered(pairs: Ints) -> Ints:
+def _sort_pairs(pairs: Ints) -> Ints:
     return pairs[np.lexsort(pairs.T)]

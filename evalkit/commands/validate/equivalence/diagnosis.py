@@ -105,14 +105,14 @@ def _turned_steps(before: Floats, p_bar: Floats, q_bar: Floats, theta: float) ->
     """The step about centroids (2,) with a sine of its degrees: for the pose before, for the centroid, or for both."""
     cosine, sine = math.cos(theta), math.sin(theta)
 
-    def turned(point: Floats, first: float, second: float) -> Floats:
+    def rotate(point: Floats, first: float, second: float) -> Floats:
         return np.array([cosine * point[0] - first * point[1], second * point[0] + cosine * point[1]])
 
     for where, first, second in wrong_sines(theta):
         what = f"the step is turned with {where} of its angle in degrees"
         for of_pose in ((sine, sine), (first, second)):
             for of_centroid in ((sine, sine), (first, second)):
-                shift = q_bar + turned(before[:2], *of_pose) - turned(p_bar, *of_centroid)
+                shift = q_bar + rotate(before[:2], *of_pose) - rotate(p_bar, *of_centroid)
                 if (of_pose, of_centroid) != ((sine, sine), (sine, sine)):
                     yield Mistake("units", what, np.array([*shift, float(se2.wrap(before[2] + theta))]))
 

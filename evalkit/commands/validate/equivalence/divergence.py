@@ -20,7 +20,13 @@ from evalkit.commands.validate.equivalence.diagnosis import (
 )
 from evalkit.commands.validate.equivalence.hypotheses import ObservedStep
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
-from evalkit.commands.validate.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale, float32_margin
+from evalkit.commands.validate.equivalence.margins import (
+    FLOAT32_ROUNDOFF,
+    TIE_ROUNDINGS,
+    GeometryScale,
+    Margin,
+    float32_margin,
+)
 from evalkit.commands.validate.equivalence.other_points import written_decimals
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
@@ -108,7 +114,7 @@ class _AnswerComparison:
     def __init__(self, answered: AnswerPair, b: Match, margin: Margin, explain: bool) -> None:
         self._question, self._a, self._reference = answered.question, answered.a, answered.reference
         self._b, self._margin, self._explain = b, margin, explain
-        self._scale = Scale.of(self._question.target, self._question.source, self._question.guess)
+        self._scale = GeometryScale.of(self._question.target, self._question.source, self._question.guess)
         self._rounding = float32_margin(self._scale)
         self._lever_m = max(self._scale.radius_m, 0.1)
 
@@ -175,7 +181,7 @@ class _AnswerComparison:
         right, other = a.target_from_source, b.target_from_source
         if self._margin.holds(right, other):
             return None
-        if written := self._written(right, other):
+        if written := self._describe_decimals(right, other):
             return self._divergence(number, "pose", "rounding", written)
         if self._rounding.holds(right, other):
             return self._divergence(number, "pose", "precision", f"within rounding to float32 ({self._growth(number)})")
@@ -245,7 +251,7 @@ class _AnswerComparison:
 
     def _unexplained_answer(self) -> Divergence:
         a, b = self._a, self._b
-        if written := self._written(a.target_from_source, b.target_from_source):
+        if written := self._describe_decimals(a.target_from_source, b.target_from_source):
             return self._divergence(None, "answer", "rounding", written)
         if self._rounding.holds(a.target_from_source, b.target_from_source):
             return self._divergence(None, "answer", "precision", f"within rounding to float32 ({self._gap()})")
@@ -279,7 +285,7 @@ class _AnswerComparison:
         )  # fmt: skip
         return observed.explain()
 
-    def _written(self, right: Pose, other: Pose) -> str:
+    def _describe_decimals(self, right: Pose, other: Pose) -> str:
         """That a pose was written with few decimals, in words; "" if it was not.
 
         Its numbers differ by at most one in the last place, and it does not place the points exactly: a true motion
@@ -302,7 +308,7 @@ class _AnswerComparison:
     def _least_squares_side(self, before: Pose, a: Iteration, b: Iteration) -> str:
         if a.pairs is None or not len(a.pairs):
             return f"different poses ({self._gap_of(a, b)})"
-        best = Pose.of(best_step(*self._paired(before, a.pairs))) @ before
+        best = Pose.of(best_step(*self._select_points(before, a.pairs))) @ before
         right = [name for name, one in (("A", a), ("B", b)) if self._rounding.holds(best, one.target_from_source)]
         best_side = f"that of {right[0]}" if len(right) == 1 else "neither"
         pairs = "the same" if b.pairs is not None else "as many"
@@ -314,10 +320,10 @@ class _AnswerComparison:
         return name_cost(error, self._distances(before, a.pairs), self._distances(a.target_from_source, a.pairs))
 
     def _distances(self, pose: Pose, pairs: Ints) -> Floats:
-        source, target = self._paired(pose, pairs)
+        source, target = self._select_points(pose, pairs)
         return np.asarray(np.linalg.norm(source - target, axis=1))
 
-    def _paired(self, pose: Pose, pairs: Ints) -> tuple[Floats, Floats]:
+    def _select_points(self, pose: Pose, pairs: Ints) -> tuple[Floats, Floats]:
         """The source points of the pairs, moved by a pose, and their targets (both (K, 2))."""
         source, target = self._question.source.points, self._question.target.points
         return pose.transform(source[pairs[:, 0]]), target[pairs[:, 1]]

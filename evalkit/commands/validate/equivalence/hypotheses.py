@@ -60,8 +60,8 @@ class ObservedStep:
         """The mistake that gives the observed pose; None if no hypothesis does."""
         return (
             find_mistake(list(self._simple()), self.right, self.observed, self.lever_m)
-            or self._scaled()
-            or self._weighted()
+            or self._scale_step()
+            or self._weight_pairs()
         )
 
     def _simple(self) -> Iterator[Mistake]:
@@ -72,33 +72,36 @@ class ObservedStep:
             for kind, what, pairs in replace(self, limit_share=share)._other_pairs(moved):
                 if len(pairs) >= MIN_PAIRS:
                     yield Mistake(kind, what, self._after(self.before, pairs))
-        yield from self._exchanged()
+        yield from self._exchange_clouds()
         if self.previous is None:
-            right_start = self._counted(*_nearest(moved, self.target))
+            right_start = self._take_shortest(*_nearest(moved, self.target))
             for mistake in mistakes_in_start(self.guess):
                 found = _nearest(se2.transform(mistake.row, self.source), self.target)
-                for pairs in (self._filtered(*found), self._counted(*found)):
+                for pairs in (self._filter_pairs(*found), self._take_shortest(*found)):
                     if len(pairs) >= MIN_PAIRS and not np.array_equal(pairs, right_start):
                         yield Mistake("start", f"another start: {mistake.what}", self._after(mistake.row, pairs))
 
     def _of_points(self, moved: Floats) -> Iterator[Mistake]:
         """Steps of other points; after another motion also by as many pairs as are reported, if they are others."""
-        right = self._counted(*_nearest(moved, self.target))
+        right = self._take_shortest(*_nearest(moved, self.target))
         for kind, what, target, other in mistaken_points(self.before, self.target, self.source):
             found = _nearest(other, target)
-            others = [self._filtered(*found)]
-            if kind == "step" and not np.array_equal(counted := self._counted(*found), right):
+            others = [self._filter_pairs(*found)]
+            if kind == "step" and not np.array_equal(counted := self._take_shortest(*found), right):
                 others.append(counted)
             for pairs in others:
                 if len(pairs) >= MIN_PAIRS:
                     step = best_step(other[pairs[:, 0]], target[pairs[:, 1]])
                     yield Mistake(kind, what, se2.compose(step, self.before))
 
-    def _exchanged(self) -> Iterator[Mistake]:
+    def _exchange_clouds(self) -> Iterator[Mistake]:
         """The step of the target onto the source, inverted."""
         back = se2.inverse(self.before)
         moved = se2.transform(back, self.target)
-        for pairs in (self._filtered(*_nearest(moved, self.source)), self._counted(*_nearest(moved, self.source))):
+        for pairs in (
+            self._filter_pairs(*_nearest(moved, self.source)),
+            self._take_shortest(*_nearest(moved, self.source)),
+        ):
             if len(pairs) >= MIN_PAIRS:
                 step = best_step(moved[pairs[:, 0]], self.source[pairs[:, 1]])
                 row = se2.inverse(se2.compose(step, back))
@@ -122,7 +125,7 @@ class ObservedStep:
     def _one_to_one(self) -> bool:
         return len(np.unique(self.pairs[:, 1])) == len(self.pairs)
 
-    def _filtered(
+    def _filter_pairs(
         self,
         onto: Ints,
         distance: Floats,
@@ -144,9 +147,9 @@ class ObservedStep:
             rows, onto = rows[kept], onto[kept]
         return np.stack([rows, onto], axis=1)
 
-    def _counted(self, onto: Ints, distance: Floats) -> Ints:
+    def _take_shortest(self, onto: Ints, distance: Floats) -> Ints:
         """As many pairs of neighbours (N,) as are reported, the shortest ones."""
-        every = self._filtered(onto, distance, limit_m=math.inf)
+        every = self._filter_pairs(onto, distance, limit_m=math.inf)
         return every[np.sort(np.argsort(distance[every[:, 0]], kind="stable")[: max(self.count, 0)])]
 
     def _other_pairs(self, moved: Floats) -> Iterator[tuple[DivergenceKind, str, Ints]]:
@@ -156,17 +159,20 @@ class ObservedStep:
         onto, distance = _nearest(moved, self.target)
         if self._one_to_one:
             shortest = np.sort(np.argsort(distance, kind="stable")[: max(self.count, 0)])
-            for shared in (self._filtered(onto, distance, keep="all"), np.stack([shortest, onto[shortest]], axis=1)):
+            for shared in (
+                self._filter_pairs(onto, distance, keep="all"),
+                np.stack([shortest, onto[shortest]], axis=1),
+            ):
                 if len(np.unique(shared[:, 1])) < len(shared):
                     yield "outlier rule", "one-to-one filter: several source points may share a target", shared
             for which in ("first", "last"):
                 what = f"one-to-one filter: the {which} source point of a target is kept, not the closest"
-                yield "outlier rule", what, self._filtered(onto, distance, keep=which)
+                yield "outlier rule", what, self._filter_pairs(onto, distance, keep=which)
         else:
             yield (
                 "outlier rule",
                 "one-to-one filter: a target keeps its closest source point only",
-                self._filtered(onto, distance, keep="closest"),
+                self._filter_pairs(onto, distance, keep="closest"),
             )
         yield from self._by_length(moved, onto, distance)
         yield from self._by_neighbours(moved)
@@ -174,7 +180,7 @@ class ObservedStep:
 
     def _by_length(self, moved: Floats, onto: Ints, distance: Floats) -> Iterator[tuple[DivergenceKind, str, Ints]]:
         """Other limits: none, and as many pairs as are reported, the shortest ones."""
-        every = self._filtered(onto, distance, limit_m=math.inf)
+        every = self._filter_pairs(onto, distance, limit_m=math.inf)
         yield "outlier rule", "maximum distance: there is none", every
         length = np.linalg.norm(moved[every[:, 0]] - self.target[every[:, 1]], axis=1)
         order = np.argsort(length, kind="stable")
@@ -203,26 +209,26 @@ class ObservedStep:
         """Other neighbours than the nearest ones."""
         if len(self.target) > 1:
             distances, two = map(np.asarray, cKDTree(self.target).query(moved, k=2))
-            yield "neighbours", "the second nearest neighbour is taken", self._filtered(two[:, 1], distances[:, 1])
-            both = self._filtered(two[:, 1], distances[:, 0])
+            yield "neighbours", "the second nearest neighbour is taken", self._filter_pairs(two[:, 1], distances[:, 1])
+            both = self._filter_pairs(two[:, 1], distances[:, 0])
             yield "neighbours", "the second nearest neighbour is taken", both
         for power, name in ((1.0, "the sum of x and y"), (math.inf, "the larger of x and y")):
             measured, onto = map(np.asarray, cKDTree(self.target).query(moved, p=power))
             exact = np.linalg.norm(moved - self.target[onto], axis=1)
             for distance in (exact, measured):
-                yield "neighbours", f"neighbours are nearest by {name}", self._filtered(onto, distance)
-                yield "neighbours", f"neighbours are nearest by {name}", self._counted(onto, distance)
+                yield "neighbours", f"neighbours are nearest by {name}", self._filter_pairs(onto, distance)
+                yield "neighbours", f"neighbours are nearest by {name}", self._take_shortest(onto, distance)
         for axis, name in ((0, "x"), (1, "y")):
             onto = np.asarray(cKDTree(self.target[:, [axis]]).query(moved[:, [axis]])[1])
             distance = np.linalg.norm(moved - self.target[onto], axis=1)
-            yield "neighbours", f"neighbours are nearest by {name} alone", self._filtered(onto, distance)
+            yield "neighbours", f"neighbours are nearest by {name} alone", self._filter_pairs(onto, distance)
         for axes, name in (([0], "x = 0"), ([1], "y = 0"), ([0, 1], "zero")):
             onto, distance = _nearest_of_one_sign(moved, self.target, axes)
-            yield "neighbours", f"neighbours across {name} are not found", self._filtered(onto, distance)
+            yield "neighbours", f"neighbours across {name} are not found", self._filter_pairs(onto, distance)
         unmoved = se2.transform(self.guess, self.source)
         for points, name in ((unmoved, "the guess"), (self.source, "the identity")):
             onto, distance = _nearest(points, self.target)
-            yield "stale pairs", f"stale pairs: neighbours from {name}", self._filtered(onto, distance)
+            yield "stale pairs", f"stale pairs: neighbours from {name}", self._filter_pairs(onto, distance)
 
     def _by_points(self, moved: Floats) -> Iterator[tuple[DivergenceKind, str, Ints]]:
         """Points that are not used."""
@@ -236,13 +242,13 @@ class ObservedStep:
             some = np.arange(len(self.target))[part(len(self.target))]
             if len(some):
                 onto, distance = _nearest(moved, self.target[some])
-                yield "neighbours", text.format("target"), self._filtered(some[onto], distance)
+                yield "neighbours", text.format("target"), self._filter_pairs(some[onto], distance)
             rows = np.arange(len(moved))[part(len(moved))]
             if len(rows):
                 onto, distance = _nearest(moved[rows], self.target)
-                yield "neighbours", text.format("source"), self._filtered(onto, distance, rows=rows)
+                yield "neighbours", text.format("source"), self._filter_pairs(onto, distance, rows=rows)
 
-    def _scaled(self) -> Mistake | None:
+    def _scale_step(self) -> Mistake | None:
         """A share of the least-squares step, or of its angle."""
         moved = se2.transform(self.before, self.source)
         p, q = moved[self.pairs[:, 0]], self.target[self.pairs[:, 1]]
@@ -258,11 +264,11 @@ class ObservedStep:
             turn = np.array([0.0, 0.0, found])
             step = np.array([*(goal - se2.transform(turn, p_bar[None])[0]), found])
             row = se2.compose(step, self.before)
-            if self._left(row) < EXPLAINED:
+            if self._unexplained_share(row) < EXPLAINED:
                 return Mistake("step", what, row)
         return None
 
-    def _weighted(self) -> Mistake | None:
+    def _weight_pairs(self) -> Mistake | None:
         """A least-squares step whose pairs weigh by their distance, with any scale."""
         from scipy.optimize import minimize_scalar  # noqa: PLC0415 - slow to import, and only for this mistake
 
@@ -276,20 +282,20 @@ class ObservedStep:
             return se2.compose(_weighted_step(p, q, weights), self.before)
 
         for power in (1.0, 2.0, 4.0):
-            tried = [self._left(row(exponent, power)) for exponent in np.linspace(-2.0, 3.0, 21)]
+            tried = [self._unexplained_share(row(exponent, power)) for exponent in np.linspace(-2.0, 3.0, 21)]
             middle = -2.0 + 0.25 * int(np.argmin(tried))
             found = minimize_scalar(
-                lambda exponent, power=power: self._left(row(exponent, power)), bounds=(middle - 0.3, middle + 0.3),
-                method="bounded", options={"xatol": 1e-6},
+                lambda exponent, power=power: self._unexplained_share(row(exponent, power)),
+                bounds=(middle - 0.3, middle + 0.3), method="bounded", options={"xatol": 1e-6},
             )  # fmt: skip
             if found.fun < EXPLAINED:
                 return Mistake("step", "the step weighs near pairs more than far ones", row(float(found.x), power))
         inverse = se2.compose(_weighted_step(p, q, distance), self.before)
-        if self._left(inverse) < EXPLAINED:
+        if self._unexplained_share(inverse) < EXPLAINED:
             return Mistake("step", "the step weighs far pairs more than near ones", inverse)
         return None
 
-    def _left(self, row: Floats) -> float:
+    def _unexplained_share(self, row: Floats) -> float:
         """The share of the difference that a hypothesis leaves unexplained."""
         whole = motion_distance_m(self.right, self.observed, self.lever_m)
         return motion_distance_m(row, self.observed, self.lever_m) / max(whole, 1e-300)

@@ -142,7 +142,7 @@ class _ScanIncrement:
     def _explain(self) -> tuple[DivergenceKind, str]:
         if rounding := self._rounding():
             return "precision", rounding
-        if what := self._clamped():
+        if what := self._find_clamp():
             return "clamp", what
         opposite = np.isclose(self._added_a, -self._added_b, atol=1e-3) & (np.abs(self._added_a) > 1e-3)
         if self._share(opposite, self._on_beam):
@@ -176,7 +176,7 @@ class _ScanIncrement:
                 return f"{'A' if whole[0] else 'B'} counts in steps of 2^-{bits}"
         return ""
 
-    def _clamped(self) -> str:
+    def _find_clamp(self) -> str:
         """The bound at which the values of one side stop while the other side adds more; "" if there is none."""
         at = self._differing
         added_a, added_b = np.abs(self._added_a[at]), np.abs(self._added_b[at])

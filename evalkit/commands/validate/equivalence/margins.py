@@ -51,7 +51,7 @@ class Margin:
 
 
 @dataclass(frozen=True)
-class Scale:
+class GeometryScale:
     """The quantities that determine rounding: largest coordinate (m), most points, least rms radius of a source (m)."""
 
     reach_m: float
@@ -59,14 +59,14 @@ class Scale:
     radius_m: float
 
     @classmethod
-    def of(cls, target: Cloud, source: Cloud, guess: Pose) -> Scale:
+    def of(cls, target: Cloud, source: Cloud, guess: Pose) -> GeometryScale:
         """The scale of one question."""
         moved = guess.transform(source.points)
         coordinates = np.concatenate([target.points, source.points, moved]).ravel()
         return cls(float(np.abs(coordinates).max(initial=0.0)), len(source), radius_m(source.points))
 
     @classmethod
-    def largest(cls, scales: Iterable[Scale]) -> Scale:
+    def largest(cls, scales: Iterable[GeometryScale]) -> GeometryScale:
         """The scale with the largest rounding error."""
         known = list(scales)
         radius = min((one.radius_m for one in known), default=0.0)
@@ -81,7 +81,7 @@ def radius_m(points: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
 
 
-def float32_margin(scale: Scale) -> Margin:
+def float32_margin(scale: GeometryScale) -> Margin:
     """The margin of an ICP answer for rounding to single precision.
 
     Each of N points is rounded about three times (stored, turned, shifted), each time by u = 2^-24 of the largest
@@ -101,7 +101,7 @@ def float32_margin(scale: Scale) -> Margin:
     return Margin(metres, max(gain * turn, FLOAT32_ROUNDOFF), origin=origin)
 
 
-def float64_margin(scale: Scale, least: Margin) -> Margin:
+def float64_margin(scale: GeometryScale, least: Margin) -> Margin:
     """A margin, or the effect of rounding to double precision at a scale where that is larger: 16 times the formula."""
     single = float32_margin(scale)
     share = 16.0 * 2.0**-29

@@ -72,7 +72,7 @@ def _of_ranges() -> Iterator[tuple[str, Change]]:
 def _at_share(chosen: Callable[[Floats], Bools], share: float) -> Change:
     def read(frame: Frame) -> Frame:
         least, most = frame.scan.range_min_m, frame.scan.range_max_m
-        return _filled(frame, chosen, least + share * (most - least))
+        return _fill_ranges(frame, chosen, least + share * (most - least))
 
     return read
 
@@ -86,7 +86,7 @@ def _even_from(start: float) -> Change:
 
 
 def _nearer_than(limit_m: float) -> Change:
-    return lambda one: _filled(one, lambda ranges: np.asarray(ranges > limit_m), math.nan)
+    return lambda one: _fill_ranges(one, lambda ranges: np.asarray(ranges > limit_m), math.nan)
 
 
 def _on_grid(step_m: float, rounding: Callable[[Floats], Floats]) -> Change:
@@ -110,7 +110,7 @@ def _with_ranges(frame: Frame, ranges: Floats) -> Frame:
     return replace(frame, scan=replace(frame.scan, ranges=ranges))
 
 
-def _filled(frame: Frame, chosen: Callable[[Floats], Bools], value: float) -> Frame:
+def _fill_ranges(frame: Frame, chosen: Callable[[Floats], Bools], value: float) -> Frame:
     return _with_ranges(frame, np.where(chosen(frame.scan.ranges), value, frame.scan.ranges))
 
 

@@ -63,13 +63,13 @@ def shared_parameters(a: ComparedBackend, b: ComparedBackend) -> dict[str, tuple
     """The parameters of the method that both sides declare with one type, by name, and their values."""
     own = {one.name: one for one in b.spec.parameters}
     return {
-        one.name: (_narrowed(one, own[one.name]), a.parameters.get(one.name, one.default))
+        one.name: (_intersect_bounds(one, own[one.name]), a.parameters.get(one.name, one.default))
         for one in a.spec.parameters
         if one.name in own and type(one.default) is type(own[one.name].default) and one.name != "trace"
     }
 
 
-def _narrowed(one: Parameter, other: Parameter) -> Parameter:
+def _intersect_bounds(one: Parameter, other: Parameter) -> Parameter:
     return replace(one, low=max(one.low, other.low), high=min(one.high, other.high))
 
 
@@ -82,11 +82,11 @@ def _ask(
 def _clear(rng: np.random.Generator) -> Iterator[DrawnQuestion]:
     """Well separated points and a guess within 2 cm: any neighbour search and any outlier rule give the same pairs."""
     for _ in range(4):
-        target, source, near = _separated(rng)
+        target, source, near = _draw_separated(rng)
         yield _ask("clear", "well separated points", target, source, near)
 
 
-def _separated(rng: np.random.Generator) -> tuple[Floats, Floats, Pose]:
+def _draw_separated(rng: np.random.Generator) -> tuple[Floats, Floats, Pose]:
     grid = np.stack(np.meshgrid(np.arange(-5.0, 5.0), np.arange(-4.0, 4.0)), axis=-1).reshape(-1, 2)
     target = grid + rng.uniform(-0.2, 0.2, grid.shape)
     source = target[rng.permutation(len(target))[:50]] + rng.uniform(-0.004, 0.004, (50, 2))
@@ -124,7 +124,7 @@ def _scales(rng: np.random.Generator, shared: Shared) -> Iterator[DrawnQuestion]
         moved = Pose(pair.guess.x + away[0], pair.guess.y + away[1], pair.guess.theta)
         what = f"target {float(np.hypot(*away)):.0f} m from the origin"
         yield _ask("scales", what, pair.target.points + away, pair.source.points, moved)
-        target, source, near = _separated(rng)  # whose pairs no rounding changes
+        target, source, near = _draw_separated(rng)  # whose pairs no rounding changes
         moved = Pose(near.x + away[0], near.y + away[1], near.theta)
         yield _ask("scales", f"{what}, well separated points", target + away, source, moved)
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from evalkit.commands.validate.equivalence.lockstep import Question
-from evalkit.commands.validate.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale
+from evalkit.commands.validate.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, GeometryScale, Margin
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -51,7 +51,7 @@ def is_ill_conditioned(reference: Registration, question: Question, right: Match
 def _answer_perturbed(reference: Registration, question: Question, roundoff: float, copies: int) -> Iterator[Match]:
     """The answers of the reference to copies of a question with perturbed points."""
     rng = np.random.default_rng(0)
-    reach = TIE_ROUNDINGS * roundoff * Scale.of(question.target, question.source, question.guess).reach_m
+    reach = TIE_ROUNDINGS * roundoff * GeometryScale.of(question.target, question.source, question.guess).reach_m
     for _ in range(copies):
         target, source = (
             Cloud(one.points + rng.uniform(-reach, reach, one.points.shape))

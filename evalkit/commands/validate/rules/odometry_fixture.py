@@ -13,7 +13,7 @@ import numpy as np
 
 from evalkit.commands.validate.rules import resource_rules
 from evalkit.commands.validate.rules.process_state import StateWatch
-from evalkit.commands.validate.rules.resource_rules import Measured
+from evalkit.commands.validate.rules.resource_rules import ResourceUse
 from evalkit.commands.validate.rules.rule import RuleBroken
 from evalkit.commands.validate.rules.scenes import drive
 from evalkit.core.pose import Pose
@@ -55,7 +55,7 @@ class OdometryFixture:
         return answers
 
     @cached_property
-    def endurance(self) -> Measured:
+    def endurance(self) -> ResourceUse:
         """What many scans of a standing robot do to the process."""
         frame = drive(1, standing=1).frames[0]
 

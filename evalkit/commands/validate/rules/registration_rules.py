@@ -15,7 +15,7 @@ import numpy as np
 from evalkit.commands.validate.rules import resource_rules
 from evalkit.commands.validate.rules.process_state import StateWatch
 from evalkit.commands.validate.rules.range_rules import RANGE_RULES, validate_match
-from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, Measured
+from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, ResourceUse
 from evalkit.commands.validate.rules.rule import RuleBroken, rule_table
 from evalkit.commands.validate.rules.scenes import (
     CloudPair,
@@ -122,7 +122,7 @@ class RegistrationFixture:
         return answers
 
     @cached_property
-    def endurance(self) -> Measured:
+    def endurance(self) -> ResourceUse:
         """What many calls do to the process."""
 
         def calls(one: Registration) -> Callable[[], object]:

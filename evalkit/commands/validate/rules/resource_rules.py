@@ -49,13 +49,13 @@ class Endurance(Protocol):
     """A fixture that can be called many times."""
 
     @property
-    def endurance(self) -> Measured:
+    def endurance(self) -> ResourceUse:
         """What a run of many calls measured."""
         ...
 
 
 @dataclass(frozen=True)
-class Measured:
+class ResourceUse:
     """Growth over batches of ``size`` calls: heap (B + 1,) in bytes, and the shortest CPU time (B,) of a call in ns.
 
     ``instances``: bytes that each instance leaves behind. ``before``, ``after``: the state of the process by name.
@@ -84,8 +84,8 @@ def measure(
     calls: Callable[[Any], Callable[[], object]],
     watch: StateWatch,
     kept_bytes: float = LEAK_BYTES,
-) -> Measured:
-    """Run ``calls(make())`` many times, and make and drop many instances; ``kept_bytes``: see ``Measured``."""
+) -> ResourceUse:
+    """Run ``calls(make())`` many times, and make and drop many instances; ``kept_bytes``: see ``ResourceUse``."""
     gc.collect()
     gc.freeze()  # each measurement of the heap then collects only what the calls made, not what the caller holds
     try:
@@ -96,7 +96,7 @@ def measure(
 
 def _measure(
     make: Callable[[], Any], calls: Callable[[Any], Callable[[], object]], watch: StateWatch, kept_bytes: float
-) -> Measured:
+) -> ResourceUse:
     before_instances = _heap_bytes()
     known = set(psutil.Process().children())
     first = make()
@@ -129,7 +129,7 @@ def _measure(
     if leaks or _is_slower(shortest):  # caches fill, clocks change: a fault shows a second time
         heap, again = _run_batches(call, 2 * size)  # twice as many: a table that doubles its size does so again
         shortest, heap = np.concatenate([shortest[:1], again]), heap[0] + 0.5 * (heap - heap[0])
-    return Measured(size, heap, shortest, instances, before, process_state(), kept_bytes, output.filed)
+    return ResourceUse(size, heap, shortest, instances, before, process_state(), kept_bytes, output.filed)
 
 
 class _Output:
@@ -205,7 +205,7 @@ def check_slowdown(fixture: Endurance) -> str:
     return observed
 
 
-def _unchanged(fixture: Endurance, names: tuple[str, ...], what: str) -> str:
+def _check_unchanged(fixture: Endurance, names: tuple[str, ...], what: str) -> str:
     found = fixture.endurance
     for name in names:
         if found.before.get(name) != found.after.get(name):
@@ -215,7 +215,7 @@ def _unchanged(fixture: Endurance, names: tuple[str, ...], what: str) -> str:
 
 def check_open_files(fixture: Endurance) -> str:
     """Calls leave no file open."""
-    return _unchanged(fixture, ("open files",), "open files")
+    return _check_unchanged(fixture, ("open files",), "open files")
 
 
 def check_files(fixture: Endurance) -> str:
@@ -230,7 +230,7 @@ def check_files(fixture: Endurance) -> str:
 
 def check_threads(fixture: Endurance) -> str:
     """Calls leave no thread or process behind."""
-    return _unchanged(fixture, ("threads", "processes"), "threads and processes")
+    return _check_unchanged(fixture, ("threads", "processes"), "threads and processes")
 
 
 def check_floating_point(fixture: Endurance) -> str:
@@ -238,23 +238,23 @@ def check_floating_point(fixture: Endurance) -> str:
     found = fixture.endurance
     if not found.after["rounding"]:
         raise RuleNotApplicable("the floating-point controls of this machine are not known")
-    return _unchanged(fixture, ("rounding", "floating-point controls"), "rounding mode and controls")
+    return _check_unchanged(fixture, ("rounding", "floating-point controls"), "rounding mode and controls")
 
 
 def check_signals(fixture: Endurance) -> str:
     """Signal handlers, blocked signals and timers stay as they are."""
-    return _unchanged(fixture, ("signal handlers", "blocked signals", "timers"), "handlers, masks and timers")
+    return _check_unchanged(fixture, ("signal handlers", "blocked signals", "timers"), "handlers, masks and timers")
 
 
 def check_locale(fixture: Endurance) -> str:
     """The locale stays as it is."""
-    return _unchanged(fixture, ("locale",), "the locale")
+    return _check_unchanged(fixture, ("locale",), "the locale")
 
 
 def check_folder(fixture: Endurance) -> str:
     """Working folder, environment, file mode mask, limits, priority and cores stay as they are."""
     names = ("working folder", "environment variables", "file mode mask", "limits", "priority", "cores")
-    return _unchanged(fixture, names, "working folder, environment and limits")
+    return _check_unchanged(fixture, names, "working folder, environment and limits")
 
 
 RESOURCE_RULES = (

@@ -47,7 +47,7 @@ def clear_pair(truth: Pose = Pose(0.3, 0.0, 0.3)) -> CloudPair:  # noqa: B008 - 
 def noisy_pair(truth: Pose = Pose(0.04, -0.03, 0.035)) -> CloudPair:  # noqa: B008 - a Pose is frozen
     """Two scans of the room with 3 cm of noise, no point twice; the guess is the identity: 5 cm and 2 degrees off."""
     rng = np.random.default_rng(7)
-    target, source = (_sampled(rng, count, 0.03) for count in (1200, 500))
+    target, source = (_sample_walls(rng, count, 0.03) for count in (1200, 500))
     return CloudPair(Cloud(target), Cloud(truth.inverse().transform(source)), truth, Pose())
 
 
@@ -55,7 +55,7 @@ def drawn_pair(rng: np.random.Generator, targets: int, sources: int) -> CloudPai
     """Two drawn scans of the room with 3 cm of noise, a drawn motion, and a guess up to 8 cm and 3 degrees off."""
     truth = Pose.of(rng.uniform(-1.0, 1.0, 3) * [2.0, 2.0, np.pi])
     guess = truth @ Pose.of(rng.uniform(-1.0, 1.0, 3) * [0.06, 0.06, 0.05])
-    target, source = (_sampled(rng, count, 0.03) for count in (targets, sources))
+    target, source = (_sample_walls(rng, count, 0.03) for count in (targets, sources))
     return CloudPair(Cloud(target), Cloud(truth.inverse().transform(source)), truth, guess)
 
 
@@ -178,7 +178,7 @@ def _along_walls(spacing_m: float) -> Floats:
     return np.concatenate(walls)
 
 
-def _sampled(rng: np.random.Generator, count: int, noise_m: float) -> Floats:
+def _sample_walls(rng: np.random.Generator, count: int, noise_m: float) -> Floats:
     sides, lengths = _sides()
     wall = rng.choice(len(sides), count, p=lengths / lengths.sum())
     return np.asarray(CORNERS[wall] + rng.uniform(size=(count, 1)) * sides[wall] + rng.normal(0.0, noise_m, (count, 2)))

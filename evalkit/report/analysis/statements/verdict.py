@@ -21,7 +21,7 @@ from evalkit.report.analysis.pairwise import (
     noise_floor,
 )
 from evalkit.report.analysis.ranking import Ranking, mark
-from evalkit.report.analysis.scores import STATUS_LABELS, WITH_TRUTH, MethodScore, unfinished
+from evalkit.report.analysis.scores import STATUS_LABELS, WITH_TRUTH, MethodScore, select_unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.statements import warnings
 from evalkit.report.formatting import (
@@ -90,7 +90,7 @@ def describe_success(runs: Sequence[RunRecord]) -> str:
     """Return how many runs finished, which did not, and which could not start, by method."""
     if not runs:
         return "There were no runs."
-    missing = unfinished(runs)
+    missing = select_unfinished(runs)
     absent = [run for run in missing if run.result.status in NOT_EXECUTED]
     broken = [run for run in missing if run.result.status not in NOT_EXECUTED]
     expected = Counter(run.method for run in runs)

@@ -7,7 +7,7 @@ import pytest
 
 from evalkit.commands.validate import question_probes
 from evalkit.commands.validate.equivalence.lockstep import Question
-from evalkit.commands.validate.equivalence.margins import Margin, Scale, float32_margin, interval
+from evalkit.commands.validate.equivalence.margins import GeometryScale, Margin, float32_margin, interval
 from evalkit.commands.validate.equivalence.questions import draw_questions
 from evalkit.commands.validate.equivalence.rounding import is_ill_conditioned
 from evalkit.core.match import Iteration, Match
@@ -16,7 +16,7 @@ from evalkit.core.scan import Cloud
 
 
 def test_the_float32_margin_matches_its_derivation():
-    margin = float32_margin(Scale(reach_m=10.0, points=300, radius_m=5.0))
+    margin = float32_margin(GeometryScale(reach_m=10.0, points=300, radius_m=5.0))
     step = 2.0**-24 * 10.0 * (3.0 + 10.0)
     assert margin.metres == pytest.approx(3.0 * (step + 10.0 * step / 5.0))
     assert margin.radians == pytest.approx(3.0 * step / 5.0)

@@ -16,7 +16,7 @@ from evalkit.commands.validate.rules import (
     state_rules,
 )
 from evalkit.commands.validate.rules.odometry_fixture import last_pose
-from evalkit.commands.validate.rules.resource_rules import LEAK_BYTES, Measured
+from evalkit.commands.validate.rules.resource_rules import LEAK_BYTES, ResourceUse
 from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable
 from evalkit.core.errors import BadData
 from evalkit.core.ground_truth import Truth
@@ -29,7 +29,7 @@ STATE = {"rounding": 1, "open files": 3, "threads": 1}
 
 
 def measured(**changes):
-    flat = Measured(50, np.zeros(resource_rules.BATCHES + 1), STEADY, 0.0, STATE, STATE, LEAK_BYTES, 0.0)
+    flat = ResourceUse(50, np.zeros(resource_rules.BATCHES + 1), STEADY, 0.0, STATE, STATE, LEAK_BYTES, 0.0)
     return SimpleNamespace(endurance=replace(flat, **changes))
 
 
