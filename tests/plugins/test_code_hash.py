@@ -38,7 +38,7 @@ def package(tmp_path, monkeypatch):
 
 def clear_caches():
     find_sources.cache_clear()
-    module._imported.cache_clear()
+    module._list_imports.cache_clear()
 
 
 def digest():
