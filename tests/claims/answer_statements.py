@@ -162,8 +162,9 @@ def degenerate_pill(facts: Facts, where: str, how: str) -> Iterator[str]:
     yield from same("outcome", facts.outcome(where), "degenerate")
     if how.startswith("no method beats"):
         metric, base = facts.deciding(where) or "", how.removeprefix("no method beats ")
-        ranked = facts.ranked(where, metric)
-        yield from same("beats", [one for one in ranked if facts.is_worse(where, metric, base, one)], [])
+        found, sign = facts.find(where, metric), 1.0 if facts.metrics[metric]["better"] == "lower" else -1.0
+        better = [one for one in found.values() if one.values and sign * one.median < sign * found[base].median]
+        yield from same("beats", better, [])
 
 
 def _lost(facts: Facts) -> dict[str, dict[str, float]]:

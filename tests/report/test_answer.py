@@ -156,6 +156,10 @@ def test_degenerate_data_do_not_count_and_are_compared_with_the_baseline(build, 
     assert title(degenerate([*wheels, *lost])).startswith("Take a: best or tied on 2 of 3 data sets")
     assert pills(degenerate([*wheels, *lost]))[0] == "corridor is degenerate: no method beats wheel"
     assert pills(degenerate([*wheels, *won]))[0] == "corridor is degenerate: not counted"
+    tuned = degenerate([*wheels, *won])
+    cards = {**tuned.methods, "a": replace(tuned.methods["a"], tuned_on=("corridor",))}
+    assert pills(replace(tuned, methods=cards))[0] == "corridor is degenerate: not counted"
+    assert pills(degenerate([*wheels[:1], *won[:1]]))[0] == "corridor is degenerate: not counted"
 
 
 def test_a_lost_track_is_named_except_where_the_geometry_explains_it(build, three):

@@ -8,7 +8,6 @@ from typing import Literal
 
 from evalkit.core.run_status import BROKEN
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.pairwise import is_clearly_worse
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.statements.verdict import SequenceVerdict
@@ -66,16 +65,18 @@ def find_left_out(comparison: Comparison, sequence: SequenceAnalysis) -> tuple[s
 
 
 def _describe_degenerate(comparison: Comparison, sequence: SequenceAnalysis) -> Pill | None:
-    """Return whether a method beats the baseline where the geometry does not determine the pose."""
+    """Return whether any method, ranked or not, is better than the baseline where the geometry fixes no pose."""
     ranking = sequence.deciding
     if ranking is None or not ranking.ranked:
         return None
+    sign = -1.0 if ranking.metric.better == "higher" else 1.0
     for baseline in comparison.methods_with_role("baseline"):
         reference = ranking.of(baseline)
         others = [score for score in ranking.scores if score is not reference and (score.values or score.lost)]
-        if reference is None or reference not in ranking.ranked or not others:
+        if reference is None or reference not in ranking.ranked or reference.median is None or not others:
             continue
-        if not any(s in ranking.ranked and is_clearly_worse(ranking.metric, reference, s) for s in others):
+        bound = sign * reference.median
+        if all(score.median is None or sign * score.median >= bound for score in others):
             return Pill(f"{sequence.label} is degenerate: no method beats {baseline}")
     return Pill(f"{sequence.label} is degenerate: not counted")
 
