@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,10 @@ RIGHT_M, RIGHT_DEG = 0.2, 5.0
 """A closure is right if its motion is at most this far from the true one."""
 
 CLOSED_WITHIN_M = 5.0
-"""A revisit is closed by a closure whose frames lie within this path of both visits."""
+"""A revisit is closed by a closure whose frames lie within this path of both visits.
+
+A robot that leaves its earlier path for less than this does not return anew.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,29 +38,55 @@ class JudgedClosures:
     right: Bools
 
 
-def judge_closures(closures: tuple[LoopClosure, ...], truth: Trajectory) -> JudgedClosures:
-    """Compare the accepted closures with the true motion between their frames; others are left out.
+def measure_errors(closures: Sequence[LoopClosure], truth: Trajectory | None) -> Floats:
+    """Return the error (K, 2) of each closure's motion in m and rad; nan where the truth of a frame is not known.
 
-    The error is that of both orders of the two frames, averaged.
+    It is that of both orders of the two frames, averaged.
     """
-    accepted = [one for one in closures if one.accepted]
-    stamps = np.array([[one.other_stamp_ns, one.stamp_ns] for one in accepted], dtype=np.int64).reshape(-1, 2)
-    measured = np.array([one.other_from_base.row for one in accepted]).reshape(-1, 3)
+    errors = np.full((len(closures), 2), np.nan)
+    if truth is None or len(truth) < 2 or not closures:
+        return errors
+    stamps = np.array([[one.other_stamp_ns, one.stamp_ns] for one in closures], dtype=np.int64)
     known = can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S).all(axis=1)
+    measured = np.array([one.other_from_base.row for one in closures])[known]
     earlier, later = stamps[known].T
-    true = se2.between(truth.at(earlier), truth.at(later))
-    errors = symmetric_errors(measured[known], true)
-    return JudgedClosures(earlier, later, within_limits(errors, RIGHT_M, float(np.radians(RIGHT_DEG))))
+    errors[known] = symmetric_errors(measured, se2.between(truth.at(earlier), truth.at(later)))
+    return errors
 
 
-def find_closed(judged: JudgedClosures, first_ns: Stamps, second_ns: Stamps, truth: Trajectory) -> Bools:
-    """Return which revisits (M,) of the true path a right closure joins within ``CLOSED_WITHIN_M`` of both visits."""
+def judge_closures(closures: Sequence[LoopClosure], truth: Trajectory) -> JudgedClosures:
+    """Compare the accepted closures with the true motion between their frames; others are left out."""
+    accepted = [one for one in closures if one.accepted]
+    errors = measure_errors(accepted, truth)
+    known = np.isfinite(errors).all(axis=1)
+    stamps = np.array([[one.other_stamp_ns, one.stamp_ns] for one in accepted], dtype=np.int64).reshape(-1, 2)[known]
+    right = within_limits(errors[known], RIGHT_M, float(np.radians(RIGHT_DEG)))
+    return JudgedClosures(stamps[:, 0], stamps[:, 1], right)
+
+
+def find_closed_returns(judged: JudgedClosures, truth: Trajectory) -> Bools:
+    """Return which returns (K,) of the true path to itself a right closure joins, in order of time.
+
+    A return is a stretch of path along which the robot is near its earlier path (``find_all_revisits``). It is joined
+    if one of its revisits is closed.
+    """
+    visits = find_all_revisits(truth)
+    if len(visits) == 0:
+        return np.zeros(0, dtype=np.bool_)
+    order = np.argsort(visits.second_ns, kind="stable")
+    path = _path_m(truth, visits.first_ns[order], visits.second_ns[order])
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(path[:, 1]) > CLOSED_WITHIN_M) + 1])
+    return np.asarray(np.logical_or.reduceat(_find_closed(judged, path, truth), starts))
+
+
+def _find_closed(judged: JudgedClosures, visits_m: Floats, truth: Trajectory) -> Bools:
+    """Return which revisits (M,) a right closure joins; ``visits_m`` (M, 2): path to both visits, m."""
     from scipy.spatial import cKDTree
 
     if not judged.right.any():
-        return np.zeros(len(first_ns), dtype=np.bool_)
+        return np.zeros(len(visits_m), dtype=np.bool_)
     closures = _path_m(truth, judged.earlier_ns[judged.right], judged.later_ns[judged.right])
-    apart, _ = cKDTree(closures).query(_path_m(truth, first_ns, second_ns), p=np.inf)
+    apart, _ = cKDTree(closures).query(visits_m, p=np.inf)
     return np.asarray(apart <= CLOSED_WITHIN_M)
 
 
@@ -117,10 +146,10 @@ def _score_recall(evidence: Evidence) -> Score:
     judged, truth = _judge(evidence), evidence.truth.trajectory
     if judged is None or truth is None:
         return Score(None, reason=NO_TRUE_TRAJECTORY)
-    visits = find_all_revisits(truth)
-    if len(visits) == 0:
+    closed = find_closed_returns(judged, truth)
+    if len(closed) == 0:
         return Score(None, reason=NO_REVISIT)
-    return make_score(100.0 * find_closed(judged, visits.first_ns, visits.second_ns, truth).mean(), len(visits))
+    return make_score(100.0 * closed.mean(), len(closed))
 
 
 def _score_corrections(evidence: Evidence) -> Score:

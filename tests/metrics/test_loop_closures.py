@@ -72,25 +72,42 @@ def test_a_closure_is_right_within_20_cm_and_5_degrees(error, right):
     assert values(run([closure(40, 0, error)]))["closure_precision_percent"].value == 100.0 * right
 
 
-def test_recall_is_the_share_of_revisits_near_a_right_closure():
-    # the revisits are one for each frame of the first lap; this closure joins those within 5 m of frames 20 and 60
-    found = values(run([closure(60, 20)]))["closure_recall_percent"]
-    revisits = metrics.revisits.find_revisits(square())
-    near = np.abs(revisits.first_ns - STAMPS[20]) <= 5_000_000_000
-    assert 10 <= near.sum() <= 11 + 2
-    assert (found.value, found.support) == (pytest.approx(100.0 * near.mean()), len(revisits))
-    assert values(run([closure(60, 20, (1.0, 0.0, 0.0))]))["closure_recall_percent"].value == 0.0
-    everywhere = [closure(LAP + at, at) for at in range(0, LAP, 8)] + [closure(79, 39), closure(79, 0)]
-    assert values(run(everywhere))["closure_recall_percent"].value == 100.0
-    assert values(run([closure(30, 20)]))["closure_recall_percent"].value == 0.0  # not the same place
+def two_returns():
+    """A lap of the square, its first side again, 20 m to the right and back, its second side again; a metre a frame."""
+    lap, right = square().poses[:41], np.column_stack([np.arange(11.0, 31.0), np.zeros((20, 2))])
+    there = [*lap, *lap[1:11], *right, *right[-2::-1], lap[10], *lap[11:21]]
+    return Trajectory(np.arange(len(there)) * 1_000_000_000, np.array(there))
 
 
-def test_a_revisit_is_closed_within_five_metres_of_path_of_both_visits():
-    """A metre a frame; the closure joins frames 0 and 40."""
-    judged = loop_closures.judge_closures((closure(40, 0),), square())
-    first, second = np.array([5, 6, 0, 0, 5]), np.array([40, 40, 35, 34, 45])
-    closed = loop_closures.find_closed(judged, STAMPS[first], STAMPS[second], square())
-    assert closed.tolist() == [True, False, True, False, True]
+def recall(truth, *pairs, error=(0.0, 0.0, 0.0)):
+    """The recall of right closures, or of one with an error (m, m, rad), between pairs of frames."""
+    poses = [[Pose.of(truth.poses[at]) for at in pair] for pair in pairs]
+    loops = [
+        LoopClosure(later * 10**9, earlier * 10**9, second.inverse() @ first @ Pose(*error), True, "test")
+        for (later, earlier), (first, second) in zip(pairs, poses, strict=True)
+    ]
+    return values(run(loops), Truth("exact", truth))["closure_recall_percent"]
+
+
+def test_recall_is_the_share_of_the_returns_to_earlier_path_that_a_right_closure_joins():
+    truth = two_returns()
+    assert recall(truth) == Score(0.0, 2)
+    assert recall(truth, (45, 5)) == Score(50.0, 2)
+    assert recall(truth, (45, 5), (44, 4)) == Score(50.0, 2)
+    assert recall(truth, (45, 5), (95, 15)) == Score(100.0, 2)
+    assert recall(truth, (45, 5), error=(1.0, 0.0, 0.0)) == Score(0.0, 2)
+    assert recall(truth, (70, 20)) == Score(0.0, 2)  # not the same place
+
+
+def test_a_second_lap_is_one_return():
+    assert values(run([closure(60, 20)]))["closure_recall_percent"] == Score(100.0, 1)
+    assert values(run())["closure_recall_percent"] == Score(0.0, 1)
+
+
+def test_a_return_is_joined_within_five_metres_of_path_of_both_visits():
+    """It begins at frame 40, where the robot is as at frame 0."""
+    truth = two_returns()
+    assert [recall(truth, (at, 0)).value for at in (34, 35)] == [0.0, 50.0]
 
 
 def test_corrections_are_those_reported_else_the_frames_of_accepted_closures():

@@ -10,11 +10,9 @@ from urllib.parse import quote
 
 import numpy as np
 
-from evalkit.core import se2
 from evalkit.core.loop_closure import LoopClosure
-from evalkit.core.se2 import Floats, Stamps
-from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
+from evalkit.core.se2 import Stamps
+from evalkit.metrics.loop_closures import measure_errors
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import format_length
@@ -40,7 +38,7 @@ COUNTS = (
 NOTE = (
     "Answers are what a robot had at the time; they are ranked with those of all methods. Corrected poses are those at "
     "the end, after all corrections; maps are drawn from them. Precision: accepted closures that are right. Recall: "
-    "revisits of the true path that a right closure joins."
+    "returns of the true path to itself that a right closure joins, each counted once, however long."
 )
 
 
@@ -91,7 +89,7 @@ def list_closures(records: Sequence[RunRecord], anchor: str) -> list[Block]:
         found = sorted(record.result.loop_closures, key=lambda one: one.stamp_ns)
         if not found:
             continue
-        errors = closure_errors_m(found, record.truth.trajectory)
+        errors = measure_errors(found, record.truth.trajectory)[:, 0]
         pairs = list(zip(found, errors.tolist(), strict=True))
         accepted = [pair for pair in pairs if pair[0].accepted]
         candidates = f"{len(found)} candidate{'s' if len(found) != 1 else ''}"
@@ -171,17 +169,3 @@ def _cells_of_times(record: RunRecord, stamps: Stamps, one: LoopClosure, anchor:
 
 def _cell_of_error(error_m: float) -> Cell:
     return DASH if math.isnan(error_m) else Cell(format_length(error_m), error_m)
-
-
-def closure_errors_m(closures: Sequence[LoopClosure], truth: Trajectory | None) -> Floats:
-    """Return the distance (K,) in m of each measured motion from the true one; nan where the truth is not known."""
-    errors = np.full(len(closures), np.nan)
-    if truth is None or len(truth) < 2 or not closures:
-        return errors
-    stamps = np.array([[one.other_stamp_ns, one.stamp_ns] for one in closures], dtype=np.int64)
-    known = can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S).all(axis=1)
-    earlier, later = stamps[known].T
-    measured = np.array([one.other_from_base.row for one in closures])[known]
-    true = se2.between(truth.at(earlier), truth.at(later))
-    errors[known] = np.hypot(*(measured - true)[:, :2].T)
-    return errors

@@ -1,10 +1,7 @@
 """Drive worlds in which places look alike and count loop closures: ``python tests/baselines/slam/false_loops.py 100``.
 
-Prints a row for each world: drives, candidates, accepted, false, rejected, precision, recall, and ATE RMSE. A candidate
-is true where its motion differs from the truth by less than ``TRUE_M`` and ``TRUE_DEG``. Recall is the share of the
-revisited places that a closure connects: of the scans, every tenth, at which the robot is within ``PLACE_M`` and
-``PLACE_DEG`` of where it was more than ``LOOP_M`` of driving ago, those with an accepted closure within the last
-``LOOP_M`` of driving or the next ``DELAY_M``.
+Prints a row for each world: drives, candidates, accepted, false, rejected, precision, recall, and ATE RMSE. A false
+closure and a closed return are those of ``evalkit.metrics.loop_closures``, as in the report.
 """
 
 from __future__ import annotations
@@ -17,24 +14,23 @@ import numpy as np
 
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
+from evalkit.metrics.loop_closures import find_closed_returns, judge_closures, measure_errors
 from evalkit.plugins import registry
 
-TRUE_M, TRUE_DEG = 0.5, 5.0
-PLACE_M, PLACE_DEG, LOOP_M, DELAY_M = 1.0, 45.0, 20.0, 6.0
 WORLDS = {"doors": {}, "wings": {}, "symmetric-office": {}, "loop": {"laps": 1.3}, "office": {}, "long-loop": {}}
 ALIASING = ("doors", "wings", "symmetric-office")
 
 
 @dataclass
 class Count:
-    """Closures of some drives of a world; ``revisits`` and ``connected``: keyframes for the recall."""
+    """Closures of some drives of a world; ``closed`` of ``returns``: the recall."""
 
     drives: int = 0
     candidates: int = 0
     accepted: int = 0
     false: int = 0
-    revisits: int = 0
-    connected: int = 0
+    returns: int = 0
+    closed: int = 0
     worst_m: float = 0.0
     ate_m: tuple[float, ...] = ()
 
@@ -42,7 +38,7 @@ class Count:
         """Return the table's row."""
         true = self.accepted - self.false
         precision = f"{true / self.accepted:.3f}" if self.accepted else "-"
-        recall = f"{self.connected / self.revisits:.2f}" if self.revisits else "-"
+        recall = f"{self.closed / self.returns:.2f}" if self.returns else "-"
         return (
             f"| {world} | {self.drives} | {self.candidates} | {self.accepted} | {self.false} | "
             f"{self.candidates - self.accepted} | {precision} | {recall} | {self.worst_m:.2f} | "
@@ -89,38 +85,17 @@ def drive(count: Count, world: str, seed: int, method: str) -> None:
     slam = spec.make(**{each.name: each.default for each in spec.parameters})
     for frame in sequence.frames():
         slam.update(frame)
-    final, true = slam.trajectory(), sequence.truth().trajectory
-    world_from_base = true.at(final.stamps_ns)
-    row = {int(stamp): at for at, stamp in enumerate(final.stamps_ns)}
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(world_from_base[:, :2], axis=0), axis=1))])
-    closed_m = []
-    for loop in slam.loop_closures():
-        count.candidates += 1
-        if loop.accepted:
-            first, second = world_from_base[row[loop.other_stamp_ns]], world_from_base[row[loop.stamp_ns]]
-            error = se2.between(se2.between(first, second), loop.other_from_base.row)
-            metres = float(np.hypot(error[0], error[1]))
-            count.accepted += 1
-            count.false += not (metres < TRUE_M and abs(error[2]) < np.radians(TRUE_DEG))
-            count.worst_m = max(count.worst_m, metres)
-            closed_m.append(path[row[loop.stamp_ns]])
-    revisited = path[revisits(world_from_base, path)]
-    closed = np.array(closed_m)[None, :]
-    near = (closed >= revisited[:, None] - LOOP_M) & (closed <= revisited[:, None] + DELAY_M)
-    reachable = revisited <= path[-1] - DELAY_M
-    count.revisits += int(reachable.sum())
-    count.connected += int(near[reachable].any(axis=1).sum()) if closed.size else 0
-    count.ate_m += (ate(final.poses, world_from_base),)
+    final, true, loops = slam.trajectory(), sequence.truth().trajectory, slam.loop_closures()
+    judged, accepted = judge_closures(loops, true), [one for one in loops if one.accepted]
+    closed = find_closed_returns(judged, true)
+    count.candidates += len(loops)
+    count.accepted += len(accepted)
+    count.false += int((~judged.right).sum())
+    count.worst_m = max([count.worst_m, *measure_errors(accepted, true)[:, 0].tolist()])
+    count.returns += len(closed)
+    count.closed += int(closed.sum())
+    count.ate_m += (ate(final.poses, true.at(final.stamps_ns)),)
     count.drives += 1
-
-
-def revisits(poses: Floats, path: Floats) -> Floats:
-    """Return the rows (K,), every tenth, at which the robot is where it was before."""
-    rows = np.arange(0, len(poses), 10)
-    gap = np.linalg.norm(poses[rows, None, :2] - poses[None, rows, :2], axis=-1)
-    turn = np.abs(se2.wrap(poses[rows, None, 2] - poses[None, rows, 2]))
-    far = path[rows, None] - path[None, rows] > LOOP_M
-    return rows[((gap <= PLACE_M) & (turn <= np.radians(PLACE_DEG)) & far).any(axis=1)]
 
 
 def ate(estimate: Floats, true: Floats) -> float:
