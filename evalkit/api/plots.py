@@ -57,10 +57,7 @@ class Plots:
         window = find_window(list(grids.values()))
         for panel, (method, grid) in zip(axes, grids.items(), strict=False):
             grey = np.where(grid.observed, 1.0 - grid.probability(), 0.8)
-            rows, columns = grid.shape
-            right, top = grid.origin_x + columns * grid.resolution_m, grid.origin_y + rows * grid.resolution_m
-            extent = (grid.origin_x, right, grid.origin_y, top)
-            panel.imshow(grey, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=extent)
+            panel.imshow(grey, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=grid.extent)
             panel.set(title=method, xlabel="x [m]", ylabel="y [m]", facecolor="0.8")
             if window is not None:
                 panel.set(xlim=(window.x_min, window.x_max), ylim=(window.y_min, window.y_max))

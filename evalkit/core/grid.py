@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.core.arrays import Bools, freeze
+from evalkit.core.arrays import Bools, Ints, freeze
 from evalkit.core.se2 import Floats
 
 
@@ -49,6 +49,24 @@ class OccupancyGrid:
     def free(self, threshold: float = 0.196) -> Bools:
         """Return the observed cells (H, W) with a probability below the threshold (map_server's default)."""
         return np.asarray(self.observed & (self.log_odds < _log_odds_of(threshold)))
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Left, right, bottom and top (m) in the world."""
+        rows, columns = self.shape
+        right, top = self.origin_x + columns * self.resolution_m, self.origin_y + rows * self.resolution_m
+        return self.origin_x, right, self.origin_y, top
+
+    def find_cells(self, points: Floats) -> tuple[Ints, Ints, Bools]:
+        """Return row and column (N,) of the cell of each point (N, 2) (m), and which points (N,) lie on the grid.
+
+        A point beside the grid has row and column 0.
+        """
+        cells = np.floor((points - [self.origin_x, self.origin_y]) / self.resolution_m).astype(np.int64)
+        rows, columns = cells[:, 1], cells[:, 0]
+        height, width = self.shape
+        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        return np.where(inside, rows, 0), np.where(inside, columns, 0), inside
 
     def centres(self, cells: Bools) -> Floats:
         """Return the centres (N, 2) in the world (m) of the cells in a mask (H, W)."""

@@ -109,6 +109,12 @@ def split_words(name: str, rest: str) -> list[str]:
         raise BadParameter(name, "file", rest, f"a file and NAME=VALUE words ({error})") from None
 
 
+def find_missing(*files: Path) -> str:
+    """Return which files do not exist, as the reason why a method cannot run; "" if all do."""
+    absent = [file.name for file in files if not file.exists()]
+    return f"no such file: {', '.join(absent)}; correct its path" if absent else ""
+
+
 def override_defaults(name: str, parameters: tuple[Parameter, ...], words: list[str]) -> tuple[Parameter, ...]:
     """Return the parameters with defaults from the words ``NAME=VALUE`` after a file's name.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.external.declaration import NOT_DECLARED, compute_digest, override_defaults
+from evalkit.external.declaration import NOT_DECLARED, compute_digest, find_missing, override_defaults
 from evalkit.io import map_server
 from evalkit.metrics.consistency import look_up_cells
 from evalkit.plugins.parameters import Parameter
@@ -36,7 +36,7 @@ def map_spec(name: str, file: Path, topic: str, words: list[str]) -> BackendSpec
         licence=NOT_DECLARED,
         guess="unknown: it was made elsewhere",
         parameters=override_defaults(name, PARAMETERS, words),
-        missing=lambda: _missing_reason(file, image),
+        missing=partial(find_missing, *([file, image] if image else [file])),
         digest=compute_digest(file, *([image] if image else []), words=topic),
     )
 
@@ -63,8 +63,3 @@ def transform_map(grid: OccupancyGrid, world_from_map: Pose) -> OccupancyGrid:
     log_odds, observed = look_up_cells(world_from_map.inverse().transform(centres), grid)
     seen = observed.reshape(tall, wide)
     return OccupancyGrid(np.where(seen, log_odds.reshape(tall, wide), 0.0).astype(np.float32), seen, size, x, y)
-
-
-def _missing_reason(*files: Path | None) -> str:
-    gone = (file.name for file in files if file and not file.exists())
-    return next((f"no such file: {name}; correct its path" for name in gone), "")

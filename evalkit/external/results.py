@@ -16,7 +16,7 @@ from evalkit.core.scan import Frame
 from evalkit.core.timing import Cost
 from evalkit.core.trajectory import Trajectory
 from evalkit.external import maps
-from evalkit.external.declaration import NOT_DECLARED, compute_digest, override_defaults, split_words
+from evalkit.external.declaration import NOT_DECLARED, compute_digest, find_missing, override_defaults, split_words
 from evalkit.plugins.parameters import Parameter
 from evalkit.plugins.protocols import NoAnswer
 from evalkit.plugins.result_files import parse_address, read_trajectory
@@ -54,7 +54,7 @@ def scheme(rest: str) -> BackendSpec:
         licence=NOT_DECLARED,
         guess="unknown: it was computed elsewhere",
         parameters=override_defaults(name, PARAMETERS, words),
-        missing=partial(_find_missing, files),
+        missing=partial(find_missing, *files),
         digest=compute_digest(*files, words=f"{query}{address.final}"),
     )
     if final is None:
@@ -63,11 +63,6 @@ def scheme(rest: str) -> BackendSpec:
     make = partial(CorrectedPosesFromFiles, address.final, f"{file}{query}")
     summary = f"{online.summary}; corrected poses from {address.final}"
     return RecordedSlamSpec(**{**values, "make": make, "summary": summary})
-
-
-def _find_missing(files: tuple[Path, ...]) -> str:
-    absent = [file.name for file in files if not file.exists()]
-    return f"no such file: {', '.join(absent)}; correct its path" if absent else ""
 
 
 class PoseFile:

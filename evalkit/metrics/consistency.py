@@ -184,7 +184,7 @@ def cleared_share(hits: Floats, other: OccupancyGrid) -> tuple[float, int]:
     log_odds, observed = look_up_cells(hits, other)
     count = int(np.count_nonzero(observed))
     suspects, walls = hits[observed & (log_odds < CLEARED)], other.occupied()
-    columns, rows = np.floor((suspects - [other.origin_x, other.origin_y]) / other.resolution_m).astype(np.int64).T
+    rows, columns, _ = other.find_cells(suspects)
     squares, beyond = find_squared_distances(rows, columns, walls)
     apart, within_cell = np.sqrt(squares), _HALF_DIAGONAL + _EDGE  # of the centres of cells; of a hit from its centre
     apart[beyond] = REACH  # or more
@@ -245,11 +245,7 @@ def sample_all_neighbourhoods(evidence: Evidence) -> Neighbourhoods:
 
 def look_up_cells(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
     """Return the log-odds (N,) at points (N, 2), and which points (N,) lie in observed cells."""
-    cells = np.floor((points - [grid.origin_x, grid.origin_y]) / grid.resolution_m).astype(np.int64)
-    rows, columns = cells[:, 1], cells[:, 0]
-    height, width = grid.shape
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    rows, columns = np.where(inside, rows, 0), np.where(inside, columns, 0)
+    rows, columns, inside = grid.find_cells(points)
     return grid.log_odds[rows, columns].astype(np.float64), np.asarray(inside & grid.observed[rows, columns])
 
 

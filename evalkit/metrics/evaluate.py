@@ -9,6 +9,7 @@ import numpy as np
 
 from evalkit import metrics
 from evalkit.core import se2
+from evalkit.core.arrays import spread_indices
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.known_map import KnownMap
@@ -173,7 +174,7 @@ def _place_scans(
     Scans are deskewed with the speed of the estimate, whatever the back end did. Also returns the wheel odometry.
     """
     expected = len(sequence)
-    chosen, earlier = _choose_evenly(expected, most), _choose_evenly(expected - 1, MAX_PAIRS)
+    chosen, earlier = spread_indices(expected, most).tolist(), spread_indices(expected - 1, MAX_PAIRS).tolist()
     wanted = {*chosen, *earlier, *(index + 1 for index in earlier)}
     placed: dict[int, PlacedScan] = {}
     odometry: dict[int, Floats] = {}
@@ -195,11 +196,6 @@ def _find_row(trajectory: Trajectory, stamp_ns: int) -> int | None:
     """The row of the pose with exactly this stamp; None where there is none."""
     row = int(np.searchsorted(trajectory.stamps_ns, stamp_ns))
     return row if row < len(trajectory) and trajectory.stamps_ns[row] == stamp_ns else None
-
-
-def _choose_evenly(count: int, most: int) -> list[int]:
-    """At most ``most`` of the indices 0..count-1 in order, first and last included."""
-    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))] if count > 0 else []
 
 
 def _motion_within_scan(frame: Frame, world_from_base: Trajectory, index: int) -> Pose | None:

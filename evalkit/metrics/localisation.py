@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evalkit.core import se2
-from evalkit.core.arrays import Ints
+from evalkit.core.arrays import Ints, spread_indices
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.fit_calibration import WRONG_M, describe_calibration, load_calibration
@@ -110,7 +110,7 @@ def compute_fit(evidence: Evidence) -> Floats | None:
         errors = compute_errors_m(evidence.run.estimate.moved(evidence.matched.world_from_start, "world"), true)
     by_stamp = dict(zip(evidence.run.steps["stamp_ns"].tolist(), errors.tolist(), strict=True))
     rows = []
-    for index in np.unique(np.linspace(0, len(mapped) - 1, min(MAX_SCANS, len(mapped))).astype(int)).tolist():
+    for index in spread_indices(len(mapped), MAX_SCANS).tolist():
         scan, map_from_sensor = mapped[index]
         points = se2.transform(map_from_sensor, scan.points())
         predicted, share = measure_fit(points, walls, known.resolution_m)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from evalkit.core import se2
-from evalkit.core.arrays import Ints
+from evalkit.core.arrays import Ints, spread_indices
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.metric import Evidence, PlacedScan, PlacedScans, cached, make_metrics, make_score, place_hits
@@ -84,17 +84,12 @@ def find_keyframes(poses: Floats) -> Ints:
 def _iterate_local_maps(mapped: PlacedScans) -> Iterator[tuple[Floats, cKDTree]]:
     frames = find_keyframes(np.array([pose for _, pose in mapped]))
     tree, until = build_kd_tree(np.zeros((0, 2))), 0
-    for index in _choose_measured(len(mapped)):
+    for index in (1 + spread_indices(len(mapped) - 1, MAX_SCANS)).tolist():  # the first has no predecessor
         before = int(np.searchsorted(frames, index))  # keyframes strictly before this scan
         if before != until:
             clouds = [place_hits(mapped[k]) for k in frames[:before][-KEYFRAMES:]]
             tree, until = build_kd_tree(np.concatenate(clouds)), before
         yield place_hits(mapped[index]), tree
-
-
-def _choose_measured(count: int) -> list[int]:
-    """Return the indices of the scans to measure; never the first, which has no predecessor."""
-    return [int(i) for i in np.unique(np.linspace(1, count - 1, min(MAX_SCANS, count - 1)).astype(int))]
 
 
 def _compute_residuals(clouds: Iterator[tuple[Floats, cKDTree]]) -> Floats:

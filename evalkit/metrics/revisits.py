@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from evalkit.core import se2
-from evalkit.core.arrays import Bools, Ints
+from evalkit.core.arrays import Bools, Ints, spread_indices
 from evalkit.core.ground_truth import Relations
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
@@ -43,7 +43,7 @@ def find_revisits(reference: Trajectory, near_m: float = NEAR_M, covered_m: floa
     places = np.unique(np.searchsorted(path, np.arange(0.0, reference.path_m, EVERY_M)))
     pairs = list(_find_visits(reference.poses[:, :2], path, places, covered, near_m))
     chosen = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(MAX_REVISITS, len(chosen))).astype(int))]
+    chosen = chosen[spread_indices(len(chosen), MAX_REVISITS)]
     first, second = chosen.T
     motions = se2.between(reference.poses[first], reference.poses[second])
     return Relations(reference.stamps_ns[first], reference.stamps_ns[second], motions)

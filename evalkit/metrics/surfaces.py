@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evalkit.core.arrays import Bools, Ints
+from evalkit.core.arrays import Bools, Ints, spread_indices
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, collect_all_hits, sample_all_hits
@@ -80,9 +80,8 @@ class WallPieces:
 
 def find_wall_pieces(mapped: PlacedScans) -> WallPieces:
     """Return the places of at most 100 scans, 40 per scan, where the scan's hits within 0.5 m lie along a line."""
-    chosen = np.unique(np.linspace(0, len(mapped) - 1, min(MAX_SCANS, len(mapped))).astype(int))
     clouds, middles, sensors = list[Floats](), [np.zeros((0, 2))], [np.zeros((0, 2))]
-    for placed in (mapped[int(index)] for index in chosen):
+    for placed in (mapped[index] for index in spread_indices(len(mapped), MAX_SCANS).tolist()):
         points = place_hits(placed)
         if len(points):
             clouds.append(points)

@@ -22,6 +22,7 @@ from evalkit_baselines.paper.association import Association
 from evalkit_baselines.paper.grid import LogOddsGrid
 from evalkit_baselines.paper.icp import Icp
 from evalkit_paper import stage_errors, table_1
+from evalkit_paper.map_faults import look_up
 from evalkit_paper.table_1 import ROOMS
 
 Rotation = Callable[[Floats], Floats]
@@ -315,11 +316,6 @@ def _find_truly_free(drive: Sequence, like: OccupancyGrid) -> Bools:
     true = drive.truth().grid
     if true is None:
         raise ValueError("truth: the sequence has no true map")
-    rows, columns = np.nonzero(like.observed)
-    centres = like.centres(like.observed)
-    at = np.floor((centres - [true.origin_x, true.origin_y]) / true.resolution_m).astype(np.int64)
-    inside = ((at >= 0) & (at < np.array(true.shape[::-1]))).all(axis=1)
-    at, rows, columns = at[inside], rows[inside], columns[inside]
     marked = np.zeros(like.shape, dtype=np.bool_)
-    marked[rows, columns] = true.free()[at[:, 1], at[:, 0]]
+    marked[like.observed] = look_up(true.free(), true, like.centres(like.observed))
     return marked

@@ -12,7 +12,7 @@ from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Hea
 from evalkit.report.html.charts import Points
 from evalkit_paper import lab_maps, map_faults, recorded_drive, verdicts
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
-from evalkit_paper.map_pictures import GHOST, MISSING, PATH, SMEAR, TRUE, grid_extent, render_image
+from evalkit_paper.map_pictures import GHOST, MISSING, PATH, SMEAR, TRUE, render_image
 
 ANCHOR = "figure-10"
 VARIANTS = (lab_maps.ODOMETRY, lab_maps.LITERAL, lab_maps.PAPER, lab_maps.TIGHT)
@@ -143,7 +143,7 @@ def _ghost_table(results: Results, true: OccupancyGrid) -> Table:
 
 
 def _render_plan(true: OccupancyGrid) -> bytes:
-    return charts.picture(render_image(true), grid_extent(true))
+    return charts.picture(render_image(true), true.extent)
 
 
 def _map_figure(result: Result, true: OccupancyGrid, name: str) -> Figure:
@@ -156,7 +156,7 @@ def _map_figure(result: Result, true: OccupancyGrid, name: str) -> Figure:
     ]
     marked = render_image(grid, {SMEAR: found.smeared, GHOST: found.ghosts})
     return Figure(
-        charts.picture(marked, grid_extent(grid), layers), f"Along {name}",
+        charts.picture(marked, grid.extent, layers), f"Along {name}",
         f"ATE {result['ate_m']:.3f} m; {found.ghosts.sum():,} ghost and {found.smeared.sum():,} smeared cells",
     )  # fmt: skip
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from evalkit.core import se2
+from evalkit.core.arrays import spread_indices
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
@@ -124,13 +125,12 @@ def grid_of(result: Mapping[str, Any]) -> OccupancyGrid:
 
 def _select_scans(found: stage_errors.StageErrors, world_from_base: Trajectory, max_scans: int) -> PlacedScans:
     """At most ``max_scans`` evenly spaced scans, deskewed by odometry, with their sensor poses."""
-    chosen = np.unique(np.linspace(0, len(found.frames) - 1, min(max_scans, len(found.frames))).astype(int)).tolist()
     return tuple(
         (
             found.frames[index].scan.deskewed(found.frames[index].base_from_sensor, found.frames[index].start_from_end),
             se2.compose(world_from_base.poses[index], found.frames[index].base_from_sensor.row),
         )
-        for index in chosen
+        for index in spread_indices(len(found.frames), max_scans).tolist()
     )
 
 

@@ -57,7 +57,7 @@ def find_faults(mapped: OccupancyGrid, true: OccupancyGrid) -> Faults:
     ghosts = occupied & (off > GHOST_M)
     unseen = walls[nearest_distances_m(walls, mapped.centres(occupied)) > GHOST_M]
     return Faults(
-        occupied, ghosts, occupied & (off > SMEAR_M) & ~ghosts, unseen[_lookup(mapped.free(), mapped, unseen)]
+        occupied, ghosts, occupied & (off > SMEAR_M) & ~ghosts, unseen[look_up(mapped.free(), mapped, unseen)]
     )
 
 
@@ -81,18 +81,14 @@ def _cluster(points: Floats, off: Floats) -> CellCluster:
 def find_contradicted(hits: Floats, other: OccupancyGrid) -> Bools:
     """Which hits (N, 2) lie in free space of another map: a cleared cell with no occupied cell within 0.1 m."""
     cleared = other.observed & (other.log_odds < CLEARED)
-    suspects = _lookup(cleared, other, hits)
+    suspects = look_up(cleared, other, hits)
     walls = other.centres(other.occupied())
     if suspects.any() and len(walls):
         suspects[suspects] = nearest_distances_m(hits[suspects], walls) > NOISE_M
     return suspects
 
 
-def _lookup(marked: Bools, grid: OccupancyGrid, points: Floats) -> Bools:
+def look_up(marked: Bools, grid: OccupancyGrid, points: Floats) -> Bools:
     """Whether the cells of points (N, 2) are marked; False outside the grid."""
-    columns, rows = np.floor((points - [grid.origin_x, grid.origin_y]) / grid.resolution_m).astype(np.int64).T
-    height, width = grid.shape
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    found = np.zeros(len(points), dtype=np.bool_)
-    found[inside] = marked[rows[inside], columns[inside]]
-    return found
+    rows, columns, inside = grid.find_cells(points)
+    return np.asarray(inside & marked[rows, columns])

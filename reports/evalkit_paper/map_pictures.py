@@ -18,13 +18,6 @@ GHOST, SMEAR, MISSING, TRUE, PATH = "#d1242f", "#e69f00", "#0072b2", "#56b4e9", 
 RGB = {GHOST: (0.82, 0.14, 0.18), SMEAR: (0.9, 0.62, 0.0)}
 
 
-def grid_extent(grid: OccupancyGrid) -> Extent:
-    """Extent of a map in the world (m)."""
-    rows, columns = grid.shape
-    right, top = grid.origin_x + columns * grid.resolution_m, grid.origin_y + rows * grid.resolution_m
-    return grid.origin_x, right, grid.origin_y, top
-
-
 def render_image(grid: OccupancyGrid, marks: Mapping[str, Bools] | None = None) -> Floats:
     """Render a map as RGB (H, W, 3), highest y first."""
     colours = np.full((*grid.shape, 3), UNKNOWN)

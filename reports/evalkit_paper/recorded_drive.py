@@ -15,7 +15,7 @@ from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Hea
 from evalkit.report.html.charts import Axis, Curve, Points, ShadedSpan
 from evalkit_paper import lab_maps, plan_fit, spikes, stage_errors
 from evalkit_paper.chapter import Case, Results
-from evalkit_paper.map_pictures import GHOST, PATH, crop_image, grid_extent, render_image
+from evalkit_paper.map_pictures import GHOST, PATH, crop_image, render_image
 
 RECORDING = "turtlebot4"
 TURNING_DPS = 20.0
@@ -121,7 +121,7 @@ def _map_figure(result: Result, title: str) -> Figure:
         Points("path", result["path"], PATH, 0.8, joined=True),
     ]
     return Figure(
-        charts.picture(render_image(grid), grid_extent(grid), layers), f"TurtleBot 4 along {title}",
+        charts.picture(render_image(grid), grid.extent, layers), f"TurtleBot 4 along {title}",
         f"{_contradicted_percent(result):.1f} % of the hits contradicted (red)",
     )  # fmt: skip
 
@@ -158,11 +158,11 @@ def _floor_blocks(result: Result) -> Iterator[Block]:
         Points("path", result["path"], PATH, 1.0, joined=True),
     ]
     low, high = result["walls"].min(axis=0) - 1.5, result["walls"].max(axis=0) + 1.5
-    left, right, bottom, top = grid_extent(grid)
+    left, right, bottom, top = grid.extent
     window = (max(left, low[0]), min(right, high[0]), max(bottom, low[1]), min(top, high[1]))
     yield Figures([
         Figure(charts.picture(crop_image(grid, window), window, layers), "The recording's walls on the floor map"),
-        Figure(charts.picture(render_image(grid), grid_extent(grid), layers[1:]), "The whole floor with the drive"),
+        Figure(charts.picture(render_image(grid), grid.extent, layers[1:]), "The whole floor with the drive"),
     ])  # fmt: skip
 
 

@@ -1,10 +1,12 @@
-"""Memory of arrays that are made and freed in turn."""
+"""Indices spread over an array, and memory of arrays that are made and freed in turn."""
 
 import ctypes
 import subprocess
 import sys
 
 import pytest
+
+from evalkit.core.arrays import spread_indices
 
 COUNT_FAULTS = """
 import resource
@@ -31,3 +33,11 @@ def test_memory_that_is_kept_is_not_mapped_again() -> None:
     mapped_anew, kept = map(int, run.stdout.split())
     assert mapped_anew > 100  # one for each 5 MiB at least: pages may be larger
     assert kept < mapped_anew / 10
+
+
+@pytest.mark.parametrize(("count", "most", "expected"), [
+    (0, 5, []), (-1, 5, []), (1, 5, [0]), (3, 5, [0, 1, 2]), (5, 5, [0, 1, 2, 3, 4]), (10, 4, [0, 3, 6, 9]),
+    (999, 2, [0, 998]),
+])  # fmt: skip
+def test_spread_indices_are_even_with_the_first_and_the_last(count, most, expected):
+    assert spread_indices(count, most).tolist() == expected

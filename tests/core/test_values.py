@@ -223,6 +223,16 @@ def test_cell_centres_start_at_row_0_at_the_bottom():
     assert grid.centres(cells).tolist() == [[-0.75, 10.25], [0.25, 10.75]]
 
 
+def test_a_point_lies_in_the_cell_around_it_or_beside_the_grid():
+    """Three cells of 0.5 m from (1, 2) in each of two rows; a cell holds its lower and left border."""
+    grid = OccupancyGrid(np.zeros((2, 3)), np.ones((2, 3)), 0.5, 1.0, 2.0)
+    assert grid.extent == (1.0, 2.5, 2.0, 3.0)
+    points = np.array([[1.0, 2.0], [2.4, 2.9], [1.6, 2.5], [2.5, 2.1], [0.9, 2.1], [1.1, 3.0]])
+    rows, columns, inside = grid.find_cells(points)
+    assert inside.tolist() == [True, True, True, False, False, False]
+    assert list(zip(rows.tolist(), columns.tolist(), strict=True)) == [(0, 0), (1, 2), (1, 1), (0, 0), (0, 0), (0, 0)]
+
+
 def test_occupied_and_free_are_observed_cells_beyond_the_thresholds():
     """The thresholds 0.65 and 0.196 of map_server as log-odds: 0.619 and -1.412."""
     log_odds = np.array([[0.62, 0.61, 0.0, -1.41, -1.42, 9.0, -9.0]])

@@ -236,13 +236,6 @@ def test_a_map_of_a_file_has_the_scores_of_its_walls_and_reasons_for_all_others(
             assert found[name].reason != evaluate.NO_TRAJECTORY
 
 
-@pytest.mark.parametrize(("count", "most", "expected"), [
-    (0, 5, []), (-1, 5, []), (1, 5, [0]), (3, 5, [0, 1, 2]), (5, 5, [0, 1, 2, 3, 4]), (10, 4, [0, 3, 6, 9]),
-])  # fmt: skip
-def test_chosen_indices_are_even_with_the_first_and_the_last(count, most, expected):
-    assert evaluate._choose_evenly(count, most) == expected
-
-
 def test_a_run_without_the_maps_of_halves_has_the_whole_map_alone(straight_run, mapper_factory):
     evidence = evaluate.collect_evidence(perfect(), straight_run)
     found = evaluate.add_map(evidence, straight_run, mapper_factory, 400, halves=False)

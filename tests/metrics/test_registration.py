@@ -132,14 +132,6 @@ def test_the_last_stage_with_a_residual_provides_the_residual_of_the_guess() -> 
     assert found["not_converged_percent"] == Score(75.0, 4)
 
 
-def test_the_measured_scans_are_a_hundred_from_the_second_to_the_last() -> None:
-    assert registration._choose_measured(2) == [1]
-    assert registration._choose_measured(4) == [1, 2, 3]
-    assert registration._choose_measured(101) == list(range(1, 101))
-    many = registration._choose_measured(1000)
-    assert (len(many), many[0], many[-1]) == (100, 1, 999)
-
-
 def test_a_scan_meets_the_ten_keyframes_before_it() -> None:
     """Scans of one point a metre apart, each seen at its own place: the local map holds the last ten before a scan."""
     point = Scan(0, np.array([0.001]), np.array([0.0]), 0.0, 20.0)

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from evalkit.commands.basin.scenes import NEAR, KnownPair
-from evalkit.commands.validate.scan_pairs import spread_indices
 from evalkit.core import se2
-from evalkit.core.arrays import Ints
+from evalkit.core.arrays import Ints, spread_indices
 from evalkit.core.errors import BadData, DataMissing
 from evalkit.core.ground_truth import Relations
 from evalkit.core.pose import Pose
@@ -110,14 +109,14 @@ def _pairs_by_trajectory(frames: list[Frame], truth: Trajectory, pairs: int) -> 
     poses = np.full((len(frames), 3), np.nan)
     poses[known] = truth.at(stamps[known])
     known_pairs = []
-    for first in spread_indices(len(frames) - 1, 4 * pairs):
+    for first in spread_indices(len(frames) - 1, 4 * pairs).tolist():
         moved = np.abs(se2.between(poses[first], poses[first + 1 : first + 1 + MAX_SCANS_APART]))
         near = np.flatnonzero((moved <= NEAR.row).all(axis=1) & _moving(moved))
         if len(near):
             second = first + 1 + int(near[-1])
             motion = Pose.of(se2.between(poses[first], poses[second]))
             known_pairs.append(_pair(frames[first], frames[second], Pose.of(poses[first]), motion))
-    return tuple(known_pairs[i] for i in spread_indices(len(known_pairs), pairs))
+    return tuple(known_pairs[i] for i in spread_indices(len(known_pairs), pairs).tolist())
 
 
 def _pairs_by_relations(frames: list[Frame], relations: Relations, pairs: int) -> tuple[KnownPair, ...]:

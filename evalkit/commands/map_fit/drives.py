@@ -12,7 +12,7 @@ from typing import TypedDict
 import numpy as np
 
 from evalkit.core import se2
-from evalkit.core.arrays import Ints
+from evalkit.core.arrays import Ints, spread_indices
 from evalkit.core.errors import BadData, NotLocalised
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
@@ -91,7 +91,7 @@ def measure_drive(
         except NotLocalised:
             localised = None
         walls = build_kd_tree(drive.grid.centres(drive.grid.occupied()))
-        measured = set(np.linspace(0, len(drive) - 1, min(MEASURED, len(drive))).astype(int).tolist())
+        measured = set(spread_indices(len(drive), MEASURED).tolist())
         steps = run_odometry(localised.make(), drive.frames(), dataset) if localised else ()
         for index, step in enumerate(steps):
             if localised is None or step.estimate is None or index not in measured:

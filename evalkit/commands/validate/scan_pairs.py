@@ -17,6 +17,7 @@ from evalkit.commands.validate.equivalence.lockstep import (
     draw_motion,
 )
 from evalkit.core import se2
+from evalkit.core.arrays import spread_indices
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame, Scan
@@ -50,7 +51,7 @@ def scan_pairs(sequence: Sequence, count: int, exact: bool) -> Iterator[ScanPair
     """
     frames, truth = list(sequence.frames()), sequence.truth().trajectory
     rng = np.random.default_rng(0)
-    for number, first in enumerate(spread_indices(len(frames) - 1, count), start=1):
+    for number, first in enumerate(spread_indices(len(frames) - 1, count).tolist(), start=1):
         last = min(first + 1 + number % MAX_SCANS_APART, len(frames) - 1)
         motion = _motion(frames[first], frames[last], truth)
         if motion is None:
@@ -98,8 +99,3 @@ def _frame(cloud: Cloud, stamp_ns: int, odom_from_base: Pose) -> Frame:
     angles: Floats = np.arctan2(cloud.points[:, 1], cloud.points[:, 0])
     reach = float(ranges.max(initial=1.0)) + 1.0
     return Frame(Scan(stamp_ns, ranges, angles, 0.0, reach), Pose(), odom_from_base, Pose())
-
-
-def spread_indices(count: int, most: int) -> list[int]:
-    """Up to ``most`` indices, spread evenly over [0, count)."""
-    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))] if count > 0 else []

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from evalkit.core import se2
-from evalkit.core.arrays import Ints
+from evalkit.core.arrays import Ints, spread_indices
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
@@ -231,11 +231,11 @@ def find_violations(points: Floats, grid: OccupancyGrid) -> Floats:
     walls = grid.centres(grid.occupied())
     if len(walls) and len(suspects):
         suspects = suspects[np.isinf(cKDTree(walls).query(suspects, distance_upper_bound=GHOST_M)[0])]
-    origin, step = np.array([grid.origin_x, grid.origin_y]), grid.resolution_m
-    columns, rows = np.floor((suspects - origin) / step).T
+    rows, columns, _ = grid.find_cells(suspects)
     high = grid.shape[0]
     cells = np.unique(columns * high + rows)  # integers are much faster than pairs
-    return np.asarray(origin + (np.stack([cells // high, cells % high], axis=-1) + 0.5) * step)
+    corners = np.stack([cells // high, cells % high], axis=-1)
+    return np.asarray([grid.origin_x, grid.origin_y] + (corners + 0.5) * grid.resolution_m)
 
 
 def quantise_poses(poses: Floats) -> Steps:
@@ -318,8 +318,7 @@ def _cells(centres: Floats | None) -> str | None:
     """Return at most ``MAX_CELLS`` positions (K, 2) in millimetres; None if unknown."""
     if centres is None:
         return None
-    taken = np.unique(np.linspace(0, len(centres) - 1, min(len(centres), MAX_CELLS)).astype(int))
-    return pack_array(quantise(centres[taken], METRE))
+    return pack_array(quantise(centres[spread_indices(len(centres), MAX_CELLS)], METRE))
 
 
 def _at(true: Trajectory, stamps: Stamps) -> Floats:

@@ -280,7 +280,6 @@ def test_a_motion_between_two_scans_needs_the_truth_or_the_wheels():
     pairs = list(scan_pairs.scan_pairs(sequence, 1, exact=True))
     assert [one.truth for one in pairs] == [Pose(), Pose()]  # of the next scan, as if the robot stood
     assert [one.question.scan for one in pairs] == [1, 1]
-    assert scan_pairs.spread_indices(0, 5) == []
 
 
 def test_a_run_without_a_common_scan_repeats_nothing(monkeypatch):
