@@ -111,15 +111,11 @@ class Quality:
 
     ``efficiency``: D-efficiency, information per point and column relative to the full grid, which is orthogonal;
     above 1 if points at the ends of ordered factors determine their slopes better.
-    ``correlation``: the largest between two factors' own slopes; ``imbalance``: the difference between the most and
-    the least frequent level of a factor, as a share of the points.
+    ``correlation``: the largest between two factors' own slopes.
     """
 
-    points: int
-    columns: int
     efficiency: float
     correlation: float
-    imbalance: float
 
 
 def make_fractional(factors: int, resolution: int) -> Ints:
@@ -184,14 +180,8 @@ def assess_design(model: Model, positions: Floats) -> Quality:
         for one, other in combinations(centred, 2)
         for a, b in product(one.T, other.T)
     ]
-    counts = [np.bincount(np.rint(rows[:, k]).astype(int), minlength=axis.levels) for k, axis in enumerate(model.axes)]
-    return Quality(
-        len(rows),
-        columns.shape[1],
-        float(np.exp((logarithm - model.full_grid) / columns.shape[1])) if sign > 0 else 0.0,
-        max(correlations, default=0.0),
-        max(float(found.max() - found.min()) / len(rows) for found in counts),
-    )
+    efficiency = float(np.exp((logarithm - model.full_grid) / columns.shape[1])) if sign > 0 else 0.0
+    return Quality(efficiency, max(correlations, default=0.0))
 
 
 def interpolate_rows(levels: Floats, positions: Floats) -> Floats:

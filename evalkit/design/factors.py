@@ -85,10 +85,6 @@ class Factor:
         low = max((i for i, level in enumerate(known[:-1]) if level <= place), default=0)
         return low + (place - known[low]) / (known[low + 1] - known[low])
 
-    def index(self, label: str) -> int | None:
-        """The index of the level with a label, None if there is none."""
-        return next((i for i, level in enumerate(self.levels) if level.label == label), None)
-
 
 def read_factor(table: TomlTable, base: Settings) -> Factor:
     """The factor of a table: ``sets = NAME`` (or names) with a list of levels, or ``levels.LABEL = { NAME = VALUE }``.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -98,8 +98,8 @@ def make_run(sequence: Recording, world_from_base: Floats) -> RunResult:
     return RunResult(steps, len(steps))
 
 
-def make_mapper_factory(mapper: str, settings: Mapping[str, Value] | None = None) -> Callable[[], Mapper]:
+def make_mapper_factory(mapper: str) -> Callable[[], Mapper]:
     """Return a function that makes a new mapper of this name."""
     spec = registry.mapper(mapper)
-    values = resolve_parameters(mapper, spec.parameters, settings or {})
+    values = resolve_parameters(mapper, spec.parameters, {})
     return lambda: spec.make(**values)

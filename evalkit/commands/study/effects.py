@@ -126,11 +126,6 @@ class ModelFit:
             row[self._mask((a, b))] = np.outer(one, other).ravel()
         return self._interval(row)
 
-    def difference(self, number: int, level: int, against: int) -> Effect:
-        """The effect of a change from level ``against`` of a factor to ``level``."""
-        rows = self._own(number)
-        return Effect(self.model.axes[number].name, level, against, self._interval(rows[level] - rows[against]))
-
     def interactions(self) -> tuple[Interaction, ...]:
         """All interactions, the largest share of the variance first; none in a model without pairs."""
         pairs = list(combinations(range(len(self.model.axes)), 2)) if self.model.pairs else []

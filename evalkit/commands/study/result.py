@@ -26,10 +26,6 @@ class StudyResult:
         """The result of one run."""
         return self.results[format_task_name(key, seed)]
 
-    def value(self, response: Response, key: str, seed: int | None) -> float | None:
-        """The value of a metric, None if it has none."""
-        return self.result(key, seed)["scores"][response.name]
-
     def lost(self, key: str, seed: int | None) -> str:
         """Why a run is lost (it failed, or a response is beyond its bound), or ""."""
         return find_loss_reason(self.result(key, seed), self.study.responses)

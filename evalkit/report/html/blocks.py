@@ -249,19 +249,9 @@ class Document:
     facts: Sequence[tuple[str, str]] = field(default=())
 
 
-@dataclass(frozen=True, slots=True)
-class NavigationLink:
-    """A link in the navigation bar; ``minor``: less prominent."""
-
-    target: str
-    title: str
-    minor: bool = False
-
-
 def render(document: Document) -> str:
     """Return the HTML of a page as one file that loads nothing else."""
-    links = [NavigationLink(section.target, section.title) for section in document.sections]
-    return load_template("base.html.j2").render(document=document, links=links)
+    return load_template("base.html.j2").render(document=document)
 
 
 def load_template(name: str, **filters: Callable[..., str]) -> Template:

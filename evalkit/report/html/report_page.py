@@ -74,7 +74,6 @@ def render_report(analysis: Analysis) -> str:
     title, emphasis = analysis.answer.title, analysis.answer.emphasis
     return load_template("report.html.j2").render(
         document=Document("evalkit report", comparison.title, comparison.description, ()),
-        links=(),
         title=title.partition(emphasis) if emphasis else ("", "", title),
         lead_stroke=strokes[analysis.answer.winners[0]] if len(analysis.answer.winners) == 1 else None,
         answer=analysis.answer,
