@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 import textwrap
@@ -16,6 +15,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
 from evalkit.core.errors import show_controls
+from evalkit.io.json_values import indent_json
 from evalkit.plugins import registry
 
 if TYPE_CHECKING:
@@ -241,7 +241,7 @@ def table_width(console: Console) -> int:
 
 def print_json(content: object) -> None:
     """Write JSON to standard output, without markup or wrapping."""
-    sys.stdout.write(json.dumps(content, indent=1) + "\n")
+    sys.stdout.write(indent_json(content))
 
 
 def add_working_directory() -> None:

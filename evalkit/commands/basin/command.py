@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 import sys
@@ -13,6 +12,7 @@ import typer
 
 from evalkit.config.experiment import RESULTS
 from evalkit.execution import environment
+from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
 from evalkit.plugins import registry
 from evalkit.plugins.specs import RegistrationSpec
@@ -95,7 +95,7 @@ def _finish(result: BasinResult, folder: Path, as_json: bool) -> None:
 
     content = result.as_json() | {"command": shlex.join(["evalkit", *sys.argv[1:]])}
     html, file = render(page.document(result, content["command"])), folder / "index.html"
-    write_texts(folder, {"basin.json": json.dumps(content, indent=1) + "\n", "index.html": html})
+    write_texts(folder, {"basin.json": indent_json(content), "index.html": html})
     if as_json:
         options.print_json(content | {"page": str(file)})
     else:

@@ -15,6 +15,7 @@ from evalkit.commands.basin.scenes import KnownPair
 from evalkit.commands.basin.trials import BasinMethod, TrialAnswers, TrialPlan
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
+from evalkit.io.json_values import replace_non_finite
 
 CELLS = 5
 """Cells along each axis of a map."""
@@ -115,13 +116,14 @@ class BasinResult:
 
     def as_json(self) -> dict[str, Any]:
         """The result as JSON values."""
-        return {
+        content: dict[str, Any] = replace_non_finite({
             "schema": {"name": "evalkit-basin", "version": 2},
             "success": {"within_m": self.criterion.within_m, "within_deg": math.degrees(self.criterion.within_rad)},
             "scenes": {scene.trials.place: _scene(scene) for scene in self.scenes},
             "parameters": {each.label: dict(each.values) for each in self.methods},
             "rows": [_row(row) for row in self.rows],
-        }
+        })  # fmt: skip
+        return content
 
 
 def make_result(
@@ -157,7 +159,7 @@ def _scene(scene: BasinScene) -> dict[str, Any]:
         "open_directions": list(known.names()),
         "lever_m": known.lever_m,
         "information_shares": known.shares.tolist(),
-        "best_sigma_m": [value if math.isfinite(value) else None for value in known.sigma_m.tolist()],
+        "best_sigma_m": known.sigma_m.tolist(),
     }
 
 
@@ -174,8 +176,8 @@ def _row(row: BasinRow) -> dict[str, Any]:
         "failures_reported_as_converged": None if claimed is None else claimed.value,
         "reach_m": {f"{level:g}": row.reach_m(level) for level in LEVELS},
         "reach_deg": {f"{level:g}": row.reach_deg(level) for level in LEVELS},
-        "error_m": {name: _finite(value) for name, value in zip(names, accuracy[:, 0], strict=True)},
-        "error_deg": {name: _finite(math.degrees(value)) for name, value in zip(names, accuracy[:, 1], strict=True)},
+        "error_m": dict(zip(names, accuracy[:, 0].tolist(), strict=True)),
+        "error_deg": dict(zip(names, np.degrees(accuracy[:, 1]).tolist(), strict=True)),
         "by_distance_and_turn": _cells(row.cells(), ("distance_m", "turn_rad")),
         "by_x_and_y": _cells(row.plane(), ("x_m", "y_m")),
         "by_distance": _cells(row.along(), ("distance_m",)),
@@ -186,12 +188,4 @@ def _row(row: BasinRow) -> dict[str, Any]:
 def _cells(shares: SuccessCounts, axes: Sequence[str]) -> dict[str, Any]:
     borders = {name: edges.tolist() for name, edges in zip(axes, shares.edges, strict=True)}
     counts = {"successes": shares.successes.tolist(), "trials": shares.trials.tolist()}
-    return borders | counts | {"low": _finite_all(shares.low), "high": _finite_all(shares.high)}
-
-
-def _finite_all(values: Floats) -> Any:
-    return [_finite_all(value) for value in values] if values.ndim else _finite(float(values))
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return borders | counts | {"low": shares.low.tolist(), "high": shares.high.tolist()}

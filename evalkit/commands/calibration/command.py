@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,6 +19,7 @@ from evalkit.commands.calibration.coverage import Coverage, Verdicts
 from evalkit.config.experiment import Experiment, SequenceSpec, load_experiment
 from evalkit.core.errors import BadExperiment
 from evalkit.execution import environment
+from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
 from evalkit.metrics import METRICS
 from evalkit.metrics.metric import Metric
@@ -63,7 +63,7 @@ def calibrate(
         **measure(experiment, seeds, subsets, folder, jobs),
     }
     texts = {
-        "calibration.json": json.dumps(content, indent=1) + "\n",
+        "calibration.json": indent_json(content),
         "calibration.md": page.format_markdown(content),
         "index.html": render(page.build_document(content)),
     }

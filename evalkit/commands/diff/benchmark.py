@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -15,6 +14,7 @@ from typing import Any
 from evalkit.core.errors import BadData
 from evalkit.execution import environment
 from evalkit.io import untrusted_io
+from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_text
 from evalkit.plugins import registry
 
@@ -72,7 +72,7 @@ def write_benchmark(
     measured = [{**asdict(one), "median": one.median, "quartiles": one.quartiles} for one in series]
     content = {"schema": SCHEMA, "name": name, "written": datetime.now(UTC).isoformat(), "environment": dict(ran_on)}
     path = folder / f"{name}.json"
-    write_text(path, json.dumps({**content, "series": measured}, indent=1) + "\n", folder)
+    write_text(path, indent_json({**content, "series": measured}), folder)
     return path
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from evalkit.core.errors import NotInstalled
+from evalkit.io.json_values import replace_non_finite
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter
 
@@ -61,15 +61,11 @@ def _dataset(name: str) -> Entry:
 def _describe(parameters: tuple[Parameter, ...]) -> dict[str, dict[str, Any]]:
     return {
         one.name: {
-            "default": one.default, "unit": one.unit, "meaning": one.meaning, "low": _bound(one.low),
-            "high": _bound(one.high), "choices": list(one.choices),
+            "default": one.default, "unit": one.unit, "meaning": one.meaning, "low": replace_non_finite(one.low),
+            "high": replace_non_finite(one.high), "choices": list(one.choices),
         }
         for one in parameters
     }  # fmt: skip
-
-
-def _bound(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 KINDS: Mapping[str, Callable[[str], Entry]] = {"backends": _backend, "mappers": _mapper, "datasets": _dataset}

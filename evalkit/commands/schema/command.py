@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -10,6 +9,7 @@ import typer
 
 from evalkit.config.forms import Kind
 from evalkit.core.errors import UnknownName
+from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
 from evalkit.terminal.options import out
 
@@ -28,7 +28,7 @@ def schema(
     kinds: dict[str, Kind] = {name: name for name in get_args(Kind)}
     if kind not in kinds:
         raise UnknownName("kind of file", kind, kinds)
-    text = json.dumps(make_schema(kinds[kind]), indent=1) + "\n"
+    text = indent_json(make_schema(kinds[kind]))
     if file is None:
         out.file.write(text)
     else:

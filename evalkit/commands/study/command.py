@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import typer
 from evalkit.config.experiment import RESULTS
 from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.execution import environment
+from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, Out, Scheduler, err, out
@@ -97,7 +97,7 @@ def _write(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path:
     texts = {
         "points.csv": results_json.format_csv(results_json.make_run_rows(outcome)),
         "effects.csv": results_json.format_csv(results_json.make_effect_rows(outcome)),
-        "study.json": json.dumps(results_json.study_as_json(outcome), indent=1) + "\n",
+        "study.json": indent_json(results_json.study_as_json(outcome)),
         "index.html": render(page.build_document(outcome, ran_on)),
     }
     write_texts(folder, texts)

@@ -16,7 +16,6 @@ above 1 between both that these runs detect; null if the default is kept).
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from evalkit.commands.tune.held_out import HeldOutVerdict
@@ -26,6 +25,7 @@ from evalkit.commands.tune.result import TuningResult
 from evalkit.commands.tune.search_loop import MethodSearch
 from evalkit.commands.tune.space import METHOD, is_continuous
 from evalkit.config.experiment import SequenceSpec
+from evalkit.io.json_values import replace_non_finite
 
 SCHEMA_VERSION = 1
 
@@ -113,7 +113,7 @@ def _point_as_json(one: MethodSearch, each: ScoredCandidate, on: bool) -> dict[s
         "error": each.error,
         "lost_runs": each.losses,
         "reasons": list(dict.fromkeys(filter(None, each.lost))),
-        "cpu_median_ms": _replace_infinite(each.cpu_ms),
+        "cpu_median_ms": replace_non_finite(each.cpu_ms),
         "pareto_front": on,
     }
 
@@ -132,11 +132,7 @@ def _held_out_as_json(held: HeldOutVerdict) -> dict[str, Any]:
         "runs": paired.runs,
         "ratio": paired.ratio,
         "p_holm": paired.p,
-        "detectable_ratio": _replace_infinite(paired.detectable),
+        "detectable_ratio": replace_non_finite(paired.detectable),
     }  # fmt: skip
     lost = {"default": held.lost[0], "tuned": held.lost[1]}
     return {"verdict": held.verdict, "overfitted": held.overfitted, "lost_runs": lost} | tested
-
-
-def _replace_infinite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.validate.equivalence.agreement import as_plain
 from evalkit.commands.validate.equivalence.comparison import FLOAT32, MarginChoice
 from evalkit.commands.validate.equivalence.diagnosis import EXPLAINED
 from evalkit.commands.validate.equivalence.divergence import Divergence
@@ -39,6 +38,7 @@ from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import note_place
 from evalkit.execution.task import Result
+from evalkit.io.json_values import replace_non_finite
 from evalkit.odometry import frontend
 from evalkit.odometry.run_odometry import run_odometry
 
@@ -226,7 +226,7 @@ def _summary(driven: Sequence[Driven], margin: MarginChoice, cause: str) -> dict
         apart = [(float(one.apart_m().max(initial=0.0)), _limit_m(one, margin)) for one in equal]
         largest_m, allowed_m = max(apart, key=lambda each: each[0] / each[1], default=(0.0, 0.0))
         beyond, unanswered = beyond + len(wrong), unanswered + missing
-        divergence = None if not wrong else as_plain(asdict(_divergence(wrong[0], margin, cause)))
+        divergence = None if not wrong else replace_non_finite(asdict(_divergence(wrong[0], margin, cause)))
         families[family] = {
             "asked": len(members), "wrong": len(wrong), "unanswered": missing, "fields": {}, "examples": {},
             "what": wrong[0].what if wrong else "", "first": divergence,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from pathlib import Path
@@ -11,6 +10,7 @@ import typer
 from rich.table import Table
 
 from evalkit.commands.validate.acceptance import AcceptanceReport, as_junit
+from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import out
@@ -27,7 +27,7 @@ def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | 
     command = "evalkit " + shlex.join(sys.argv[1:])
     write_texts(
         folder,
-        {"acceptance.json": json.dumps(content, indent=1) + "\n", "index.html": page.render_page(report, command)},
+        {"acceptance.json": indent_json(content), "index.html": page.render_page(report, command)},
     )
     if junit is not None:
         write_texts(junit.parent, {junit.name: as_junit(report)})

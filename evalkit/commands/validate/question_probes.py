@@ -12,7 +12,6 @@ import numpy as np
 
 from evalkit.commands.validate.drive_probes import compare_drives
 from evalkit.commands.validate.equivalence import lockstep
-from evalkit.commands.validate.equivalence.agreement import as_plain
 from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING, MarginChoice, count_fields
 from evalkit.commands.validate.equivalence.diagnosis import mistakes_in_start
 from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence, wrong_fields
@@ -27,6 +26,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.execution.sandbox import note_place
 from evalkit.execution.task import Result
+from evalkit.io.json_values import replace_non_finite
 from evalkit.plugins.protocols import Registration
 from evalkit.plugins.specs import RegistrationSpec
 
@@ -195,7 +195,8 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
             "recounted": sum(_is_recounted(*each) for each in wrong),
             "counted": all(_is_counted(one.answers) for one, _ in wrong),
             "mispaired": any(_is_mispaired(*each, margin_of[each[0]]) for each in wrong[:MAX_MOVED]),
-            "what": wrong[0][0].drawn.what if wrong else "", "first": as_plain(asdict(wrong[0][1])) if wrong else None,
+            "what": wrong[0][0].drawn.what if wrong else "",
+            "first": replace_non_finite(asdict(wrong[0][1])) if wrong else None,
         }  # fmt: skip
         first = first or families[family]["first"]
     count = sum(one["asked"] for one in families.values())

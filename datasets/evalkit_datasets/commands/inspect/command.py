@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from evalkit.core.errors import BadData, EvalkitError
+from evalkit.io.json_values import indent_json, replace_non_finite
 from evalkit.io.output_files import write_texts
 from evalkit.terminal.options import READER, Json, out, print_json
 from evalkit.terminal.text_list import print_hanging
@@ -83,7 +82,7 @@ def _print_proposal(file: Path, proposal: LayoutProposal, as_json: bool, save: b
 
 def inspection_to_json(recording: Inspection, advice: SuggestedConfig | None) -> dict[str, Any]:
     """Return all measurements as JSON values; numbers that are not finite become null."""
-    values: dict[str, Any] = _replace_non_finite(
+    values: dict[str, Any] = replace_non_finite(
         {
             "file": str(recording.path),
             "kind": recording.kind,
@@ -103,20 +102,12 @@ def inspection_to_json(recording: Inspection, advice: SuggestedConfig | None) ->
     return values
 
 
-def _replace_non_finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _replace_non_finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_replace_non_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _write_page(folder: Path, recording: Inspection, advice: SuggestedConfig | None) -> Path:
     """Write ``index.html`` and ``inspection.json`` and return the path of the page."""
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads jinja2
     from evalkit_datasets.commands.inspect.page import build_document  # noqa: PLC0415 - loads matplotlib
 
-    content = json.dumps(inspection_to_json(recording, advice), indent=1) + "\n"
+    content = indent_json(inspection_to_json(recording, advice))
     write_texts(folder, {"inspection.json": content, "index.html": render(build_document(recording, advice))})
     return folder / "index.html"
 

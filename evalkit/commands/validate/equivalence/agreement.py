@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-import numpy as np
-
 from evalkit.commands.validate.equivalence.divergence import Divergence
 from evalkit.commands.validate.equivalence.lockstep import DISTURBED
 from evalkit.commands.validate.equivalence.margins import LEVEL, EquivalenceInterval, Margin
+from evalkit.io.json_values import replace_non_finite
 
 Depth = Literal["pairs of every iteration", "poses of every iteration", "answers", "trajectories", "cells"]
 
@@ -55,7 +54,9 @@ class Equivalence:
 
     def as_json(self) -> dict[str, Any]:
         """The result as JSON values; None for what is not finite."""
-        content: dict[str, Any] = as_plain({"equivalent": self.equivalent, **asdict(self), "assumption": ASSUMPTION})
+        content: dict[str, Any] = replace_non_finite(
+            {"equivalent": self.equivalent, **asdict(self), "assumption": ASSUMPTION}
+        )
         return content
 
     def __str__(self) -> str:
@@ -88,12 +89,3 @@ def _format_interval(one: EquivalenceInterval) -> str:
         f"  {one.quantity}: {one.mean:.3g} {one.unit}, 90 % [{one.low:.3g}, {one.high:.3g}] {position} "
         f"+-{one.margin:.3g}; worst {one.worst:.3g} at scan {one.worst_scan} (n = {one.n}, {one.method}{note})"
     )
-
-
-def as_plain(value: Any) -> Any:
-    """A value as JSON: lists, texts as keys, None for what is not finite."""
-    if isinstance(value, Mapping):
-        return {str(key): as_plain(one) for key, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [as_plain(one) for one in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
