@@ -31,15 +31,21 @@ def clouds(targets: int) -> tuple[Cloud, Cloud, Pose]:
     return Cloud(local_map, "start"), Cloud(source, "base"), Pose(0.05, 0.02, np.radians(2.0))
 
 
-def registrations() -> dict[str, Registration]:
-    """Return every installed registration with its default parameters."""
+def registrations(question: tuple[Cloud, Cloud, Pose]) -> tuple[dict[str, Registration], dict[str, str]]:
+    """Return every installed registration that answers, with its default parameters, and why another one does not."""
     made: dict[str, Registration] = {}
+    broken: dict[str, str] = {}
     for name in registry.names("backends"):
-        spec = registry.backend(name)
-        if isinstance(spec, RegistrationSpec) and not spec.missing():
-            parameters = frontend.complete_parameters(name, spec, {})
-            made[name] = spec.make(**{p.name: parameters[p.name] for p in spec.parameters})
-    return made
+        try:
+            spec = registry.backend(name)
+            if isinstance(spec, RegistrationSpec) and not spec.missing():
+                parameters = frontend.complete_parameters(name, spec, {})
+                one = spec.make(**{p.name: parameters[p.name] for p in spec.parameters})
+                one.register(*question)
+                made[name] = one
+        except Exception as error:  # noqa: BLE001 - a broken library takes away its own rows only
+            broken[name] = f"broken: {type(error).__name__}: {error}"
+    return made, broken
 
 
 def main() -> None:
@@ -53,7 +59,10 @@ def main() -> None:
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     target, source, guess = clouds(arguments.targets)
-    made = registrations()
+    made, broken = registrations((target, source, guess))
+    for name, why in broken.items():
+        print(f"{name}: {why}")
+        ran_on[f"absent peer {name}"] = why
     times: dict[str, list[int]] = {name: [] for name in made}
     for round_ in range(arguments.rounds + 3):
         fresh = Cloud(target.points, "start")  # a new local map in each round, so that building an index over it counts

@@ -1,0 +1,93 @@
+"""``make bench``: no script that fails stops the others, and each figure is set beside its aim."""
+
+import importlib.util
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evalkit import Pose
+from evalkit.commands.diff.benchmark import Benchmark, BenchmarkSeries
+from evalkit_baselines.embedded.compiled import compiled_missing
+
+HERE = Path(__file__).parent
+
+
+def load_script(name):
+    spec = importlib.util.spec_from_file_location(f"evalkit_bench_{name}", HERE / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def run():
+    return load_script("run")
+
+
+WRITES = """
+from evalkit.commands.diff.benchmark import BenchmarkSeries, write_benchmark
+write_benchmark("later", [BenchmarkSeries("a call", "ms", (1.0, 3.0, 2.0))], {"absent peer karto": "not installed"})
+"""
+
+
+def test_a_script_that_fails_stops_no_other_and_ends_with_1(run, tmp_path, monkeypatch, capsys):
+    (tmp_path / "first.py").write_text("raise SystemExit('limit missed')")
+    (tmp_path / "later.py").write_text(WRITES)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(run, "HERE", tmp_path)
+    monkeypatch.setattr(run, "SCRIPTS", ("first", "later"))
+    monkeypatch.setattr(run, "AIMS", (run.Aim("later", "a call", 2.0), run.Aim("first", "a call", 1.0)))
+    monkeypatch.setattr(sys, "argv", ["run.py"])
+    assert run.main() == 1
+    out = capsys.readouterr().out
+    for text in (
+        "first failed: it wrote no measurement",
+        "later: karto was not measured: not installed",
+        "1 of 2 aims",
+    ):
+        assert text in out
+
+
+@pytest.mark.parametrize(
+    ("aim", "found", "wanted", "verdict"),
+    [
+        (("b", "ours", 2.0), "2 ms", "<= 2", "met"),
+        (("b", "ours", 1.9), "2 ms", "<= 1.9", "missed"),
+        (("b", "ours", 2.5, "", False, 75.0), "2.5 ms", "<= 2.5", "met"),
+        (("b", "theirs", 5.0, "ours"), "5 x", ">= 5 x", "met"),
+        (("b", "theirs", 4.0, "ours", True), "5 x", "<= 4 x", "missed"),
+        (("b", "ours", math.nan), "2 ms", "<= nan", "no aim"),
+        (("b", "absent", 1.0), "", "1", "not measured"),
+    ],
+)
+def test_figures_beside_their_aims_are_those_computed_by_hand(run, aim, found, wanted, verdict):
+    """Ours 1, 2, 3 ms: median 2, 75 % below 2.5; theirs 10 ms: five times ours."""
+    series = (BenchmarkSeries("ours", "ms", (1.0, 3.0, 2.0)), BenchmarkSeries("theirs", "ms", (10.0,)))
+    line = run.row(run.Aim(*aim), {"b": Benchmark("b", series)})
+    assert (line[1], *line[3:]) == (found, wanted, verdict)
+
+
+@pytest.mark.skipif(bool(compiled_missing()), reason="the core is not built")
+def test_a_broken_library_takes_away_its_own_rows_only(monkeypatch):
+    registration = load_script("registration")
+
+    def broken(_asked):
+        raise ImportError("x")
+
+    monkeypatch.setattr(registration, "PEERS", {"numpy": broken, "no_such_module": broken})
+    monkeypatch.setattr(registration, "SCANS", 2)
+    cloud = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 2))
+    asked = registration.Questions(cloud, [cloud, cloud], [Pose(0.01, 0.0, 0.0)] * 2)
+    calls, absent = registration.methods(asked)
+    assert absent == {"numpy": "broken: ImportError: x", "no_such_module": "not installed"}
+    assert {"embedded", "embedded + table", "embedded + index", "paper (NumPy)"} <= set(calls)
+    assert all((taken > 0.0).all() for taken in registration.measure_ns(calls, 2).values())
+
+
+def test_each_aim_is_of_a_script_that_is_run(run):
+    assert {aim.benchmark for aim in run.AIMS} <= set(run.SCRIPTS)
+    assert all((HERE / f"{name}.py").exists() for name in run.SCRIPTS)
