@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from datetime import datetime
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +108,7 @@ def _describe_earlier(provenances: Iterable[Mapping[str, Any]], started: datetim
 
 
 def versions(distributions: Iterable[str]) -> dict[str, str]:
-    """The version of each distribution, or "not installed"."""
+    """The version of each distribution, or of one that provides the same module, or "not installed"."""
     return {name: _find_version(name) for name in distributions}
 
 
@@ -155,10 +155,12 @@ def _parse_time(text: object) -> datetime | None:
 
 
 def _find_version(distribution: str) -> str:
+    """The version of a distribution, or of another one with the same module: "0.19.0 (open3d-cpu)"."""
     try:
         return version(distribution)
     except PackageNotFoundError:
-        return "not installed"
+        others = packages_distributions().get(distribution.replace("-", "_"), [])
+        return ", ".join(f"{version(name)} ({name})" for name in dict.fromkeys(others)) or "not installed"
 
 
 def _read_governor() -> str:

@@ -115,3 +115,19 @@ def test_cores_are_one_of_each_physical_core_before_the_second_of_any(monkeypatc
     assert environment.physical_cores() == 3
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {2, 3})
     assert environment.physical_cores() == 1
+
+
+def test_a_library_from_a_distribution_of_another_name_has_its_version(monkeypatch):
+    """open3d-cpu provides the module open3d."""
+    known = {"open3d-cpu": "0.19.0"}
+
+    def find(name):
+        if name not in known:
+            raise environment.PackageNotFoundError(name)
+        return known[name]
+
+    monkeypatch.setattr(environment, "version", find)
+    monkeypatch.setattr(environment, "packages_distributions", lambda: {"open3d": ["open3d-cpu", "open3d-cpu"]})
+    assert environment.versions(["open3d", "open3d-cpu", "kiss-icp"]) == {
+        "open3d": "0.19.0 (open3d-cpu)", "open3d-cpu": "0.19.0", "kiss-icp": "not installed",
+    }  # fmt: skip

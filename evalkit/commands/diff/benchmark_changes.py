@@ -23,6 +23,8 @@ COLUMNS = ("benchmark", "series", "old", "new", "ratio", "95 % interval", "p", "
 ORDER: tuple[ChangeVerdict, ...] = (
     "regression", "improvement", "no difference shown", "within the limit", "too few samples",
 )  # fmt: skip
+COUNTED: tuple[ChangeVerdict, ...] = ("no difference shown", "within the limit")
+"""Verdicts that are only counted unless everything is listed."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +89,15 @@ def compare_benchmarks(
     return BenchmarkDiff(tuple(changes), tuple(remarks), limit)
 
 
-def describe_benchmark_diff(diff: BenchmarkDiff) -> ChangeText:
-    """Return the comparison as text."""
+def describe_benchmark_diff(diff: BenchmarkDiff, everything: bool = False) -> ChangeText:
+    """Return the comparison as text. ``everything``: list also what did not change."""
     verdicts = [one.verdict for one in diff.changes]
     head = "No regression" if not diff.regressions else f"{diff.regressions} of {len(verdicts)} series became worse"
     few = f"; {verdicts.count('too few samples')} have too few samples" if "too few samples" in verdicts else ""
     conclusion = (
         f"{head} beyond {100 * diff.limit:g} % and the noise (Mann-Whitney, p < {MAX_P}); "
-        f"{verdicts.count('improvement')} improved{few}."
+        f"{verdicts.count('improvement')} improved, {sum(map(verdicts.count, COUNTED))} of {len(verdicts)} series are "
+        f"unchanged or within the limit{few}."
     )
     rows = tuple(
         (
@@ -102,6 +105,7 @@ def describe_benchmark_diff(diff: BenchmarkDiff) -> ChangeText:
             f"{one.low:.3f} to {one.high:.3f}", f"{one.p:.2g}", f"{MARKS.get(one.verdict, '')}{_describe_verdict(one)}",
         )
         for one in diff.changes
+        if everything or one.verdict not in COUNTED
     )  # fmt: skip
     content = {**asdict(diff), "regressions": diff.regressions}
     return ChangeText(COLUMNS, rows, diff.remarks, conclusion, diff.regressions, content)

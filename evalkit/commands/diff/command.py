@@ -54,9 +54,12 @@ def diff(
     if kinds[0] != kinds[1]:
         what = "benchmarks" if kinds[1] else "results"
         raise BadData(str(new), "", f"holds {what}, {old} does not", "compare two results folders or two benchmarks")
-    text = _compare_benchmarks(old, new, size, across_machines) if all(kinds) else _compare_results(
-        old, new, error, time, everything and not markdown
-    )  # fmt: skip
+    listed = everything and not markdown
+    text = (
+        _compare_benchmarks(old, new, size, across_machines, listed)
+        if all(kinds)
+        else _compare_results(old, new, error, time, listed)
+    )
     if as_json:
         options.print_json(text.content)
     elif markdown:
@@ -67,16 +70,22 @@ def diff(
         raise typer.Exit(1)
 
 
-def _compare_benchmarks(old: Path, new: Path, limit: float, across_machines: bool) -> ChangeText:
+def _compare_benchmarks(old: Path, new: Path, limit: float, across_machines: bool, everything: bool) -> ChangeText:
     from evalkit.commands.diff.benchmark import load_benchmarks  # noqa: PLC0415
     from evalkit.commands.diff.benchmark_changes import (  # noqa: PLC0415
         compare_benchmarks,
         describe_benchmark_diff,
     )
 
-    return describe_benchmark_diff(
-        compare_benchmarks(load_benchmarks(old), load_benchmarks(new), limit, across_machines)
-    )
+    before, after = load_benchmarks(old), load_benchmarks(new)
+    compared = compare_benchmarks(before, after, limit, across_machines)
+    if not compared.changes:
+        held = [f"{', '.join(sorted(each))} in {path}" for path, each in ((old, before), (new, after))]
+        raise BadData(
+            str(new), "", f"nothing was compared: no series is in both ({'; '.join(held)})",
+            "give two measurements of one benchmark",
+        )  # fmt: skip
+    return describe_benchmark_diff(compared, everything)
 
 
 def _compare_results(old: Path, new: Path, error: float, time: float, everything: bool) -> ChangeText:
