@@ -1,6 +1,6 @@
-"""How likely a position in a known map is wrong, given how its scan fits: rising steps learnt on simulated drives.
+"""How likely a position in a known map is wrong, by the fit of its scan: a probability for each bin, learnt on drives.
 
-``fit_calibration.json`` holds the steps and how they were checked on worlds that they were not learnt on.
+``fit_calibration.json`` holds the bins and how they were checked on worlds that they were not learnt on.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from evalkit.core.arrays import Ints
 from evalkit.core.se2 import Floats
 
 FILE = "fit_calibration.json"
-SCHEMA = {"name": "evalkit-fit-calibration", "version": 1}
+SCHEMA = {"name": "evalkit-fit-calibration", "version": 2}
 
 WRONG_M = 0.1
 """A position with a larger error is wrong."""
@@ -32,12 +32,12 @@ LIMITS_M = (0.01, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.12, 0.15, 0.2, 0.3, 0.5)
 class FitCalibration:
     """The share of wrong positions by the error (m) that the fit of a scan predicts.
 
-    ``wrong`` (13,): of the bins between ``LIMITS_M``, never falling. ``misfit``: of scans without a prediction.
+    ``probabilities`` (13,): of the bins between ``LIMITS_M``, never falling. ``misfit``: of scans without a prediction.
     ``cells_m``: smallest and largest cells of the maps, ``min_points``: fewest points of a scan that it was learnt on.
     ``worlds``: their names. ``check``: how well it holds on worlds that it was not learnt on.
     """
 
-    wrong: tuple[float, ...]
+    probabilities: tuple[float, ...]
     misfit: float
     cells_m: tuple[float, float]
     min_points: int
@@ -51,7 +51,7 @@ class FitCalibration:
         ``cell_m``: side of the map's cells.
         """
         predicted = np.asarray(fit_m, dtype=np.float64)
-        probability = np.where(np.isnan(predicted), self.misfit, np.asarray(self.wrong)[find_bins(predicted)])
+        probability = np.where(np.isnan(predicted), self.misfit, np.asarray(self.probabilities)[find_bins(predicted)])
         low, high = self.cells_m
         known = (np.asarray(points) >= self.min_points) & (low - 1e-6 <= cell_m <= high + 1e-6)
         return np.where(known, probability, np.nan)
@@ -63,7 +63,7 @@ def load_calibration() -> FitCalibration:
     content = json.loads(files("evalkit.metrics").joinpath(FILE).read_text(encoding="utf-8"))
     low, high = content["cells_m"]
     return FitCalibration(
-        tuple(step["probability"] for step in content["steps"]), content["misfit"]["probability"], (low, high),
+        tuple(one["probability"] for one in content["bins"]), content["misfit"]["probability"], (low, high),
         content["min_points"], tuple(content["worlds"]), content["check"],
     )  # fmt: skip
 
@@ -73,7 +73,7 @@ def find_bins(fit_m: Floats) -> Ints:
     return np.asarray(np.searchsorted(LIMITS_M, fit_m, side="right"))
 
 
-def learn_steps(fit_m: Floats, wrong: ArrayLike) -> tuple[tuple[float, ...], float]:
+def learn_bins(fit_m: Floats, wrong: ArrayLike) -> tuple[tuple[float, ...], float]:
     """Return the probability of a wrong position of each bin, never falling, and that of scans that do not fit.
 
     ``fit_m`` (N,): predicted error, nan without one. ``wrong`` (N,): whether the position was wrong. A scan that is
@@ -83,9 +83,9 @@ def learn_steps(fit_m: Floats, wrong: ArrayLike) -> tuple[tuple[float, ...], flo
     bins = len(LIMITS_M) + 1
     counts = np.bincount(find_bins(fit_m[fits]), minlength=bins).astype(np.float64) + 2.0
     wrongs = np.bincount(find_bins(fit_m[fits]), was_wrong[fits], minlength=bins) + 1.0
-    steps = pool_adjacent_violators(wrongs / counts, counts)
+    probabilities = pool_adjacent_violators(wrongs / counts, counts)
     misfit = (was_wrong[~fits].sum() + 1.0) / ((~fits).sum() + 2.0)
-    return tuple(steps.tolist()), float(misfit)
+    return tuple(probabilities.tolist()), float(misfit)
 
 
 def pool_adjacent_violators(values: Floats, weights: Floats) -> Floats:
@@ -114,6 +114,6 @@ def describe_calibration() -> str:
         f"Learnt on simulated drives in {', '.join(known.worlds)}, with and without faults, in maps with cells of "
         f"{low:g} to {high:g} cm, from scans of at least {known.min_points} points; no probability is given outside "
         f"this range. Each world predicted from the others: {check['scans']:,} scans, {100 * check['predicted']:.1f} % "
-        f"predicted and {100 * check['wrong']:.1f} % truly wrong, AUC {check['auc']:.2f}, Brier score "
+        f"predicted and {100 * check['wrong_share']:.1f} % truly wrong, AUC {check['auc']:.2f}, Brier score "
         f"{check['brier']:.3f}."
     )

@@ -12,7 +12,7 @@ from evalkit.metrics.fit_calibration import (
     LIMITS_M,
     FitCalibration,
     describe_calibration,
-    learn_steps,
+    learn_bins,
     load_calibration,
     pool_adjacent_violators,
 )
@@ -48,14 +48,14 @@ def test_a_step_is_the_share_of_wrong_positions_with_one_wrong_and_one_right_add
     """Bin 0 (below 1 cm): 0 of 8 wrong: 1/10. Last bin (0.5 m and more): 3 of 3: 4/5. Between: 1/2, of none at all."""
     fit_m = np.array([0.0] * 8 + [0.5, 0.6, 9.0] + [math.nan] * 4)
     wrong = [False] * 8 + [True] * 3 + [True, True, True, False]
-    steps, misfit = learn_steps(fit_m, wrong)
+    steps, misfit = learn_bins(fit_m, wrong)
     assert steps == pytest.approx([0.1] + [0.5] * (BINS - 2) + [0.8])
     assert misfit == pytest.approx(4 / 6)
 
 
 def test_a_bin_with_more_wrong_positions_than_the_next_shares_with_it():
     """2 of 2 wrong (3/4 of 4) before 0 of 4 (1/6 of 6): both 4/10; the empty bins after them keep 1/2."""
-    steps, _ = learn_steps(np.array([0.0, 0.0, *[LIMITS_M[0]] * 4]), [True, True, *[False] * 4])
+    steps, _ = learn_bins(np.array([0.0, 0.0, *[LIMITS_M[0]] * 4]), [True, True, *[False] * 4])
     assert steps == pytest.approx([0.4, 0.4] + [0.5] * (BINS - 2))
 
 
@@ -63,7 +63,7 @@ def test_the_order_of_the_scans_does_not_matter():
     rng = np.random.default_rng(1)
     fit_m, wrong = rng.exponential(0.1, 200), rng.random(200) < 0.3
     order = rng.permutation(200)
-    assert learn_steps(fit_m, wrong) == learn_steps(fit_m[order], wrong[order])
+    assert learn_bins(fit_m, wrong) == learn_bins(fit_m[order], wrong[order])
 
 
 CALIBRATION = FitCalibration(tuple(np.arange(BINS) / 100.0), 0.9, (0.05, 0.1), 50, ("lab",), {})
@@ -83,9 +83,9 @@ def test_outside_the_range_that_was_learnt_there_is_no_number(points, cell_m, kn
 
 def test_the_shipped_probabilities_rise_and_hold_on_worlds_they_were_not_learnt_on():
     shipped = load_calibration()
-    assert list(shipped.wrong) == sorted(shipped.wrong)
-    assert 0.0 < shipped.wrong[0] < 0.02
-    assert 0.9 < shipped.wrong[-1] < 1.0
+    assert list(shipped.probabilities) == sorted(shipped.probabilities)
+    assert 0.0 < shipped.probabilities[0] < 0.02
+    assert 0.9 < shipped.probabilities[-1] < 1.0
     check = shipped.check
     assert check["auc"] > 0.9
     assert check["brier"] < 0.3 * check["brier_constant"]
@@ -96,8 +96,8 @@ def test_the_shipped_probabilities_rise_and_hold_on_worlds_they_were_not_learnt_
 
 def test_the_shipped_steps_are_those_of_the_counts_beside_them():
     content = json.loads(files("evalkit.metrics").joinpath("fit_calibration.json").read_text(encoding="utf-8"))
-    rows = content["steps"]
-    wrongs = [round(row["wrong"] * row["scans"]) if row["scans"] else 0 for row in rows]
+    rows = content["bins"]
+    wrongs = [round(row["wrong_share"] * row["scans"]) if row["scans"] else 0 for row in rows]
     counts = np.array([row["scans"] + 2.0 for row in rows])
     expected = pool_adjacent_violators((np.array(wrongs) + 1.0) / counts, counts)
     assert [row["probability"] for row in rows] == pytest.approx(expected)

@@ -1,4 +1,4 @@
-"""What the drives teach: the steps of the calibration, and how they hold in each world when learnt on the others."""
+"""What the drives teach: the bins of the calibration, and how they hold in each world when learnt on the others."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from evalkit.commands.map_fit.drives import MeasuredScans
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.metrics.fit_calibration import LIMITS_M, SCHEMA, WRONG_M, FitCalibration, find_bins, learn_steps
+from evalkit.metrics.fit_calibration import LIMITS_M, SCHEMA, WRONG_M, FitCalibration, find_bins, learn_bins
 from evalkit.stats.paired_tests import vargha_delaney_a12
 
 GROUPS = (0.0, 0.02, 0.1, 0.5, 0.9, 1.0)
@@ -70,10 +70,10 @@ class Scans:
     @cached_property
     def calibration(self) -> FitCalibration:
         """What these scans teach; nothing is checked."""
-        wrong, misfit = learn_steps(self.fit_m, self.wrong)
+        probabilities, misfit = learn_bins(self.fit_m, self.wrong)
         cells = float(self.cell_m.min()), float(self.cell_m.max())
         return FitCalibration(
-            wrong, misfit, cells, int(self.points.min()), tuple(dict.fromkeys(self.world.tolist())), {}
+            probabilities, misfit, cells, int(self.points.min()), tuple(dict.fromkeys(self.world.tolist())), {}
         )
 
 
@@ -82,8 +82,8 @@ def summarize(drives: Sequence[Drive]) -> dict[str, Any]:
     scans = Scans.of(drives)
     learnt, predicted = scans.calibration, predict_from_others(scans)
     bins, fits = find_bins(scans.fit_m), np.isfinite(scans.fit_m)
-    steps = [
-        {"below_m": limit, **_count(scans.wrong[fits & (bins == number)]), "probability": learnt.wrong[number]}
+    rows = [
+        {"below_m": limit, **_count(scans.wrong[fits & (bins == number)]), "probability": learnt.probabilities[number]}
         for number, limit in enumerate((*LIMITS_M, None))
     ]
     names = {"world": scans.world, "fault": scans.fault}
@@ -93,10 +93,10 @@ def summarize(drives: Sequence[Drive]) -> dict[str, Any]:
         "worlds": list(learnt.worlds),
         "methods": list(dict.fromkeys(drive.method for drive in drives)),
         "drives": len(drives),
-        "refused": sum(not len(drive.scans["fit_m"]) for drive in drives),
+        "drives_without_scans": sum(not len(drive.scans["fit_m"]) for drive in drives),
         "cells_m": list(learnt.cells_m),
         "min_points": learnt.min_points,
-        "steps": steps,
+        "bins": rows,
         "misfit": {**_count(scans.wrong[~fits]), "probability": learnt.misfit},
         "check": {
             **_check(scans, predicted, np.ones_like(scans.wrong)),
@@ -137,7 +137,7 @@ def compare_shares(predicted: Floats, wrong: Bools) -> list[dict[str, Any]]:
 
 
 def _count(wrong: Bools) -> dict[str, Any]:
-    return {"scans": len(wrong), "wrong": float(wrong.mean()) if len(wrong) else None}
+    return {"scans": len(wrong), "wrong_share": float(wrong.mean()) if len(wrong) else None}
 
 
 def _check(scans: Scans, predicted: Floats, chosen: Bools) -> dict[str, Any]:
@@ -153,7 +153,7 @@ def _check(scans: Scans, predicted: Floats, chosen: Bools) -> dict[str, Any]:
     share = float(wrong.mean()) if len(wrong) else None
     return {
         **_count(wrong),
-        "outside": int((chosen & np.isnan(predicted)).sum()),
+        "outside_range": int((chosen & np.isnan(predicted)).sum()),
         "predicted": float(predicted[own].mean()) if len(wrong) else None,
         "auc": vargha_delaney_a12(fit_m[wrong], fit_m[~wrong]) if both else None,
         "brier": float(np.mean((predicted[own] - wrong) ** 2)) if len(wrong) else None,
@@ -162,11 +162,11 @@ def _check(scans: Scans, predicted: Floats, chosen: Bools) -> dict[str, Any]:
 
 
 def format_markdown(content: Mapping[str, Any]) -> str:
-    """Return the steps and their check as Markdown tables."""
+    """Return the bins and their check as Markdown tables."""
     check = content["check"]
-    steps = [
-        (f"below {step['below_m']:g} m" if step["below_m"] else f"{LIMITS_M[-1]:g} m and more", step)
-        for step in content["steps"]
+    bins = [
+        (f"below {one['below_m']:g} m" if one["below_m"] else f"{LIMITS_M[-1]:g} m and more", one)
+        for one in content["bins"]
     ]
     shares = [(f"{100 * row['from']:g} to {100 * row['to']:g} %", row) for row in check["reliability"]]
     kinds = [("all", check), *check["by_world"].items(), *check["by_fault"].items()]
@@ -175,22 +175,22 @@ def format_markdown(content: Mapping[str, Any]) -> str:
             "| fit | scans | wrong | probability |",
             "|--|--:|--:|--:|",
             *(
-                f"| {name} | {step['scans']:,} | {_percent(step['wrong'])} | {_percent(step['probability'])} |"
-                for name, step in (*steps, ("no prediction", content["misfit"]))
+                f"| {name} | {one['scans']:,} | {_percent(one['wrong_share'])} | {_percent(one['probability'])} |"
+                for name, one in (*bins, ("no prediction", content["misfit"]))
             ),
             "",
             "| probability | scans | predicted | wrong |",
             "|--|--:|--:|--:|",
             *(
-                f"| {name} | {row['scans']:,} | {_percent(row['predicted'])} | {_percent(row['wrong'])} |"
+                f"| {name} | {row['scans']:,} | {_percent(row['predicted'])} | {_percent(row['wrong_share'])} |"
                 for name, row in shares
             ),
             "",
             "| | scans | outside | predicted | wrong | AUC | Brier | of a constant |",
             "|--|--:|--:|--:|--:|--:|--:|--:|",
             *(
-                f"| {name} | {row['scans']:,} | {row['outside']:,} | {_percent(row['predicted'])} | "
-                f"{_percent(row['wrong'])} | {_number(row['auc'])} | {_number(row['brier'])} | "
+                f"| {name} | {row['scans']:,} | {row['outside_range']:,} | {_percent(row['predicted'])} | "
+                f"{_percent(row['wrong_share'])} | {_number(row['auc'])} | {_number(row['brier'])} | "
                 f"{_number(row['brier_constant'])} |"
                 for name, row in kinds
             ),

@@ -45,15 +45,15 @@ def test_a_world_is_predicted_by_the_other_worlds_alone():
     content = summarize(drives)
     assert content["check"]["by_world"]["c"] == {
         "scans": 2,
-        "wrong": 0.5,
-        "outside": 2,
+        "wrong_share": 0.5,
+        "outside_range": 2,
         "predicted": pytest.approx(0.45),
         "auc": 0.0,
         "brier": pytest.approx((0.9**2 + 0.8**2) / 2),
         "brier_constant": 0.25,
     }
-    assert content["steps"][0]["scans"] == 11  # an error of exactly 10 cm is not wrong
-    assert content["steps"][0]["wrong"] == pytest.approx(1 / 11)
+    assert content["bins"][0]["scans"] == 11  # an error of exactly 10 cm is not wrong
+    assert content["bins"][0]["wrong_share"] == pytest.approx(1 / 11)
     assert (content["min_points"], content["cells_m"], content["worlds"]) == (99, [0.05, 0.06], ["a", "b", "c"])
     assert "| c | 2 | 2 | 45.0 % | 50.0 % | 0.000 | 0.725 | 0.250 |" in format_markdown(content)
 
@@ -64,7 +64,7 @@ def test_scans_that_do_not_fit_are_ranked_last_and_drives_without_scans_are_coun
         for world, fault in (("a", "none"), ("b", "glass"), ("c", "glass"))
     ]
     content = summarize([*drives, drive("a", [], [])])
-    assert (content["drives"], content["refused"], content["misfit"]["scans"]) == (4, 1, 3)
+    assert (content["drives"], content["drives_without_scans"], content["misfit"]["scans"]) == (4, 1, 3)
     assert content["misfit"]["probability"] == pytest.approx(4 / 5)
     assert content["check"]["auc"] == 1.0
     assert [content["check"]["by_fault"][name]["scans"] for name in ("none", "glass")] == [3, 6]
@@ -73,7 +73,11 @@ def test_scans_that_do_not_fit_are_ranked_last_and_drives_without_scans_are_coun
 def test_probabilities_are_compared_in_groups_and_those_on_a_limit_belong_above():
     predicted = np.array([0.0, 0.019, 0.02, 0.9, 1.0, np.nan])
     rows = compare_shares(predicted, np.array([False, True, False, True, True, True]))
-    assert [(row["from"], row["scans"], row["wrong"]) for row in rows] == [(0.0, 2, 0.5), (0.02, 1, 0.0), (0.9, 2, 1.0)]
+    assert [(row["from"], row["scans"], row["wrong_share"]) for row in rows] == [
+        (0.0, 2, 0.5),
+        (0.02, 1, 0.0),
+        (0.9, 2, 1.0),
+    ]
     assert rows[0]["predicted"] == pytest.approx(0.0095)
 
 
@@ -129,5 +133,5 @@ def test_the_fit_tells_wrong_positions_in_worlds_that_were_not_learnt(tmp_path):
     assert check["scans"] > 200
     assert check["auc"] > 0.9
     assert check["brier"] < 0.5 * check["brier_constant"]
-    assert len(content["steps"]) == len(LIMITS_M) + 1
+    assert len(content["bins"]) == len(LIMITS_M) + 1
     assert (tmp_path / "out" / "map-fit.md").read_text(encoding="utf-8") in result.output
