@@ -33,7 +33,7 @@ from evalkit.execution import supervisor
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.execution.parent import poll_parent
 from evalkit.execution.supervisor import PARENT
-from evalkit.execution.usage import Usage, read_waited_s
+from evalkit.execution.usage import Usage, count_starts, read_waited_s
 from evalkit.plugins.registry import MARK
 
 Parameters = ParamSpec("Parameters")
@@ -43,7 +43,9 @@ POLL_S = 0.05
 """Interval between two measurements of a child."""
 
 COUNT_S = 0.5
-"""Interval between two searches for the descendants of a child, which inspect every process of the system."""
+"""Interval between two searches for the descendants of a child, which inspect every process of the system. None is made
+where the system has started no process since the last one.
+"""
 
 TAIL_BYTES = 4096
 """Length of the end of the output that is searched for the last line."""
@@ -77,6 +79,7 @@ class ChildProcess:
             stdout=self._output, stderr=self._output, start_new_session=True, env=environment,
         )  # fmt: skip
         self._started_at = self._searched_at = time.monotonic()
+        self._starts: int | None = None  # of processes, at the last search
         self._members: list[psutil.Process] = []
         self._seen: set[psutil.Process] = set()  # members that live, also where their supervisor does not
         self._cpu_s, self._waited_s, self._last_line = 0.0, 0.0, ""
@@ -112,10 +115,7 @@ class ChildProcess:
 
     def _measure(self) -> Usage:
         if not self._members or time.monotonic() - self._searched_at > COUNT_S:
-            self._searched_at = time.monotonic()
-            with contextlib.suppress(psutil.Error):  # ended meanwhile
-                self._members = psutil.Process(self._process.pid).children(recursive=True)
-                self._seen = {member for member in self._seen if member.is_running()} | set(self._members)
+            self._search()
         memory, cpu_s, waited_s = 0, 0.0, 0.0
         for member in self._members:
             with contextlib.suppress(psutil.Error):  # ended meanwhile
@@ -126,6 +126,17 @@ class ChildProcess:
         self._cpu_s = max(self._cpu_s, cpu_s)  # an ended child is not counted until its parent has waited for it
         self._waited_s = max(self._waited_s, waited_s)
         return Usage(time.monotonic() - self._started_at, self._cpu_s, memory, self._waited_s)
+
+    def _search(self) -> None:
+        """Find the descendants of the supervisor, unless all are known and the system has started no process since."""
+        self._searched_at, starts = time.monotonic(), count_starts()
+        known = starts is not None and starts == self._starts
+        if known and self._members and all(member.is_running() for member in self._members):
+            return
+        with contextlib.suppress(psutil.Error):  # ended meanwhile
+            self._members = psutil.Process(self._process.pid).children(recursive=True)
+            self._seen = {member for member in self._seen if member.is_running()} | set(self._members)
+            self._starts = starts
 
     def _terminate(self) -> None:
         """End the process and its descendants by the supervisor, then all processes of its session and its mark."""

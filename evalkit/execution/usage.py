@@ -52,3 +52,12 @@ def read_waited_s(pid: int) -> float:
         return int(Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[1]) * 1e-9
     except (OSError, ValueError, IndexError):
         return 0.0
+
+
+def count_starts() -> int | None:
+    """How many processes and threads the system has started since its boot; None where it does not say."""
+    try:
+        lines = Path("/proc/stat").read_bytes().splitlines()
+        return next((int(line.split()[1]) for line in lines if line.startswith(b"processes ")), 0) or None
+    except (OSError, ValueError, IndexError):
+        return None

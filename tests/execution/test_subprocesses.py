@@ -71,6 +71,51 @@ def test_a_child_that_waits_for_a_core_without_any_cpu_time_has_three_times_its_
     assert usage.Usage(31.0, 0.1, 0, 5.0).exceeds(10.0)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts the processes it has started")
+def test_descendants_are_searched_only_after_the_system_has_started_a_process(tmp_path, monkeypatch):
+    """Each search lists all processes; one process more is found by the next."""
+    (tmp_path / "sleeping.py").write_text(
+        "import pathlib, subprocess, sys, time\n"
+        "go = pathlib.Path(sys.argv[1], 'go')\n"
+        "while not go.exists(): time.sleep(0.01)\n"
+        "subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']).wait()\n"
+    )
+    starts = usage.count_starts()
+    subprocess.run([sys.executable, "-c", ""], check=True)
+    assert usage.count_starts() > starts > 0
+    planted = [100]
+    monkeypatch.setattr(subprocesses, "count_starts", lambda: planted[0])
+    monkeypatch.setattr(subprocesses, "COUNT_S", 0.0)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with subprocesses.ChildProcess("sleeping", tmp_path) as child:
+        used = child.watch()
+        until = time.monotonic() + 20.0
+        while len(child._members) < 1 and time.monotonic() < until:
+            next(used)
+        listed = []
+        monkeypatch.setattr(psutil.Process, "children", _counting(psutil.Process.children, listed))
+        next(used), next(used)
+        assert (len(child._members), listed) == (1, [])
+        (tmp_path / "go").touch()
+        while len(child._members) < 2 and time.monotonic() < until:
+            planted[0] += 1
+            next(used)
+        assert len(child._members) == 2
+        assert listed
+        planted[0] = None  # a system that does not count
+        searches = len(listed)
+        next(used)
+        assert len(listed) == searches + 1
+
+
+def _counting(function, calls):
+    def call(*arguments, **keywords):
+        calls.append(arguments)
+        return function(*arguments, **keywords)
+
+    return call
+
+
 def test_nothing_starts_on_a_system_without_process_groups(tmp_path, monkeypatch):
     subprocesses._require_process_groups()  # supported here
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("something was started"))
