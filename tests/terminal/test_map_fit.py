@@ -8,7 +8,7 @@ from evalkit.core.map_start import MapStart
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import Score
 from evalkit.metrics import all_metrics
-from evalkit.metrics.fit_calibration import describe_calibration
+from evalkit.metrics.fit_calibration import describe_calibration, load_calibration
 from evalkit.report.analysis.analysis import analyse
 from evalkit.terminal.map_fit import PREDICTED, TRUE, describe_map_fit
 
@@ -34,6 +34,12 @@ def test_each_method_has_its_predicted_and_true_share_and_the_calibration_follow
         "More than 10 cm off by map fit, room: wheel 38.2 % (true: 41.0 %); paper 1.0 %",
         describe_calibration(),
     ]
+
+
+def test_the_calibration_says_for_which_share_of_wrong_positions_it_holds():
+    wrong = load_calibration().check["wrong_share"]
+    assert 0.1 < wrong < 0.9  # far from that of a drive without faults
+    assert f"It holds where about {100 * wrong:.0f} % of the positions are wrong" in describe_calibration()
 
 
 def test_outside_the_calibrated_range_there_is_the_reason_and_no_number(lines):
