@@ -15,6 +15,7 @@ from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import g2o
 from evalkit.io.tum import format_tum
+from evalkit.metrics.loop_closures import find_corrections
 from evalkit.results.run_record import RunRecord
 
 
@@ -47,8 +48,10 @@ def format_kitti(results: ExportSelection) -> Files:
 def format_g2o(results: ExportSelection) -> Files:
     """Yield ``<run>.g2o``: one VERTEX_SE2 per scan, one EDGE_SE2 from each to the next, the first vertex fixed.
 
-    The vertices are the final trajectory of a SLAM, else the estimate. The edges are its increments and, of a SLAM,
-    the accepted loop closures as measured, all with identity information because their errors are unknown.
+    The vertices are the corrected poses of a SLAM, else the answers. The edges are the increments of the answers and,
+    of a SLAM, the accepted loop closures as measured, all with identity information because their errors are unknown.
+    Where an update of a SLAM moved earlier poses, its answer is in another frame than the one before: there the edge is
+    the increment of the corrected poses.
     """
     for run in results.runs:
         yield f"{run.key}.g2o", g2o.format_g2o(_make_graph(run.result)).encode()
@@ -78,7 +81,7 @@ def _kitti(poses: Floats) -> bytes:
 
 
 def _make_graph(result: RunResult) -> PoseGraph:
-    path = result.estimate if result.final is None else result.final
+    answers, path = result.estimate, result.estimate if result.final is None else result.final
     rows = np.arange(len(path))
     row_of = dict(zip(path.stamps_ns.tolist(), rows.tolist(), strict=True))
     loops = [
@@ -87,9 +90,11 @@ def _make_graph(result: RunResult) -> PoseGraph:
         if loop.accepted and loop.other_stamp_ns in row_of and loop.stamp_ns in row_of
     ]
     first, second = (np.array([each[end] for each in loops], dtype=np.int64) for end in (0, 1))
-    motions = np.concatenate(
-        [se2.between(path.poses[:-1], path.poses[1:]), np.array([each[2] for each in loops]).reshape(-1, 3)]
-    )
+    steps = se2.between(answers.poses[:-1], answers.poses[1:])
+    corrected = find_corrections(result) if result.final is not None else None
+    if corrected is not None:
+        steps = np.where(corrected[1:, None], se2.between(path.poses[:-1], path.poses[1:]), steps)
+    motions = np.concatenate([steps, np.array([each[2] for each in loops]).reshape(-1, 3)])
     information = np.tile(np.eye(3), (len(motions), 1, 1))
     return PoseGraph(path.poses, np.r_[rows[:-1], first], np.r_[rows[1:], second], motions, information)
 

@@ -237,6 +237,19 @@ def test_the_g2o_file_of_a_slam_has_its_final_poses_and_its_accepted_loops_as_me
     assert len([row for row in rows if row.startswith("EDGE_SE2")]) == 3
 
 
+def test_the_steps_of_a_g2o_file_of_a_slam_are_those_of_its_answers_except_at_a_correction():
+    """The robot answers 1 m a step; the loop at the last scan shows that it stands where it began."""
+    stamps = np.array([0, 10, 20, 30], dtype=np.int64)
+    steps = np.zeros(4, dtype=STEP)
+    steps["stamp_ns"], steps["x"], steps["corrected"] = stamps, [0.0, 1.0, 2.0, 0.0], [0, 0, 0, 1]
+    final = Trajectory(stamps, [[0, 0, 0], [0.25, 0, 0], [0.5, 0, 0], [0, 0, 0]], "start", "base")
+    loop = LoopClosure(30, 0, Pose(), True, "chi2 3")
+    run = SimpleNamespace(key="slam", result=RunResult(steps, 4, final=final, loop_closures=(loop,)))
+    [(_, text)] = poses.format_g2o(SimpleNamespace(runs=[run]))
+    edges = [list(map(float, row.split()[1:6])) for row in text.decode().splitlines() if row.startswith("EDGE")]
+    assert edges == [[0, 1, 1, 0, 0], [1, 2, 1, 0, 0], [2, 3, -0.5, 0, 0], [0, 3, 0, 0, 0]]
+
+
 # --- maps
 
 
