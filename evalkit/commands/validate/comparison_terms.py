@@ -68,10 +68,26 @@ def is_equal(comparison: Mapping[str, Any], margin: str) -> bool:
 
 
 def format_margin(results: Results, margin: str) -> str:
-    """The margin in words, at the largest value over all results."""
+    """The margin in words, at the largest value over all results.
+
+    The poses of odometries are equal if their mean difference lies within it: where all results are equal and a single
+    difference is larger than the margin, the largest is stated, too.
+    """
     completed = [result for result in results.values() if ENDED not in result and "families" not in result[margin]]
     if not completed:
         return "within no margin: no question was answered"
     largest = max((result[margin]["margin"] for result in completed), key=lambda one: float(one["metres"]))
     size = f"{largest['metres']:.2g} m and {largest['radians']:.2g} rad"
-    return f"within the single-precision rounding margin ({size})" if margin == FLOAT32 else f"within {size}"
+    within = f"within the single-precision rounding margin ({size})" if margin == FLOAT32 else f"within {size}"
+    compared = [result[margin] for result in completed]
+    if not all(is_equal(comparison, margin) for comparison in compared):
+        return within
+    beyond = [text for unit in ("m", "rad") if (text := _format_beyond(compared, unit))]
+    return f"{within} in the mean (single poses at most {' and '.join(beyond)} apart)" if beyond else within
+
+
+def _format_beyond(compared: Sequence[Mapping[str, Any]], unit: str) -> str:
+    """The largest difference in a unit that is beyond the margin of its result, "" if none is."""
+    intervals = [one for comparison in compared for one in comparison["intervals"] if one["unit"] == unit]
+    beyond = [abs(one["worst"]) for one in intervals if one["worst"] is not None and abs(one["worst"]) > one["margin"]]
+    return f"{max(beyond):.2g} {unit}" if beyond else ""

@@ -349,6 +349,30 @@ def test_what_single_precision_excuses_is_said():
     assert plain.observed == "largest difference 0.00019 m"
 
 
+def make_poses_comparison(worst_m, worst_rad):
+    """Two odometries whose mean difference lies within 1e-9 m and rad, with their largest differences."""
+    pairs = (("m", worst_m), ("rad", worst_rad))
+    return {
+        "equivalent": True, "level": "trajectories", "margin": {"metres": 1e-9, "radians": 1e-9},
+        "intervals": [{"unit": unit, "worst": worst, "margin": 1e-9} for unit, worst in pairs],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("worst", "said"),
+    [
+        ((1e-9, -1e-10), "within 1e-09 m and 1e-09 rad"),
+        ((-1.4e-9, 2e-10), "within 1e-09 m and 1e-09 rad in the mean (single poses at most 1.4e-09 m apart)"),
+        (
+            (1.4e-9, 3e-9),
+            "within 1e-09 m and 1e-09 rad in the mean (single poses at most 1.4e-09 m and 3e-09 rad apart)",
+        ),
+    ],
+)
+def test_poses_beyond_a_margin_that_only_their_mean_keeps_are_said(worst, said):
+    assert format_margin({"room": {"exact": make_poses_comparison(*worst)}}, "exact") == said
+
+
 def test_without_results_no_margin_is_chosen():
     assert choose_margin({"room": KILLED}, ["exact", "float32"]) == "exact"
     assert format_margin({"room": KILLED}, "exact") == "within no margin: no question was answered"
