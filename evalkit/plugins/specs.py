@@ -51,7 +51,8 @@ class BackendSpec:
     ``guess``: what its registration starts from, for the report. ``tuned_on``: the data sets that defaults of this back
     end alone were chosen on: its results there are optimistic. Settings that were chosen for all back ends on the same
     runs with the same budget do not count. ``default``: among the methods of a comparison that names none; one of each
-    family of methods is enough.
+    family of methods is enough. ``reference``: the back end whose answers it is meant to give, its twin; a validation
+    that names no reference compares it with that one. "": with the first of role "reference".
     """
 
     make: Callable[..., Any]
@@ -67,6 +68,7 @@ class BackendSpec:
     digest: str = ""
     tuned_on: tuple[str, ...] = ()
     default: bool = False
+    reference: str = ""
 
     kind: ClassVar[Kind]
     recorded: ClassVar[bool] = False
@@ -168,7 +170,8 @@ def spec_of_class(made: type) -> BackendSpec | None:
 class MapperSpec:
     """A mapper: ``make(**parameters)`` makes a new Mapper.
 
-    ``default``: used where no mapper is named.
+    ``default``: used where no mapper is named. ``differs``: in what its maps are meant to differ from the default's, ""
+    where they are meant to be equal; a validation says it.
     """
 
     make: Callable[..., Mapper]
@@ -179,6 +182,7 @@ class MapperSpec:
     parameters: tuple[Parameter, ...] = ()
     missing: Callable[[], str] = nothing_missing
     default: bool = False
+    differs: str = ""
 
 
 @dataclass(frozen=True, slots=True)

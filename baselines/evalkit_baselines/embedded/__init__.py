@@ -26,6 +26,7 @@ SPEC = RegistrationSpec(
     parameters=registration.PARAMETERS,
     missing=compiled_missing,
     default=True,
+    reference="paper",
 )
 
 FLOAT = replace(
@@ -47,6 +48,7 @@ MAP_LINE = replace(
     frontend=paper.MAP_LINE.frontend,
     tuned_on=paper.MAP_LINE.tuned_on,
     default=False,
+    reference="paper-map-line",
 )
 
 PIPELINE = OdometrySpec(
@@ -57,6 +59,7 @@ PIPELINE = OdometrySpec(
     guess="wheel odometry where recorded, else constant velocity",
     parameters=pipeline.PARAMETERS,
     missing=compiled_missing,
+    reference="paper",
 )
 
 PIPELINE_LINE = replace(
@@ -64,6 +67,7 @@ PIPELINE_LINE = replace(
     summary="embedded-map-line from scan to pose in one call: projection, both stages and the lasting map in C99",
     parameters=with_defaults(PIPELINE.parameters, **_LASTING_LINES),
     tuned_on=paper.MAP_LINE.tuned_on,
+    reference="paper-map-line",
 )
 
 MAPPER = MapperSpec(
@@ -81,4 +85,5 @@ POLYGON_MAPPER = replace(
     summary="the log-odds grid in C99 with each scan filled as a polygon: every cell inside its outline once",
     citation=CITATION,
     parameters=mapper.POLYGON_PARAMETERS,
+    differs="it frees the cells inside the outline of a scan, and not only those that beams cross",
 )

@@ -212,4 +212,5 @@ SPEC = SlamSpec(
     parameters=PARAMETERS,
     missing=compiled_missing,
     tuned_on=REFERENCE.tuned_on,
+    reference="paper-slam",
 )

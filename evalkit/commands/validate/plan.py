@@ -252,7 +252,7 @@ class ValidationPlan:
 def make_plan(request: ValidationRequest) -> ValidationPlan:
     """Resolves a request before anything is computed; raises NotInstalled, UnknownName or BadParameter."""
     backend = request.backend
-    reference, why = choose_reference(request.reference)
+    reference, why = choose_reference(request.reference, backend)
     for name in (backend, reference):
         if unusable := _find_unusable_reason(registry.backend(name)):
             raise NotInstalled(name, "cannot be validated here", unusable)
@@ -281,9 +281,16 @@ def make_plan(request: ValidationRequest) -> ValidationPlan:
     )
 
 
-def choose_reference(name: str) -> tuple[str, str]:
-    """The back end to compare with, by name or by default, and how it was chosen; NotInstalled if there is none."""
-    return (name, "given with --reference") if name else (defaults.find_reference_backend(), WHY_REFERENCE)
+def choose_reference(name: str, backend: str) -> tuple[str, str]:
+    """The back end to compare another one with, and how it was chosen; NotInstalled if there is none.
+
+    By name, else the one that the spec of ``backend`` names, else the first with the role "reference".
+    """
+    if name:
+        return name, "given with --reference"
+    if twin := registry.backend(backend).reference:
+        return twin, f"the twin that {backend} names"
+    return defaults.find_reference_backend(), WHY_REFERENCE
 
 
 def make_experiment(request: ValidationRequest, methods: Iterable[Mapping[str, Any]]) -> Experiment:

@@ -36,6 +36,8 @@ def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | 
     else:
         progress.print_table(out, format_table(report))
         out.print(report.verdict)
+        if report.why_reference:
+            out.print(f"reference {report.reference}: {report.why_reference}")
         if (seed := report.settings.get("seed")) is not None:
             out.print(f"{report.asked} checks, questions drawn with --seed {seed}")
         out.print(str((folder / "index.html").resolve()))

@@ -19,7 +19,6 @@ from evalkit.commands.validate.plan import (
     AUTO,
     ValidationPlan,
     ValidationRequest,
-    choose_reference,
     compiled_files,
     installed_only,
     make_experiment,
@@ -184,7 +183,7 @@ def report_mapper(request: ValidationRequest, folder: Path, workers: int, displa
     known = {parameter.name for parameter in registry.mapper(reference).parameters}
     texts = {name: text for name, text in request.given.items() if name in known} | dict(request.given_reference)
     given_reference = from_text(reference, registry.mapper(reference).parameters, texts)
-    planned = make_experiment(request, [{"use": choose_reference("")[0]}])
+    planned = make_experiment(request, [{"use": defaults.find_reference_backend()}])
     unavailable = {sequence.label: sequence.missing for sequence in planned.sequences if sequence.missing}
     margin = EXACT if request.margin == AUTO else request.margin
     modules = [registry.plug_in_of("mappers", name).module for name in (request.backend, reference)]
@@ -209,6 +208,8 @@ def report_mapper(request: ValidationRequest, folder: Path, workers: int, displa
     settings = {"backend": given, "reference": given_reference, "on": list(request.on), "seeds": request.seeds}
     alone = _report_alone(request.backend, level, settings)
     why = "given with --reference" if request.reference else "the default mapper"
+    if differs := registry.mapper(request.backend).differs:
+        why += f"; {request.backend} is meant to differ from the default mapper: {differs}"
     margins = {one["cells"]["margin"]["log_odds"] for one in results.values() if sandbox.ENDED not in one}
     margin_text = f"within {max(margins):.2g} log-odds" if margins else "within no margin: no scan was drawn"
     return replace(

@@ -18,6 +18,7 @@ from evalkit.core.errors import BadExperiment, BadParameter, NotInstalled, Unkno
 from evalkit.execution import sandbox
 from evalkit.external import INCLUDE
 from evalkit.plugins import defaults, registry
+from evalkit_baselines.embedded.compiled import compiled_missing
 
 HERE = Path(__file__).parents[2]
 EXAMPLES = INCLUDE / "examples"
@@ -171,6 +172,26 @@ def test_the_reference_is_the_first_back_end_with_that_role_and_gets_the_same_se
     )
     assert validation.given_reference == {"max_iterations": 7, "epsilon": 1e-3}
     assert validation.why_reference == 'the first back end by name with the role "reference"'
+
+
+@pytest.mark.skipif(bool(compiled_missing()), reason="the core is not built")
+def test_without_reference_a_twin_is_compared_with_the_back_end_that_its_spec_names():
+    for name, reference in (
+        ("embedded-map-line", "paper-map-line"), ("embedded-pipeline-line", "paper-map-line"),
+        ("embedded-pipeline", "paper"), ("embedded-slam", "paper-slam"),
+    ):  # fmt: skip
+        found = make_plan(name)
+        assert (found.reference, found.why_reference) == (reference, f"the twin that {name} names")
+    given = make_plan("embedded-map-line", reference="paper")
+    assert (given.reference, given.why_reference) == ("paper", "given with --reference")
+
+
+@pytest.mark.skipif(bool(compiled_missing()), reason="the core is not built")
+def test_the_difference_that_a_mapper_is_meant_to_have_is_said(tmp_path):
+    request = replace(make_plan("paper").request, backend="embedded-polygon", effort=replace(TINY, scans=2))
+    found = run.report_mapper(request, tmp_path, 1, run.ProgressDisplay(hide_tasks, hide_runs))
+    assert (found.reference, found.passed) == ("log-odds", False)
+    assert "embedded-polygon is meant to differ from the default mapper: it frees" in found.why_reference
 
 
 def test_the_mapper_of_a_back_end_comes_from_its_module():
