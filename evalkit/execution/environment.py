@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import platform
+import shlex
 import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
@@ -110,6 +111,15 @@ def _describe_earlier(provenances: Iterable[Mapping[str, Any]], started: datetim
 def versions(distributions: Iterable[str]) -> dict[str, str]:
     """The version of each distribution, or of one that provides the same module, or "not installed"."""
     return {name: _find_version(name) for name in distributions}
+
+
+def describe_origin(module: str) -> dict[str, Any]:
+    """What a file of results says of its origin: the command of a module that runs now, the date, and versions."""
+    return {
+        "command": shlex.join(["python", "-m", module, *sys.argv[1:]]),
+        "created": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "versions": versions(("evalkit", "numpy", "scipy")),
+    }
 
 
 def cores() -> list[int | None]:

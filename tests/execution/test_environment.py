@@ -131,3 +131,10 @@ def test_a_library_from_a_distribution_of_another_name_has_its_version(monkeypat
     assert environment.versions(["open3d", "open3d-cpu", "kiss-icp"]) == {
         "open3d": "0.19.0 (open3d-cpu)", "open3d-cpu": "0.19.0", "kiss-icp": "not installed",
     }  # fmt: skip
+
+
+def test_the_origin_of_a_file_is_the_command_that_wrote_it(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["/somewhere/__main__.py", "a file.toml", "--seeds", "3"])
+    origin = environment.describe_origin("package.module")
+    assert origin["command"] == "python -m package.module 'a file.toml' --seeds 3"
+    assert list(origin["versions"]) == ["evalkit", "numpy", "scipy"]

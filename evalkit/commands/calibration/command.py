@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
@@ -55,9 +52,7 @@ def calibrate(
     folder = folder or Path("reports") / "build" / "calibration"
     content = {
         "schema": SCHEMA,
-        "command": shlex.join(["python", "-m", "evalkit.commands.calibration", *sys.argv[1:]]),
-        "created": datetime.now(UTC).strftime("%Y-%m-%d"),
-        "versions": environment.versions(("evalkit", "numpy", "scipy")),
+        **environment.describe_origin("evalkit.commands.calibration"),
         "seeds": seeds,
         "subsets": subsets,
         **measure(experiment, seeds, subsets, folder, jobs),

@@ -5,9 +5,6 @@ Run it as ``python -m evalkit.commands.map_fit reports/map-fit.toml``.
 
 from __future__ import annotations
 
-import shlex
-import sys
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -47,9 +44,7 @@ def calibrate(
     folder = folder or Path("reports") / "build" / "map-fit"
     drives = _drive_all(experiment, folder, jobs)
     content = {
-        "command": shlex.join(["python", "-m", "evalkit.commands.map_fit", *sys.argv[1:]]),
-        "created": datetime.now(UTC).strftime("%Y-%m-%d"),
-        "versions": environment.versions(("evalkit", "numpy", "scipy")),
+        **environment.describe_origin("evalkit.commands.map_fit"),
         **reliability.summarize(drives),
     }
     texts = {

@@ -5,10 +5,7 @@ Run it as ``python -m evalkit.commands.metric_validation validate`` or ``... sel
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -54,7 +51,8 @@ def validate(
     )  # fmt: skip
     folder = folder or Path("reports") / "build" / "metrics"
     results = run_shown_tasks(validation.make_tasks(plan), folder, jobs, "jobs")
-    content, maps = validation.summarize(plan, results, _describe_provenance()), validation.collect_maps(plan, results)
+    provenance = environment.describe_origin("evalkit.commands.metric_validation")
+    content, maps = validation.summarize(plan, results, provenance), validation.collect_maps(plan, results)
     texts = {
         "validated.json": format_json(content) + "\n",
         "maps.csv": validation.format_csv(maps),
@@ -93,14 +91,6 @@ def selftest(
     else:
         _print_faults(faults)
     _check_faults(faults)
-
-
-def _describe_provenance() -> dict[str, Any]:
-    return {
-        "command": shlex.join(["python", "-m", "evalkit.commands.metric_validation", *sys.argv[1:]]),
-        "created": datetime.now(UTC).strftime("%Y-%m-%d"),
-        "versions": environment.versions(("evalkit", "numpy", "scipy")),
-    }
 
 
 def _print_agreement(content: Mapping[str, Any]) -> None:
