@@ -15,7 +15,6 @@ from evalkit.metrics.consistency import (
     collect_all_hits,
     collect_half_hits,
     sample_all_neighbourhoods,
-    sample_neighbourhoods,
 )
 from evalkit.metrics.metric import Evidence, make_metrics, make_score
 from evalkit.metrics.neighbourhoods import (
@@ -48,15 +47,8 @@ def entropies(places: Neighbourhoods) -> tuple[Floats, Bools]:
     return np.log(2.0 * np.pi * np.e) + 0.5 * np.log(determinant), np.asarray(enough)
 
 
-def mean_map_entropy(points: Floats, radius_m: float = PATCH_M) -> tuple[float, int, float]:
-    """Return the mean entropy (nat) over at most 1,000 places of points (N, 2), N > 0.
-
-    With the number of these places, and their share of all examined places.
-    """
-    return _average_entropies(sample_neighbourhoods(points, radius_m))
-
-
-def _average_entropies(around: Neighbourhoods) -> tuple[float, int, float]:
+def average_entropies(around: Neighbourhoods) -> tuple[float, int, float]:
+    """Return the mean entropy (nat) of neighbourhoods, how many have one, and their share of all."""
     values, enough = entropies(around)
     return (float(values[enough].mean()) if enough.any() else 0.0), int(enough.sum()), float(enough.mean())
 
@@ -97,7 +89,7 @@ def _score_mean_map_entropy(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, reason=NO_HIT)
-    value, places, share = _average_entropies(sample_all_neighbourhoods(evidence))
+    value, places, share = average_entropies(sample_all_neighbourhoods(evidence))
     if share < MIN_SHARE:
         return Score(
             None, places, f"only {100.0 * share:.0f} % of the hits have {MIN_HITS} others within {PATCH_M:g} m"

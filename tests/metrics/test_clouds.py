@@ -8,7 +8,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.metrics import clouds
-from evalkit.metrics.consistency import NO_OVERLAP
+from evalkit.metrics.consistency import NO_OVERLAP, sample_neighbourhoods
 from evalkit.metrics.metric import Evidence
 from evalkit.metrics.neighbourhoods import compute_neighbourhoods
 
@@ -21,6 +21,10 @@ def compute_scores(mapped):
 def make_wall(sigma_m, count=20_000, seed=0):
     rng = np.random.default_rng(seed)
     return np.column_stack([rng.uniform(0.0, 20.0, count), rng.normal(0.0, sigma_m, count)])
+
+
+def average_entropies(points):
+    return clouds.average_entropies(sample_neighbourhoods(points))
 
 
 def make_scan(points):
@@ -38,13 +42,13 @@ def test_entropy_equals_the_closed_form_of_a_gaussian() -> None:
 
 
 def test_a_wall_e_times_as_thick_has_one_more_nat_of_entropy() -> None:
-    thin, thick = (clouds.mean_map_entropy(make_wall(sigma))[0] for sigma in (0.01, 0.01 * np.e))
+    thin, thick = (average_entropies(make_wall(sigma))[0] for sigma in (0.01, 0.01 * np.e))
     assert thick - thin == pytest.approx(1.0, abs=0.01)
 
 
 def test_entropy_is_the_same_in_every_frame() -> None:
     points = make_wall(0.03)
-    here, moved = (clouds.mean_map_entropy(cloud)[0] for cloud in (points, se2.transform([3.0, -1.0, 0.7], points)))
+    here, moved = (average_entropies(cloud)[0] for cloud in (points, se2.transform([3.0, -1.0, 0.7], points)))
     assert moved == pytest.approx(here)
 
 
@@ -101,17 +105,17 @@ def test_a_half_without_hits_is_told_from_one_without_common_places(turn) -> Non
 def test_a_share_of_hits_at_the_limit_is_enough(monkeypatch) -> None:
     mapped = (make_scan(make_wall(0.01, 500) + 1.0),)
     for share, scored in ((clouds.MIN_SHARE, True), (np.nextafter(clouds.MIN_SHARE, 0.0), False)):
-        monkeypatch.setattr(clouds, "_average_entropies", lambda _, share=share: (1.0, 500, share))
+        monkeypatch.setattr(clouds, "average_entropies", lambda _, share=share: (1.0, 500, share))
         assert (compute_scores(mapped)["mme_nat"].value is not None) == scored
 
 
 def test_only_neighbourhoods_of_five_points_have_an_entropy_of_at_least_a_millimetre():
     """A line of hits 1 cm apart with a lonely pair beside it: 1/2 ln(2 pi e)^2 s2 of 1 mm and of the length."""
     line = np.column_stack([np.arange(11) * 0.01, np.zeros(11)])
-    value, places, share = clouds.mean_map_entropy(np.concatenate([line, [[9.0, 0.0], [9.01, 0.0]]]))
+    value, places, share = average_entropies(np.concatenate([line, [[9.0, 0.0], [9.01, 0.0]]]))
     expected = np.log(2.0 * np.pi * np.e) + np.log(1e-3) + 0.5 * np.log(np.var(line[:, 0]))
     assert (value, places, share) == (pytest.approx(expected), 11, pytest.approx(11 / 13))
-    assert clouds.mean_map_entropy(line[:4]) == (0.0, 0, 0.0)
+    assert average_entropies(line[:4]) == (0.0, 0, 0.0)
 
 
 @pytest.mark.parametrize(("count", "enough"), [(50, True), (49, False)])

@@ -9,7 +9,6 @@ import argparse
 import struct
 import sys
 from collections.abc import Iterable
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -29,12 +28,6 @@ def encode_record(frame: Frame, dtype: str = "<f4") -> bytes:
     head = struct.pack("<2q2I", scan.stamp_ns, scan.time_increment_ns, len(scan.ranges), flags)
     poses = b"".join(pose.row.astype("<f8").tobytes() for pose in (odometry, motion) if pose is not None)
     return head + poses + scan.ranges.astype(dtype).tobytes() + scan.angles.astype(dtype).tobytes()
-
-
-def round_frame(frame: Frame, dtype: str = "<f4") -> Frame:
-    """Return the frame with ranges and angles as a scan log stores them."""
-    ranges, angles = (values.astype(dtype).astype(float) for values in (frame.scan.ranges, frame.scan.angles))
-    return replace(frame, scan=replace(frame.scan, ranges=ranges, angles=angles))
 
 
 def write_scan_log(path: Path, frames: Iterable[Frame]) -> int:

@@ -83,12 +83,6 @@ def iter_readings(path: Path, log: Log) -> Iterator[tuple[int, Reading]]:
     log.poses_from = _find_pose_source(markers)
 
 
-def read_log(path: Path, layout: Layout = (-90.0, 0.0)) -> tuple[Log, list[Reading]]:
-    """Return the log and all its scans; raises as ``iter_lines``."""
-    log = Log(layout)
-    return log, [reading for _, reading in iter_readings(path, log)]
-
-
 def iter_readings_at(path: Path, layout: Layout, numbers: Iterable[int]) -> Iterator[Reading]:
     """Yield the scans of laser lines with given, increasing line numbers; raises BadData if the log has changed."""
     wanted = iter(numbers)

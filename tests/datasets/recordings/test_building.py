@@ -137,7 +137,8 @@ def test_the_log_has_all_scans_and_no_pose(tmp_path):
     )
     log = tmp_path / "built.clf"
     log.write_text("".join(fr079.build_log(corrected, graph)))
-    content, readings = carmen_parser.read_log(log)
+    content = carmen_parser.Log((-90.0, 0.0))
+    readings = [reading for _, reading in carmen_parser.iter_readings(log, content)]
     assert [reading.stamp_ns for reading in readings] == [100 * S, 101 * S + S // 4, 102 * S + S // 2]
     assert [reading.ranges[0] for reading in readings] == [1.0, 1.01, 1.02]
     assert {reading.robot for reading in readings} == {(0.0, 0.0, 0.0)}

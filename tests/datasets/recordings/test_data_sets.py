@@ -138,7 +138,9 @@ def test_intel_gmapping_on_the_relations_depends_on_how_poses_are_carried(beyond
     """
     relations = sequence_of("intel").truth().relations
     gmapping = read_tum(catalog.locate("intel-gmapping.tum")).trajectory
-    log, _ = carmen_parser.read_log(catalog.locate("intel-built.clf"))
+    log = carmen_parser.Log((-90.0, 0.0))
+    for _ in carmen_parser.iter_readings(catalog.locate("intel-built.clf"), log):
+        pass  # the log is complete then
     stamps, odometry = log.odometry.stamps_ns, log.odometry.poses
 
     def carried(times):
