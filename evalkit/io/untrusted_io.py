@@ -53,13 +53,8 @@ def parse_json(text: str | bytes) -> Any:
     return value
 
 
-def read_array(path: Path) -> NDArray[Any]:
-    """Return the array of an ``np.save`` file; raises ValueError if it is not one, OSError if it cannot be read."""
-    return parse_array(read_bytes(path))
-
-
 def read_arrays(file: Path | BinaryIO) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an ``np.savez`` file by name; raises as ``read_array``."""
+    """Return the arrays of an ``np.savez`` file by name; raises ValueError if it is not one, OSError if unreadable."""
     try:
         with zipfile.ZipFile(file) as archive:
             members = archive.infolist()

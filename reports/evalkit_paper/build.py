@@ -15,8 +15,33 @@ from evalkit.io.output_files import write_texts
 from evalkit.report.html.blocks import Cell, Column, Command, Fold, Section, Table, Text, render
 from evalkit.terminal.options import err
 from evalkit.terminal.shown_tasks import run_shown_tasks
-from evalkit_paper import page
-from evalkit_paper.chapters import CHAPTERS
+from evalkit_paper import (
+    claims_chapter,
+    equation_chapter,
+    figure_10_chapter,
+    flowchart_chapter,
+    page,
+    realtime_chapter,
+    residual_chapter,
+    stage_configurations,
+    study_chapter,
+    validation_chapter,
+)
+from evalkit_paper.chapter import Chapter
+
+CHAPTERS: tuple[Chapter, ...] = (
+    flowchart_chapter.CHAPTER,
+    validation_chapter.CHAPTER,
+    equation_chapter.CHAPTER,
+    stage_configurations.CHAPTER,
+    residual_chapter.CHAPTER,
+    figure_10_chapter.CHAPTER,
+    study_chapter.CHAPTER,
+    study_chapter.MAP_CHAPTER,
+    realtime_chapter.CHAPTER,
+    claims_chapter.CHAPTER,
+)
+"""In the order of the page."""
 
 
 def build_page(file: Path, folder: Path | None, workers: int | None) -> Path:

@@ -28,8 +28,8 @@ class Answer:
     """What title and terminal say.
 
     ``title``: one sentence that contains ``emphasis`` (the winners by name, "" without any). ``subtitle``: cost, losses
-    and the cheapest method. ``winners``: best or tied on most data sets, none if no method is ahead. ``runner_up``: the
-    next one. ``cheapest``: of the winners if there are several, else of all methods that are not a baseline.
+    and the cheapest method. ``winners``: best or tied on most data sets, none if no method is ahead.
+    ``cheapest``: of the winners if there are several, else of all methods that are not a baseline.
     ``standings``: every method, best first. ``by_maps``: no data set has ground truth; maps alone are compared.
     """
 
@@ -38,7 +38,6 @@ class Answer:
     subtitle: str
     pills: tuple[Pill, ...]
     winners: tuple[str, ...]
-    runner_up: Standing | None
     cheapest: Standing | None
     losses: tuple[Loss, ...]
     standings: tuple[Standing, ...]
@@ -70,7 +69,6 @@ def compute_answer(
         format_subtitle([one for one in standings if one.method in winners], contests, losses, cheapest),
         compute_pills(comparison, sequences, verdicts, {one.sequence for one in contests}),
         winners,
-        runner_up,
         cheapest,
         losses,
         standings,
