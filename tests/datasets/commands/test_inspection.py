@@ -266,6 +266,16 @@ def run_inspection(found):
     return " | ".join(f"{one.about}: {one.what}; {one.advice}" for one in found.findings)
 
 
+@pytest.mark.parametrize(("moves", "turns", "warned"), [(0.0, True, True), (0.0, False, False), (0.02, True, False)])
+def test_an_odometry_that_stands_still_while_the_scans_change_is_a_warning(tmp_path, moves, turns, warned):
+    rows = walls(60) if turns else np.repeat(walls(1), 60, axis=0)
+    lines = [flaser(0.1 * at, row, (moves * at, 0.0, 0.0)) for at, row in enumerate(rows)]
+    lines += [f"ODOM {moves * at:.2f} 0 0 0 0 0 {0.1 * at:.1f} h {0.1 * at:.1f}" for at in range(60)]
+    found = inspect_recording(log(tmp_path, *lines))
+    said = [one for one in found.findings if "stands still, but 100 % of the scans change" in one.what]
+    assert [one.level for one in said] == ["warning"] * warned
+
+
 def test_a_suggested_config_is_a_valid_experiment_and_an_unknown_code_sets_range_max(tmp_path):
     path = log(tmp_path, *drive(code=30.0))
     found = inspect_recording(path)

@@ -86,6 +86,9 @@ FIELDS = "fields=ranges=ranges first=angle_min step=angle_increment"
 MIN_RATE_HZ, MAX_RATE_HZ, MIN_RATED = 0.02, 500.0, 10
 """Scans per second beyond which the unit of time is doubted, of at least so many scans."""
 
+MIN_STANDING, MAX_STILL_OF_MOVING = 0.99, 0.5
+"""An odometry that stands for a larger share of the time contradicts scans of which a smaller share does not change."""
+
 
 def collect_findings(
     streams: RecordingStreams, inside: str, lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats],
@@ -94,7 +97,8 @@ def collect_findings(
     """Return all findings, most severe first; ``inside``: the ground truth in the recording, "" if none."""
     rank: dict[Level, int] = {"problem": 0, "warning": 1, "note": 2}
     found = [*_check_file(streams, inside), *_check_lidars(lidars), *_check_scan_steps(odometries, streams),
-             *_check_odometry(odometries, turns, streams), *_check_frames(tree, streams)]  # fmt: skip
+             *_check_odometry(odometries, turns, streams), *_check_standing(lidars, odometries),
+             *_check_frames(tree, streams)]  # fmt: skip
     return tuple(sorted(found, key=lambda finding: rank[finding.level]))
 
 
@@ -277,6 +281,17 @@ def _check_odometry(
         yield from _check_motion(one, about)
         yield from _check_twist(one, about)
         yield from _check_turning(turns.get(f"{one.topic} {one.child}"), about)
+
+
+def _check_standing(lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats]) -> Iterator[InspectionFinding]:
+    """Warn of an odometry that stands still while the scans of a lidar change."""
+    still = min((lidar.returns.still for lidar in lidars if math.isfinite(lidar.returns.still)), default=1.0)
+    if still > MAX_STILL_OF_MOVING:
+        return
+    for one in odometries:
+        if one.standing > MIN_STANDING:
+            what = f"stands still, but {100 * (1 - still):.0f} % of the scans change within a second: the robot moves"
+            yield _warning(f"odometry {one.topic}", what, "use odometry = 'none', or the topic of the real odometry")
 
 
 def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]:
