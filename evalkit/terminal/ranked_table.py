@@ -26,6 +26,9 @@ CPU, CORRECTED = "CPU/scan", "corrected"
 LINEAR_RATIO = 8.0
 """Bars are on a logarithmic scale if the largest value exceeds the smallest more than this."""
 
+OF_BEAMS = ("beams", "invalid ranges")
+"""How notes on single beams begin."""
+
 STYLES = {
     "best": "bold green",
     "best map": "bold green",
@@ -69,9 +72,20 @@ def print_answer(console: Console, analysis: Analysis) -> None:
         console.print()
     for text in describe_map_fit(analysis):
         _print(console, text)
+    for text in describe_notes(analysis):
+        _print(console, text, "yellow")
     for pill in answer.pills:
         if pill.tone == "warn":
             _print(console, pill.text, "yellow")
+
+
+def describe_notes(analysis: Analysis) -> Iterator[str]:
+    """Yield for each sequence what its reader noted; what it counts in single beams is on the page only."""
+    for sequence in analysis.sequences:
+        notes = {name: count for run in sequence.all_runs for name, count in run.result.notes.items() if count}
+        shown = [f"{name}: {count:,}" for name, count in notes.items() if not name.startswith(OF_BEAMS)]
+        if shown:
+            yield f"{sequence.label} as read: {'; '.join(shown)}"
 
 
 def _print(console: Console, text: str, style: str = "") -> None:

@@ -101,3 +101,17 @@ def test_every_line_of_the_table_fits_80_columns_and_the_title_is_the_one_of_the
     table = lines[lines.index("") + 1 : len(lines) - lines[::-1].index("") - 1]
     assert 2 < len(table) <= MAX_LINES
     assert max(map(len, table)) <= 80
+
+
+def test_what_the_reader_noted_of_a_recording_is_printed(record, build):
+    """Of a log whose time goes back, once for all methods; not the beams without return that every lidar has."""
+    notes = {"scans out of order": 1, "odometry out of order": 0, "beams without return": 5, "invalid ranges": 7}
+    runs = [record(name, sequence, {"ate_rmse_m": 0.1}) for name in ("a", "b") for sequence in ("back.clf", "room")]
+    noted = [
+        replace(run, result=replace(run.result, notes=notes if run.sequence == "back.clf" else {})) for run in runs
+    ]  # fmt: skip
+    printed = io.StringIO()
+    print_answer(Console(file=printed, soft_wrap=True), analyse(build(noted)))
+    assert [line for line in printed.getvalue().splitlines() if "as read" in line] == [
+        "back.clf as read: scans out of order: 1"
+    ]
