@@ -31,6 +31,7 @@ PARAMETERS = {
 }  # fmt: skip
 MAP = {"resolution": 0.05, "l_occ": 0.8, "l_free": -0.8, "l_min": -5.0, "l_max": 5.0, "range_max": 12.0}
 EXTENT = (-64, -64, 128, 128)
+HEADER_BYTES = 4 + 2 * 4 + 5 * 8  # of a scan log (scanlog.h)
 TABLES = (registration.PARAMETERS, frontend.PARAMETERS, mapper.PARAMETERS)
 LAB = {p.name: p.default for p in registry.dataset("lab").parameters} | {"laps": 0.12, "seed": 5}
 
@@ -413,6 +414,52 @@ def test_the_map_of_an_outline_has_the_walls_of_the_beams_and_frees_more(core_pr
         maps[name] = np.frombuffer((tmp_path / name).read_bytes()[-(1024 * 1024) :], dtype=np.uint8)
     assert np.array_equal(maps["beams"] == 0, maps["outline"] == 0)
     assert (maps["outline"] == 254).sum() > (maps["beams"] == 254).sum() > 0
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        (("absent", "poses"), "absent: the scan log cannot be opened: No such file or directory"),
+        (("text", "poses"), "text: the file is not an evalkit scan log of this version or is truncated"),
+        (("empty", "poses"), "empty: a scan log without scans"),
+        (("torn", "poses"), "torn: scan 2: the file is not an evalkit scan log of this version or is truncated"),
+        (("log", "no/poses"), "no/poses: cannot be opened for the poses: No such file or directory"),
+        (("log", "/dev/full"), "/dev/full: poses cannot be written: No space left on device"),
+        (("log", "poses", "no/map"), "no/map: cannot be opened for the map: No such file or directory"),
+        (("log", "poses", "/dev/full"), "/dev/full: the map cannot be written: No space left on device"),
+    ],
+)
+def test_evalkit_run_names_the_file_and_what_is_wrong_with_it(core_programs, tmp_path, names, says):
+    if "/dev/full" in names and not Path("/dev/full").exists():
+        pytest.skip("no /dev/full on this system")
+    frames = list(islice(registry.dataset("lab").make(**LAB).frames(), 2))
+    scanlog.write_scan_log(tmp_path / "log", frames)
+    content = (tmp_path / "log").read_bytes()
+    (tmp_path / "torn").write_bytes(content[:-1])
+    (tmp_path / "empty").write_bytes(content[:HEADER_BYTES])
+    (tmp_path / "text").write_text("no log")
+    command = [str(core_programs / "evalkit-run"), *names]
+    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (answer.returncode, answer.stderr) == (1, f"evalkit-run: {says}\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["nosuch", "log"], "no dataset named 'nosuch'"),
+        (["lab", "no/log"], "no/log: cannot be written: No such file or directory"),
+        (["lab", "log", "--every", "0"], "--every: found '0', expected a whole number from 1 on"),
+        (["lab", "log", "--limit", "0"], "--limit: found '0', expected a whole number from 1 on"),
+        (["lab", "log", "--limit", "-1"], "--limit: found '-1', expected a whole number from 1 on"),
+    ],
+)
+def test_a_scan_log_that_cannot_be_written_is_a_usage_error(tmp_path, monkeypatch, capsys, words, says):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["scanlog", *words])
+    with pytest.raises(SystemExit, match="2"):
+        scanlog.main()
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "log").exists()
 
 
 def write_bits(folder, name, poses, cells):

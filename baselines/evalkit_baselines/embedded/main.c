@@ -4,6 +4,7 @@
  *              equal poses
  *   --line     distances to walls and one lasting map, as embedded-pipeline-line, instead of points and keyframes
  *   --polygon  the map from the outline of each scan instead of its beams */
+#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -18,9 +19,17 @@ typedef struct {
     int bits, line, polygon; /* 1: the option was given */
 } session;
 
-static int print_error(const char *what, ek_status status)
+static int print_error(const char *where, const char *what)
 {
-    fprintf(stderr, "evalkit-run: %s: %s\n", what, ek_status_text(status));
+    fprintf(stderr, "evalkit-run: %s: %s\n", where, what);
+    return 1;
+}
+
+/* Report that a file cannot be opened or written, with the reason of the system. */
+static int print_file_error(const char *path, const char *what)
+{
+    const int reason = errno;
+    fprintf(stderr, "evalkit-run: %s: %s: %s\n", path, what, reason ? strerror(reason) : "unknown reason");
     return 1;
 }
 
@@ -39,7 +48,8 @@ static void use_lines(ek_frontend_parameters *frontend)
     frontend->map_voxel = EK_R(0.1);
 }
 
-static ek_status start(session *s)
+/* Returns 0, or 1 after a message. */
+static int start(session *s, const char *log)
 {
     ek_pipeline_parameters parameters = ek_pipeline_default();
     size_t bytes;
@@ -52,17 +62,20 @@ static ek_status start(session *s)
     parameters.scan.base_from_sensor = s->log.base_from_sensor;
     parameters.frontend.points = s->log.max_beams;
     parameters.grid.range_max = s->log.range_max;
-    const ek_status status = ek_pipeline_bytes(&parameters, &bytes);
-    if (status != EK_OK) {
-        return status;
+    ek_status status = ek_pipeline_bytes(&parameters, &bytes);
+    if (status == EK_OK) {
+        s->memory = malloc(bytes);
+        s->ranges = (ek_real *)malloc(s->log.max_beams * sizeof(ek_real));
+        s->angles = (ek_real *)malloc(s->log.max_beams * sizeof(ek_real));
+        if (!s->memory || !s->ranges || !s->angles) {
+            fprintf(stderr, "evalkit-run: %s: scans of %lu beams need %lu bytes of memory, which are not free\n", log,
+                    (unsigned long)s->log.max_beams,
+                    (unsigned long)(bytes + 2u * s->log.max_beams * sizeof(ek_real)));
+            return 1;
+        }
+        status = ek_pipeline_start(&s->pipeline, s->memory, bytes, &parameters);
     }
-    s->memory = malloc(bytes);
-    s->ranges = (ek_real *)malloc(s->log.max_beams * sizeof(ek_real));
-    s->angles = (ek_real *)malloc(s->log.max_beams * sizeof(ek_real));
-    if (!s->memory || !s->ranges || !s->angles) {
-        return EK_TOO_LITTLE_MEMORY;
-    }
-    return ek_pipeline_start(&s->pipeline, s->memory, bytes, &parameters);
+    return status == EK_OK ? 0 : print_error(log, ek_status_text(status));
 }
 
 /* Write seconds with nine decimals (TUM format). */
@@ -91,19 +104,27 @@ static void write_bits(FILE *poses, int64_t stamp_ns, ek_pose pose)
     fprintf(poses, "%lld %016llx %016llx %016llx\n", (long long)stamp_ns, bits[0], bits[1], bits[2]);
 }
 
-static ek_status run(session *s, FILE *input, FILE *poses)
+/* Process all scans of paths[0] into paths[1]. Returns 0, or 1 after a message. */
+static int run(session *s, FILE *input, FILE *poses, char *const *paths)
 {
     ek_sweep sweep;
     ek_estimate estimate;
-    for (;;) {
+    for (unsigned long scan = 1;; scan++) {
         ek_status status = ek_scanlog_next(input, &s->log, s->ranges, s->angles, &sweep);
+        if (status == EK_END_OF_FILE) {
+            return scan > 1u ? 0 : print_error(paths[0], "a scan log without scans");
+        }
         if (status == EK_OK) {
             status = ek_pipeline_update(&s->pipeline, &sweep, &estimate);
         }
         if (status != EK_OK) {
-            return status == EK_END_OF_FILE ? EK_OK : status;
+            fprintf(stderr, "evalkit-run: %s: scan %lu: %s\n", paths[0], scan, ek_status_text(status));
+            return 1;
         }
         (s->bits ? write_bits : write_tum)(poses, sweep.stamp_ns, estimate.start_from_base);
+        if (ferror(poses)) {
+            return print_file_error(paths[1], "poses cannot be written");
+        }
     }
 }
 
@@ -111,43 +132,38 @@ static int write_map(const ek_grid *grid, const char *path)
 {
     FILE *const file = fopen(path, "wb");
     if (!file) {
-        return print_error(path, EK_BAD_FILE);
+        return print_file_error(path, "cannot be opened for the map");
     }
     const size_t columns = grid->parameters.columns;
     fprintf(file, "P5\n%lu %lu\n255\n", (unsigned long)columns, (unsigned long)grid->parameters.rows);
-    for (size_t row = grid->parameters.rows; row-- > 0u;) {
+    for (size_t row = grid->parameters.rows; row-- > 0u && !ferror(file);) {
         for (size_t column = 0; column < columns; column++) {
             const int16_t cell = grid->cells[row * columns + column];
             /* map_server's thresholds 0.65 and 0.196 as log-odds x 1000 */
             fputc(cell == EK_UNKNOWN ? 205 : cell > 619 ? 0 : cell < -1411 ? 254 : 205, file);
         }
     }
-    return fclose(file) == 0 ? 0 : print_error(path, EK_BAD_FILE);
+    const int failed = ferror(file) ? print_file_error(path, "the map cannot be written") : 0;
+    return fclose(file) == 0 || failed ? failed : print_file_error(path, "the map cannot be written");
 }
 
 static int process(session *s, char *const *paths, int count)
 {
     FILE *const input = fopen(paths[0], "rb");
     if (!input) {
-        return print_error(paths[0], EK_BAD_FILE);
+        return print_file_error(paths[0], "the scan log cannot be opened");
     }
-    ek_status status = ek_scanlog_open(input, &s->log);
-    if (status == EK_OK) {
-        status = start(s);
-    }
-    FILE *const poses = status == EK_OK ? fopen(paths[1], "w") : NULL;
-    if (poses) {
-        status = run(s, input, poses);
-        status = fclose(poses) == 0 ? status : EK_BAD_FILE;
-    } else if (status == EK_OK) {
-        fclose(input);
-        return print_error(paths[1], EK_BAD_FILE);
+    const ek_status status = ek_scanlog_open(input, &s->log);
+    int failed = status == EK_OK ? start(s, paths[0]) : print_error(paths[0], ek_status_text(status));
+    if (!failed) {
+        FILE *const poses = fopen(paths[1], "w");
+        failed = poses ? run(s, input, poses, paths) : print_file_error(paths[1], "cannot be opened for the poses");
+        if (poses && fclose(poses) != 0 && !failed) {
+            failed = print_file_error(paths[1], "poses cannot be written");
+        }
     }
     fclose(input);
-    if (status != EK_OK) {
-        return print_error(paths[0], status);
-    }
-    return count > 2 ? write_map(&s->pipeline.grid, paths[2]) : 0;
+    return !failed && count > 2 ? write_map(&s->pipeline.grid, paths[2]) : failed;
 }
 
 /* Returns the index of the first argument that is no known option. */

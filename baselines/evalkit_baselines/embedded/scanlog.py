@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
 
+from evalkit.core.errors import EvalkitError
 from evalkit.core.scan import Frame
 from evalkit.plugins import registry
 
@@ -45,18 +46,32 @@ def write_scan_log(path: Path, frames: Iterable[Frame]) -> int:
     return count
 
 
+def parse_count(text: str) -> int:
+    """Return a number from 1 on; anything else is a usage error."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"found '{text}', expected a whole number from 1 on")
+    return int(text)
+
+
 def main() -> None:
-    """Write a data set with its default parameters."""
+    """Write a data set with its default parameters; a data set or a path that cannot be used is a usage error."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("dataset")
     parser.add_argument("path", type=Path)
-    parser.add_argument("--every", type=int, default=1, help="write every n-th scan (default: 1)")
-    parser.add_argument("--limit", type=int, help="write at most so many scans")
+    parser.add_argument("--every", type=parse_count, default=1, help="write every n-th scan (default: 1)")
+    parser.add_argument("--limit", type=parse_count, help="write at most so many scans")
     arguments = parser.parse_args()
-    spec = registry.dataset(arguments.dataset)
-    sequence = spec.make(**{parameter.name: parameter.default for parameter in spec.parameters})
-    frames = islice(sequence.frames(), 0, None, arguments.every)
-    count = write_scan_log(arguments.path, islice(frames, arguments.limit))
+    try:
+        spec = registry.dataset(arguments.dataset)
+        if absent := spec.missing():
+            parser.error(f"{arguments.dataset}: {absent}")
+        sequence = spec.make(**{parameter.name: parameter.default for parameter in spec.parameters})
+        frames = islice(sequence.frames(), 0, None, arguments.every)
+        count = write_scan_log(arguments.path, islice(frames, arguments.limit))
+    except EvalkitError as error:
+        parser.error(str(error))
+    except OSError as error:
+        parser.error(f"{error.filename or arguments.path}: cannot be written: {error.strerror}")
     sys.stdout.write(f"{arguments.path}: {count} scans, {arguments.path.stat().st_size} bytes\n")
 
 
