@@ -24,6 +24,7 @@ VERSION = 1
 KINDS = {"r": "registration", "o": "odometry"}
 REALS = {4: "f", 8: "d"}
 HAS_ODOMETRY, HAS_MOTION = 1, 2
+MIN_TIMEOUT_S, MAX_TIMEOUT_S = 0.001, 3600.0
 
 
 @dataclass(frozen=True)
@@ -167,6 +168,24 @@ def open_line(arguments: argparse.Namespace) -> Line:
     return open_device(arguments.device, arguments.baud)
 
 
+def parse_seconds(text: str) -> float:
+    """Return a time from 1 ms to 1 h; anything else is a usage error."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not MIN_TIMEOUT_S <= seconds <= MAX_TIMEOUT_S:
+        raise argparse.ArgumentTypeError(f"found '{text}', expected {MIN_TIMEOUT_S:g} to {MAX_TIMEOUT_S:g} seconds")
+    return seconds
+
+
+def parse_tries(text: str) -> int:
+    """Return a number from 1 on; anything else is a usage error."""
+    if not (text.isascii() and text.isdigit()) or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"found '{text}', expected a whole number from 1 on")
+    return int(text)
+
+
 def main() -> int:
     """Answer every line of standard input with a line, until the end of the input."""
     parser = argparse.ArgumentParser(prog="serial_board", description=__doc__.partition("\n")[0] if __doc__ else "")
@@ -174,8 +193,8 @@ def main() -> int:
     parser.add_argument("--command", help="start this program and talk to its standard input and output instead")
     parser.add_argument("--baud", type=int, choices=BAUDS, default=115_200)
     parser.add_argument("--kind", choices=sorted(KINDS.values()), help="default: the first one of the firmware")
-    parser.add_argument("--timeout", type=float, default=0.5, help="seconds until a frame is sent again")
-    parser.add_argument("--tries", type=int, default=20, help="number of times that a frame is sent at most")
+    parser.add_argument("--timeout", type=parse_seconds, default=0.5, help="seconds until a frame is sent again")
+    parser.add_argument("--tries", type=parse_tries, default=20, help="number of times that a frame is sent at most")
     arguments = parser.parse_args()
     if bool(arguments.device) == bool(arguments.command):
         parser.error("give a serial device, or --command")

@@ -4,6 +4,7 @@ import importlib.machinery
 import importlib.util
 import os
 import random
+import re
 import select
 import shutil
 import subprocess
@@ -18,7 +19,7 @@ import pytest
 
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit.external import serial_line
+from evalkit.external import serial_board, serial_line
 from evalkit.external.serial_board import Board, parse_default, parse_hello
 from evalkit.external.serial_line import FIRST, LAST, LineError, Link
 from evalkit.odometry import frontend
@@ -36,14 +37,28 @@ needs_firmware = pytest.mark.skipif(
 PARAMETERS = {"max_iterations": 40, "min_pairs": 3, "epsilon": 1e-4, "max_correspondence_m": 0.3, "one_to_one": True}
 
 
+FLAGS = ["-std=c99", "-O1", "-ffp-contract=off", "-DBOARD_POINTS=256u", f"-I{CORE / 'include'}"]
+TRAPS = ["-fsanitize=float-cast-overflow", "-fsanitize-undefined-trap-on-error"]
+
+
 @pytest.fixture(scope="module")
-def firmware(tmp_path_factory):
-    """Return the example firmware as a program of this computer."""
-    program = tmp_path_factory.mktemp("firmware") / "firmware"
-    board = [str(CORE / "board" / name) for name in ("firmware.c", "link.c", "host.c")]
-    flags = ["-std=c99", "-O1", "-ffp-contract=off", "-DBOARD_POINTS=256u", f"-I{CORE / 'include'}"]
-    subprocess.run([CC, *flags, *board, *map(str, (CORE / "src").glob("*.c")), "-lm", "-o", str(program)], check=True)
-    return program
+def make_firmware(tmp_path_factory):
+    """Return what links the example firmware, with compiler options, as a program that traps undefined conversions."""
+    folder = tmp_path_factory.mktemp("firmware")
+    sources = [*(CORE / "src").glob("*.c"), CORE / "board" / "link.c", CORE / "board" / "host.c"]
+    subprocess.run([CC, *FLAGS, "-c", *map(str, sources)], cwd=folder, check=True)
+
+    def make(name, *options):
+        parts = [CORE / "board" / "firmware.c", *folder.glob("*.o"), "-lm", "-o", folder / name]
+        subprocess.run([CC, *FLAGS, *TRAPS, *options, *map(str, parts)], check=True)
+        return folder / name
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def firmware(make_firmware):
+    return make_firmware("firmware")
 
 
 class StandIn:
@@ -196,11 +211,47 @@ def test_what_the_firmware_cannot_take_is_refused_with_a_reason(stand_in):
         board.answer(question(next(frames(1))))
     with pytest.raises(LineError, match="800 beams of a scan, but the firmware takes at most 256"):
         board.answer(question(next(frames(1, every=1))))
-    with pytest.raises(LineError, match="a parameter is outside its range"):
-        board.answer({"ask": "create", "parameters": PARAMETERS | {"max_iterations": 0}})
+    for name, wrong in (("max_iterations", 0), ("max_iterations", 1e12), ("min_pairs", -1e12), ("min_pairs", 2.0**31)):
+        with pytest.raises(LineError, match="a parameter is outside its range"):
+            board.answer({"ask": "create", "parameters": PARAMETERS | {name: wrong}})
     with pytest.raises(LineError, match="too long for the firmware"):
         link.ask(b"U" + bytes(60_000))
     assert board.answer({"ask": "create", "parameters": PARAMETERS}) == {}
+
+
+@needs_firmware
+def test_a_firmware_with_too_little_memory_says_how_much_the_session_needs(make_firmware):
+    """With as much as it says the session starts, with a byte less it does not."""
+
+    def create(board_bytes):
+        line = StandIn(make_firmware(f"firmware-{board_bytes}", f"-DBOARD_BYTES={board_bytes}u"))
+        try:
+            board = Board(Link(line.line, timeout_s=0.2, tries=10), "o", "stand-in")
+            return board.answer({"ask": "create", "parameters": PARAMETERS})
+        finally:
+            line.close()
+
+    with pytest.raises(LineError, match=r"the session needs \d+ bytes, BOARD_BYTES is 4096") as refused:
+        create(4096)
+    needed = int(re.search(r"needs (\d+)", str(refused.value))[1])
+    assert create(needed) == {}
+    with pytest.raises(LineError, match=f"needs {needed} bytes, BOARD_BYTES is {needed - 1}"):
+        create(needed - 1)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--timeout", "nan"], "--timeout: found 'nan', expected 0.001 to 3600 seconds"),
+        (["--timeout", "0"], "--timeout: found '0', expected 0.001 to 3600 seconds"),
+        (["--tries", "0"], "--tries: found '0', expected a whole number from 1 on"),
+    ],
+)
+def test_a_timeout_that_is_none_and_no_tries_are_refused(monkeypatch, capsys, words, says):
+    monkeypatch.setattr("sys.argv", ["serial_board", "--command", "true", *words])
+    with pytest.raises(SystemExit, match="2"):
+        serial_board.main()
+    assert says in capsys.readouterr().err
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a process with its parent")

@@ -67,6 +67,7 @@ static ek_icp icp;
 static ek_index target;
 static ek_pipeline pipeline;
 static char kind; /* of the session; 0: none */
+static size_t needed; /* bytes of memory of the last session that was asked for */
 
 static uint64_t take_unsigned(reader *in, size_t bytes)
 {
@@ -90,6 +91,13 @@ static double take_double(reader *in)
     double value;
     memcpy(&value, &bits, sizeof value);
     return value;
+}
+
+/* A whole number; -1, which every check refuses, for what is none of 31 bits. */
+static int32_t take_count(reader *in)
+{
+    const double value = take_double(in);
+    return value >= 0.0 && value <= 2147483647.0 ? (int32_t)value : -1;
 }
 
 static ek_pose take_pose(reader *in)
@@ -143,6 +151,18 @@ static void put_text(writer *out, const char *text)
     out->count += length < room ? length : room;
 }
 
+static void put_number(writer *out, size_t number)
+{
+    char digits[24];
+    size_t first = sizeof digits - 1u;
+    digits[first] = 0;
+    do {
+        digits[--first] = (char)('0' + number % 10u);
+        number /= 10u;
+    } while (number > 0u);
+    put_text(out, digits + first);
+}
+
 static void say_hello(writer *out)
 {
     put_unsigned(out, VERSION, 2u);
@@ -178,11 +198,10 @@ static ek_status start_pipeline(size_t *bytes)
 
 static ek_status create_session(reader *in, writer *out)
 {
-    size_t bytes = 0u;
     const char wanted = (char)take_unsigned(in, 1u);
     matching = ek_icp_default();
-    matching.max_iterations = (int32_t)take_double(in);
-    matching.min_pairs = (int32_t)take_double(in);
+    matching.max_iterations = take_count(in);
+    matching.min_pairs = take_count(in);
     matching.epsilon = (ek_real)take_double(in);
     matching.max_correspondence = (ek_real)take_double(in);
     matching.one_to_one = take_double(in) != 0.0;
@@ -192,10 +211,10 @@ static ek_status create_session(reader *in, writer *out)
     }
     ek_status status = ek_icp_check(&matching);
     if (status == EK_OK) {
-        status = wanted == 'r' ? start_registration(&bytes) : start_pipeline(&bytes);
+        status = wanted == 'r' ? start_registration(&needed) : start_pipeline(&needed);
     }
     kind = status == EK_OK ? wanted : (char)0;
-    put_unsigned(out, bytes, 4u);
+    put_unsigned(out, needed, 4u);
     return status;
 }
 
@@ -296,6 +315,12 @@ static void answer_message(void)
         out.count = 0u;
         put_text(&out, "f");
         put_text(&out, ek_status_text(status));
+        if (type == 'C' && status == EK_TOO_LITTLE_MEMORY) {
+            put_text(&out, ": the session needs ");
+            put_number(&out, needed);
+            put_text(&out, " bytes, BOARD_BYTES is ");
+            put_number(&out, BOARD_BYTES);
+        }
     }
     link_answer(&line, out.bytes, out.count);
 }
