@@ -35,6 +35,16 @@ inline void require(ek_status status, const char *what)
     }
 }
 
+// MemoryError with the number of bytes.
+class NotFree : public std::bad_alloc {
+public:
+    explicit NotFree(std::size_t bytes) : text_(std::to_string(bytes) + " bytes of memory are not free") {}
+    const char *what() const noexcept override { return text_.c_str(); }
+
+private:
+    std::string text_;
+};
+
 class Memory {
 public:
     Memory() = default;
@@ -45,7 +55,10 @@ public:
         ek_arena arena = ek_arena_make(nullptr, 0);
         require(init(&arena), what);
         const std::size_t bytes = std::max<std::size_t>(arena.used, 1);
-        bytes_.reset(static_cast<unsigned char *>(::operator new(bytes, alignment)));
+        bytes_.reset(static_cast<unsigned char *>(::operator new(bytes, alignment, std::nothrow)));
+        if (!bytes_) {
+            throw NotFree(bytes);
+        }
         arena = ek_arena_make(bytes_.get(), bytes);
         require(init(&arena), what);
         require(ek_arena_check(&arena), what);

@@ -18,6 +18,11 @@ public:
     {
         constexpr std::size_t cells_per_point = 16, max_cells = std::size_t{1} << 18; // as in the core's front end
         constexpr std::size_t blocks_per_tile = 6;
+        constexpr int64_t max_tiles = (int64_t{1} << 26) / int64_t{blocks_per_tile}; // 2^26 blocks: table.h
+        if (tiles < 0 || tiles > max_tiles) {
+            throw std::invalid_argument("table: found " + std::to_string(tiles) + " tiles, expected 0 to " +
+                                        std::to_string(max_tiles));
+        }
         const nb::gil_scoped_release others_may_run;
         const std::size_t room = std::max<std::size_t>(points.shape(0), 1);
         memory_ = Memory("target", [&](ek_arena *arena) {
