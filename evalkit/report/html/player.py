@@ -235,7 +235,7 @@ def find_violations(points: Floats, grid: OccupancyGrid) -> Floats:
     high = grid.shape[0]
     cells = np.unique(columns * high + rows)  # integers are much faster than pairs
     corners = np.stack([cells // high, cells % high], axis=-1)
-    return np.asarray([grid.origin_x, grid.origin_y] + (corners + 0.5) * grid.resolution_m)
+    return np.array([grid.origin_x, grid.origin_y]) + (corners + 0.5) * grid.resolution_m
 
 
 def quantise_poses(poses: Floats) -> Steps:
