@@ -36,7 +36,7 @@ from evalkit_baselines.slam.observability import ObservableIcp
 from evalkit_baselines.slam.odometry_gate import OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import smooth_ranges
-from evalkit_baselines.slam.second_try import FINE_ITERATIONS, TRIED_ITERATIONS, CoarseToFine, SecondTry
+from evalkit_baselines.slam.second_try import FINE_ITERATIONS, PART_ITERATIONS, CoarseToFine, SecondTry
 
 DCS_PHI = 10.0
 _STORED_VOXEL_M = 0.03
@@ -93,11 +93,13 @@ class PaperSlam:
             keyframe_angle_deg=settings.keyframe_angle_deg,
         )
         wide, narrow = _make_icp(settings.matcher), _make_icp(settings.matcher, **_NARROW)
+        coarse = _make_icp(settings.matcher, max_iterations=PART_ITERATIONS)
+        brief = _make_icp(settings.matcher, **_NARROW, max_iterations=PART_ITERATIONS)
         fine = _make_icp(settings.matcher, **_NARROW, max_iterations=FINE_ITERATIONS)
         self._tries = SecondTry(
-            CoarseToFine(wide, fine),
-            CoarseToFine(narrow, fine),
-            _make_icp(settings.matcher, **_NARROW, max_iterations=TRIED_ITERATIONS),
+            CoarseToFine(wide, coarse, fine),
+            CoarseToFine(narrow, brief, fine),
+            brief,
         )
         self._gate = OdometryGate(ObservableIcp(self._tries), settings.odometry_gate)
         self._front = FrontEnd(self._gate, self._gate, front_end, self._map)

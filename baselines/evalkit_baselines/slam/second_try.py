@@ -43,8 +43,11 @@ COARSE_POINTS, FINE_ITERATIONS = 200, 5
 """A scan of twice as many points or more is matched first with every n-th of them, then with all, in few iterations and
 with near pairs: a point beyond the end of the map would be paired with that end, and pull the scan back."""
 
-TRIED_POINTS, TRIED_ITERATIONS = 100, 20
-"""The same for the further tries, which are short: the best of them is matched to the end."""
+TRIED_POINTS = 100
+"""The same for the further tries: the best of them is matched to the end."""
+
+PART_ITERATIONS = 20
+"""Largest number of iterations with a part of a scan."""
 
 TURNS_RAD = tuple(math.radians(turn) for turn in (0.0, -12.0, 12.0, -24.0, 24.0))
 """Headings of the further tries, from the guess."""
@@ -55,16 +58,18 @@ MAX_M, MAX_RAD = 0.5, math.radians(36.0)
 
 @dataclass(frozen=True)
 class CoarseToFine:
-    """A Registration: ``coarse`` with a part of a large scan, then ``fine`` with all its points."""
+    """A Registration: ``whole``, or ``coarse`` with a part of a large scan, then ``fine`` with all its points."""
 
+    whole: Registration
     coarse: Registration
     fine: Registration
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
         part = take_part(source, COARSE_POINTS)
-        match = self.coarse.register(target, part, guess)
-        return match if part is source else self.fine.register(target, source, match.target_from_source)
+        if part is source:
+            return self.whole.register(target, source, guess)
+        return self.fine.register(target, source, self.coarse.register(target, part, guess).target_from_source)
 
 
 @dataclass

@@ -155,12 +155,13 @@ def test_a_part_of_a_cloud_has_enough_points_and_less_than_twice_as_many(points,
 
 
 def test_a_large_scan_is_matched_with_a_part_and_then_with_all_points():
-    coarse, fine = Answer(Pose(0.1, 0.2, 0.3), 0.2), Answer(Pose(), 0.01)
+    whole, coarse, fine = Answer(Pose(), 0.3), Answer(Pose(0.1, 0.2, 0.3), 0.2), Answer(Pose(), 0.01)
+    icp = CoarseToFine(whole, coarse, fine)
     large = Cloud(np.zeros((1000, 2)))
-    assert CoarseToFine(coarse, fine).register(CORNER, large, Pose()).error == 0.01
+    assert icp.register(CORNER, large, Pose()).error == 0.01
     assert (coarse.points, fine.points, fine.calls) == ([200], [1000], [Pose(0.1, 0.2, 0.3)])
-    assert CoarseToFine(coarse, fine).register(CORNER, CORNER, Pose()).error == 0.2
-    assert (coarse.points, fine.points) == ([200, 160], [1000])
+    assert icp.register(CORNER, CORNER, Pose()).error == 0.3
+    assert (whole.points, coarse.points, fine.points) == ([160], [200], [1000])
 
 
 @pytest.mark.parametrize("turn_deg", [-22.0, 22.0])

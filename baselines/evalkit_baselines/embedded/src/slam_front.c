@@ -13,8 +13,8 @@
 #define CLOSE EK_R(0.1)      /* m: or, on the map without odometry, the one that lies most closely on it, up to here */
 #define COARSE_POINTS 200u   /* a scan of twice as many points or more is matched first with every n-th of them, */
 #define FINE_ITERATIONS 5    /* then with all */
-#define TRIED_POINTS 100u    /* the same for the further tries, which are short: the best of them is matched to the end */
-#define TRIED_ITERATIONS 20
+#define TRIED_POINTS 100u    /* the same for the further tries: the best of them is matched to the end */
+#define PART_ITERATIONS 20   /* with a part of a scan */
 #define FARTHEST EK_R(0.5)   /* m, and 36 deg: a further try that ends farther from the guess does not count */
 #define FARTHEST_THETA (EK_R(36.0) * EK_PI / EK_R(180.0))
 
@@ -131,9 +131,13 @@ static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_
                                       const ek_icp_parameters *parameters, ek_match *match)
 {
     const size_t count = take_part(slam, COARSE_POINTS);
-    ek_status status = ek_icp_register(&slam->icp, target, slam->moved, count, guess, parameters, NULL, NULL, match);
-    if (status == EK_OK && count < slam->scan.count) {
-        ek_icp_parameters fine = *parameters;
+    const int large = count < slam->scan.count;
+    ek_icp_parameters coarse = *parameters, fine = *parameters;
+    if (large) {
+        limit_iterations(&coarse, PART_ITERATIONS);
+    }
+    ek_status status = ek_icp_register(&slam->icp, target, slam->moved, count, guess, &coarse, NULL, NULL, match);
+    if (status == EK_OK && large) {
         limit_iterations(&fine, FINE_ITERATIONS);
         fine.max_correspondence = slam->parameters.fine_correspondence;
         status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, match->target_from_source, &fine,
@@ -150,7 +154,7 @@ static ek_pose try_starts(ek_slam *slam, const ek_index *target, ek_pose centre,
     const size_t count = take_part(slam, TRIED_POINTS), turns = sizeof TURNS / sizeof TURNS[0];
     ek_real most = EK_R(0.0);
     ek_pose best = centre;
-    limit_iterations(&parameters, TRIED_ITERATIONS);
+    limit_iterations(&parameters, PART_ITERATIONS);
     for (size_t k = 0; k < turns + (also ? 1u : 0u); k++) {
         const ek_pose turn = {EK_R(0.0), EK_R(0.0), k < turns ? TURNS[k] * EK_PI / EK_R(180.0) : EK_R(0.0)};
         const ek_pose start = k < turns ? ek_se2_compose(centre, turn) : *also;
