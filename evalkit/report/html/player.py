@@ -234,8 +234,8 @@ def find_violations(points: Floats, grid: OccupancyGrid) -> Floats:
     rows, columns, _ = grid.find_cells(suspects)
     high = grid.shape[0]
     cells = np.unique(columns * high + rows)  # integers are much faster than pairs
-    corners = np.stack([cells // high, cells % high], axis=-1)
-    return np.array([grid.origin_x, grid.origin_y]) + (corners + 0.5) * grid.resolution_m
+    corners = np.stack([cells // high, cells % high], axis=-1).astype(np.float64)
+    return np.asarray([grid.origin_x, grid.origin_y] + (corners + 0.5) * grid.resolution_m)
 
 
 def quantise_poses(poses: Floats) -> Steps:
