@@ -205,7 +205,7 @@ def make(**parameters: Any) -> EmbeddedSlam:
 
 SPEC = SlamSpec(
     make=make,
-    summary="paper-slam in C99: memory fixed at the start, loops closed in slices",
+    summary="paper-slam in C99: memory fixed at the start, loops closed in slices (work = 0: at once, as paper-slam)",
     citation=paper.CITATION,
     licence="MIT",
     guess=REFERENCE.guess,
