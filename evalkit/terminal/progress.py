@@ -170,7 +170,8 @@ def announce_kept(console: WordConsole, what: str, option: str = "") -> Iterator
 def print_table(console: WordConsole, table: Table) -> None:
     """Print a table: fitted to a terminal, one line per row elsewhere.
 
-    On a terminal it has no frame; words stay whole if those of all columns fit beside each other, else they are folded.
+    On a terminal it has no frame; words stay whole if those of all columns fit beside each other. Else they are folded,
+    except the names in the first column where they take at most a third of the width.
     """
     for column in table.columns:
         column.overflow = "fold"
@@ -183,6 +184,8 @@ def print_table(console: WordConsole, table: Table) -> None:
         if sum(longest) + 3 * len(longest) <= console.width:
             for column, size in zip(table.columns, longest, strict=True):
                 column.min_width = size
+        elif 3 * longest[0] <= console.width:
+            table.columns[0].min_width = longest[0]
     (console if console.is_terminal else WordConsole(width=WIDE)).print(table)
 
 

@@ -132,6 +132,15 @@ def test_a_table_on_a_terminal_cuts_no_word():
     assert max(map(len, text.splitlines())) <= 80
 
 
+def test_names_in_the_first_column_stay_whole_where_other_words_must_be_folded():
+    printed = io.StringIO()
+    table = Table("method", *(f"within {'x' * 12}" for _ in range(6)))
+    table.add_row("correlative", *(["0.1234567890"] * 6))
+    print_table(WordConsole(file=printed, force_terminal=True, color_system=None, width=80), table)
+    assert "correlative" in printed.getvalue()
+    assert max(map(len, printed.getvalue().splitlines())) <= 80
+
+
 def test_options_of_execution_that_contradict_are_refused():
     given = {"jobs": 1, "resume": False, "collect": False}
     with pytest.raises(typer.BadParameter, match="--rerun: found 'lost', expected one of: complete, failed"):
