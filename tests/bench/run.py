@@ -107,7 +107,9 @@ def row(aim: Aim, measured: Mapping[str, Benchmark]) -> tuple[str, str, str, str
         low, high = low / other.median, high / other.median
         met = ratio <= aim.limit if aim.at_most else ratio >= aim.limit
         found, wanted = f"{ratio:.3g} x", f"{'<=' if aim.at_most else '>='} {aim.limit:g} x"
-    verdict = "no aim" if math.isnan(aim.limit) else "met" if met else "missed"
+    if math.isnan(aim.limit):
+        return f"{aim.benchmark}: {figure}", found, f"{low:.3g} - {high:.3g}", "", "no aim"
+    verdict = "met" if met else "missed"
     return f"{aim.benchmark}: {figure}", found, f"{low:.3g} - {high:.3g}", wanted, verdict
 
 

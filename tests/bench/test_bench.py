@@ -60,7 +60,7 @@ def test_a_script_that_fails_stops_no_other_and_ends_with_1(run, tmp_path, monke
         (("b", "ours", 2.5, "", False, 75.0), "2.5 ms", "<= 2.5", "met"),
         (("b", "theirs", 5.0, "ours"), "5 x", ">= 5 x", "met"),
         (("b", "theirs", 4.0, "ours", True), "5 x", "<= 4 x", "missed"),
-        (("b", "ours", math.nan), "2 ms", "<= nan", "no aim"),
+        (("b", "ours", math.nan), "2 ms", "", "no aim"),
         (("b", "absent", 1.0), "", "1", "not measured"),
     ],
 )
@@ -86,6 +86,10 @@ def test_a_broken_library_takes_away_its_own_rows_only(monkeypatch):
     assert absent == {"numpy": "broken: ImportError: x", "no_such_module": "not installed"}
     assert {"embedded", "embedded + table", "embedded + index", "paper (NumPy)"} <= set(calls)
     assert all((taken > 0.0).all() for taken in registration.measure_ns(calls, 2).values())
+
+
+def test_the_commands_that_are_timed_run():
+    assert load_script("overhead").commands(0) == {"--version": [], "list": []}
 
 
 def test_each_aim_is_of_a_script_that_is_run(run):
