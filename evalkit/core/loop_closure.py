@@ -15,7 +15,8 @@ class LoopClosure:
     """One candidate: the method compared a frame with an earlier one and accepted or rejected the measured motion.
 
     ``stamp_ns``, ``other_stamp_ns``: first beams of the later and of the earlier frame, as given in the frames.
-    ``other_from_base``: measured pose of the base at the later frame in the base at the earlier frame (m, rad).
+    ``other_from_base``: measured pose of the base at the later frame in the base at the earlier frame (m, rad); of a
+    candidate that was rejected before it was measured, the pose that the method expected.
     ``accepted``: whether the method uses the motion now; a closure that was accepted and later withdrawn is rejected.
     ``reason``: why it was accepted or rejected, in a few words ("chi2 3.1 < 11.3", "score 0.41 < 0.55").
     """
