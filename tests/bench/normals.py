@@ -23,11 +23,11 @@ def main() -> None:
     arguments = parser.parse_args()
     ran_on, series = benchmark.describe_environment(), []
     for targets in arguments.targets:
-        points = registration.clouds(targets)[0]
+        points = registration.questions(targets).target
         times = registration.measure_ns(
             {
-                "core": lambda points=points: normals_2d(points, NEIGHBOURS),
-                "NumPy": lambda points=points: line_normals(cKDTree(points), NEIGHBOURS),
+                "core": lambda _scan, points=points: normals_2d(points, NEIGHBOURS),
+                "NumPy": lambda _scan, points=points: line_normals(cKDTree(points), NEIGHBOURS),
             },
             arguments.rounds,
         )
