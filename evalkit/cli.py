@@ -95,7 +95,20 @@ def load_command(name: str) -> Any:
         wrapper.add_typer(function, name=name)
     else:
         wrapper.command(name)(function)
-    return get_group(wrapper).commands[name]
+    command = get_group(wrapper).commands[name]
+    _join_lines(command)
+    return command
+
+
+def _join_lines(command: Any) -> None:
+    """Join the lines of each paragraph of a help text, so that it wraps at the width of the terminal.
+
+    The help is a docstring, broken at the width of the code. A paragraph that starts with ``\\b`` is kept as it is.
+    """
+    paragraphs = inspect.cleandoc(command.help or "").replace("``", "").split("\n\n")
+    command.help = "\n\n".join(one if one.startswith("\b") else " ".join(one.split()) for one in paragraphs)
+    for part in getattr(command, "commands", {}).values():
+        _join_lines(part)
 
 
 def load_function(name: str) -> Any:

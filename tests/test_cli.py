@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -200,6 +201,32 @@ def test_the_help_of_a_command_has_no_cut_word_at_80_columns(command, monkeypatc
     text = CliRunner().invoke(cli.app, [command, "--help"]).output
     assert "--" in text
     assert "…" not in text
+
+
+@pytest.mark.parametrize("words", [[name] for name in (*COMMANDS, "inspect")] + [["datasets", "fetch"]])
+def test_the_help_of_a_command_breaks_a_line_only_where_the_next_word_does_not_fit(words, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = CliRunner().invoke(cli.app, [*words, "--help"]).output.partition("╭")[0]
+    paragraphs = [one.splitlines() for one in re.split(r"\n *\n", text)]
+    broken = [(line, after.split()[0]) for lines in paragraphs for line, after in pairwise(lines) if after.strip()]
+    assert [line for line, word in broken if line.strip() and len(line.rstrip()) + 1 + len(word) < 79] == []
+    assert "``" not in text
+
+
+def test_a_help_keeps_the_lines_of_a_marked_paragraph_and_joins_those_of_the_others(monkeypatch):
+    def command() -> None:
+        """Do it.
+
+        One
+        two ``three``.
+
+        \b
+        - first
+        - second
+        """
+
+    monkeypatch.setattr(cli, "load_function", lambda _: command)
+    assert cli.load_command("it").help == "Do it.\n\nOne two three.\n\n\b\n- first\n- second"
 
 
 def test_the_summary_of_a_command_is_the_first_line_of_its_docstring():
