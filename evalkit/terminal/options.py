@@ -164,7 +164,7 @@ AccuracyOnly = Annotated[
     bool,
     typer.Option("--accuracy-only", help="Discard times, so that runs may share a core.", rich_help_panel=EXECUTION),
 ]
-READER: dict[str, Any] = {"help": "Data set that reads it.", "show_default": "by its content"}
+READER: dict[str, Any] = {"help": "The data set whose reader is used.", "show_default": "by its content"}
 """The option ``--reader``, which the commands show in different panels."""
 
 Markdown = Annotated[bool, typer.Option("--markdown", help="Print Markdown, for a pull request.")]

@@ -36,7 +36,10 @@ RECORDING, KNOWN = "Options for a recording", "Options for a recording in a know
 
 def compare(
     source: Annotated[
-        Path, typer.Argument(help="A bag (ROS 1 or 2), a CARMEN log, or an experiment (*.toml).", show_default=False)
+        Path,
+        typer.Argument(
+            help="A recording (a bag, a log, a folder of clouds) or an experiment (*.toml).", show_default=False
+        ),
     ],
     topic: Annotated[
         str, typer.Option(help="Laser topic of a bag.", show_default="the only one", rich_help_panel=RECORDING)
@@ -47,24 +50,36 @@ def compare(
     ] = None,
     relations: Annotated[
         Path | None,
-        typer.Option(help="Measured relations (Kuemmerle et al.).", show_default=False, rich_help_panel=RECORDING),
+        typer.Option(
+            help="Measured relations between poses, one a line (Kuemmerle et al.).",
+            show_default=False,
+            rich_help_panel=RECORDING,
+        ),
     ] = None,
     spans: Annotated[
-        Path | None, typer.Option(help="Measured distances (TOML).", show_default=False, rich_help_panel=RECORDING)
+        Path | None,
+        typer.Option(
+            help="Distances between places, measured by hand (TOML).", show_default=False, rich_help_panel=RECORDING
+        ),
     ] = None,
     known_map: Annotated[
         Path | None,
         typer.Option(
-            "--map", help="Track in this map (YAML, or BAG?map=/map).", show_default=False, rich_help_panel=KNOWN
+            "--map",
+            help="Track the robot in this map (YAML, or BAG?map=/map).",
+            show_default=False,
+            rich_help_panel=KNOWN,
         ),
     ] = None,
     start: Annotated[
         str,
-        typer.Option(help="x,y,yaw in the map (m, m, deg).", show_default="searched", rich_help_panel=KNOWN),
+        typer.Option(help="First pose x,y,yaw in the map (m, m, deg).", show_default="searched", rich_help_panel=KNOWN),
     ] = "",
     align_truth: Annotated[
         bool,
-        typer.Option("--align-truth", help="Truth is in another frame than the map.", rich_help_panel=KNOWN),
+        typer.Option(
+            "--align-truth", help="The truth is in another frame than the map: align it.", rich_help_panel=KNOWN
+        ),
     ] = False,
     backends: Annotated[
         str,
@@ -78,7 +93,11 @@ def compare(
     everything: Annotated[bool, typer.Option("--all", help="All back ends.", rich_help_panel=RECORDING)] = False,
     as_is: Annotated[
         bool,
-        typer.Option("--as-is", help="Choose no topic, truth or code.", rich_help_panel=RECORDING),
+        typer.Option(
+            "--as-is",
+            help="Do not search the recording for topic, truth and no-return code.",
+            rich_help_panel=RECORDING,
+        ),
     ] = False,
     reader: Annotated[
         str,
@@ -92,7 +111,7 @@ def compare(
         int,
         typer.Option(
             min=0,
-            help="Further runs under small perturbations; 5 for a verdict.",
+            help="Repeat each run this many times, slightly perturbed; a verdict needs 5.",
             show_default=False,
             rich_help_panel=RECORDING,
         ),

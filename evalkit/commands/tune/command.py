@@ -39,10 +39,12 @@ def tune(
     held_out: Annotated[
         list[str] | None, typer.Option(help="Judge on this data set (repeatable).", show_default="fresh seeds of --on")
     ] = None,
-    budget: Annotated[int | None, typer.Option(min=2, help="Points a back end.", show_default=str(BUDGET))] = None,
+    budget: Annotated[
+        int | None, typer.Option(min=2, help="Parameter points tried for each back end.", show_default=str(BUDGET))
+    ] = None,
     setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for every data set.")] = None,
     folder: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder.", show_default="./evalkit-results")
+        Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="./evalkit-results")
     ] = None,
     jobs: Jobs = None,
     collect: Collect = False,
