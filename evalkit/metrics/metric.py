@@ -1,4 +1,4 @@
-"""The types of a metric: its card, its input, and helpers for METRICS tables; ``evalkit.metrics`` joins the tables."""
+"""The types of a metric: its card, its input, helpers for METRICS tables. To add a metric, see ``evalkit.metrics``."""
 
 from __future__ import annotations
 

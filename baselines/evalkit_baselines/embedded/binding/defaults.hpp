@@ -1,4 +1,5 @@
-// Default parameters of the core, by the names and in the units of the Python parameters.
+// The default parameters of the core (ek_..._default) for Python, by its names and in its units. None is set here; a test
+// compares them with those of the Python parameters.
 #pragma once
 
 #include "ek/pipeline.h"

@@ -1,3 +1,4 @@
+/* The linear system of pose_graph.h: residuals and covariances of its rows, factorisation and substitution in slices. */
 #include "graph_parts.h"
 
 #include <string.h>

@@ -1,4 +1,4 @@
-/* graph_parts.h - parts of the solver of pose_graph.h that two files share. */
+/* graph_parts.h - parts of pose_graph.h that pose_graph.c and graph_matrix.c share. */
 #ifndef EK_GRAPH_PARTS_H
 #define EK_GRAPH_PARTS_H
 

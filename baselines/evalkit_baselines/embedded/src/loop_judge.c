@@ -1,3 +1,5 @@
+/* The ends of loop_finder.h: its settings, which place is compared next, and the verdict on the measured motion. The
+ * search between them is in loop_finder.c. */
 #include "loop_parts.h"
 
 #include <string.h>

@@ -1,4 +1,4 @@
-/* loop_parts.h - parts of loop_finder.h that two files share. */
+/* loop_parts.h - parts of loop_finder.h that loop_finder.c and loop_judge.c share. */
 #ifndef EK_LOOP_PARTS_H
 #define EK_LOOP_PARTS_H
 

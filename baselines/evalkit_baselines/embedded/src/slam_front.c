@@ -1,3 +1,4 @@
+/* The front of slam.h: scale of the wheels, matching of a scan with further tries, and the doubt about a match. */
 #include "ek/smooth.h"
 #include "slam_parts.h"
 

@@ -1,3 +1,4 @@
+/* The loops of slam.h: keyframes go in, judged candidates are confirmed or wait, and the map is drawn anew, in slices. */
 #include "slam_parts.h"
 
 #include <string.h>

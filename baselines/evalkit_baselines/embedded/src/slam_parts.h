@@ -1,4 +1,4 @@
-/* slam_parts.h - parts of slam.h that several files share. */
+/* slam_parts.h - parts of slam.h: slam.c (one call per scan), slam_front.c (matching), slam_loops.c, slam_solve.c. */
 #ifndef EK_SLAM_PARTS_H
 #define EK_SLAM_PARTS_H
 

@@ -1,3 +1,4 @@
+/* The solver of slam.h: optimise the graph, withdraw loops that contradict the others, and take the solution over. */
 #include "slam_parts.h"
 
 #define PHI EK_R(10.0)

@@ -1,4 +1,4 @@
-"""Rules for plug-ins, and the result of checking one."""
+"""The types of a rule and of its result; the rules themselves are listed in ``evalkit.commands.validate.rules``."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
 /* icp.h - ICP in the plane: one-to-one pairs, closed-form step (paper, equations 2 to 9); or distances to lines.
  *
+ * The default parameters are set in ek_icp_default (icp.c); they equal those of evalkit_baselines/paper/icp.py.
  * Computes the same as the NumPy reference evalkit_baselines/paper/icp.py. Nearest neighbours are exact. A neighbour is
  * searched again only if the point has moved so far that another target point may be nearer (triangle inequality).
  */
