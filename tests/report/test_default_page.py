@@ -48,7 +48,7 @@ def like_default(record, build, tmp_path_factory):
     methods = [one.get("label", one["use"]) for one in experiment["method"]]
     runs = []
     for one in experiment["sequence"]:
-        seeds = one.get("seeds", [None])[:3]
+        seeds, label = one.get("seeds", [None])[:3], one.get("label", one["use"])
         missing = {"status": "data-missing", "reason": "fetch it", "answered": 0} if one["use"] == "intel" else {}
         for rank, method in enumerate(methods):
             for seed in seeds:
@@ -57,7 +57,7 @@ def like_default(record, build, tmp_path_factory):
                 if method == MISSING_METHOD:
                     how = {"status": "not-installed", "reason": "install it", "answered": 0}
                 own = {} if how else scores
-                runs.append(record(method, one["use"], own, seed=seed, error_m=0.01 * (1 + rank), **how))
+                runs.append(record(method, label, own, seed=seed, error_m=0.01 * (1 + rank), **how))
     comparison = build(runs)
     tuned = {one.get("label", one["use"]): tuple(one.get("tuned_on", ())) for one in experiment["method"]}
     cards = {name: replace(card, tuned_on=tuned[name]) for name, card in comparison.methods.items()}
