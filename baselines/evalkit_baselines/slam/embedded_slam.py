@@ -38,9 +38,6 @@ class EmbeddedSlamSettings(LoopSettings):
 
     precision: str = parameter("double", "", "floating-point precision of the core", choices=("double", "float"))
     prior: str = parameter("odometry", "", "source of the first guess", choices=("odometry", "constant-velocity"))
-    odometry_gate: bool = parameter(
-        False, "", "believe no match that is only a little off wheel odometry, unless it fits well: for dirty scans"
-    )
     map_voxel_m: float = parameter(0.1, "m", "side of the voxels of the lasting map", low=0.01)
     map_reach_m: float = parameter(20.0, "m", "keyframes farther apart through the graph leave the map", low=1.0)
     keyframe_distance_m: float = parameter(0.3, "m", "a new keyframe after this distance", low=0.01)
@@ -107,7 +104,6 @@ class EmbeddedSlam:
         }
         number = {name: getattr(settings, name) for name in _MEMORY}
         number["use_odometry"] = int(settings.prior == "odometry")
-        number["odometry_gate"] = int(settings.odometry_gate)
         self._slam = self._core.Slam(make_icp(self._core, matcher), real, number)
         self._stamps_ns: list[int] = []
         self._keyframe_of: list[int] = []

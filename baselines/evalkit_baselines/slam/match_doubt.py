@@ -16,14 +16,14 @@ from evalkit.core.odometry_estimate import StageEstimate
 from evalkit.core.pose import Pose
 from evalkit_baselines.slam.second_try import DOUBTED, MIN_SHARE
 
-USUAL_SCANS = 50.0
+USUAL_SCANS = 50
 """Scans over which the usual error of matches, and their usual gap to the prediction, are averaged."""
 
 APART = 3.0
 """The same for its gap to the prediction, in times the usual gap."""
 
-GAP_M, GAP_SHARE = 0.01, 0.05
-"""Odometry is thought to be no better than this, and this share of its step."""
+GAP_M, GAP_SHARE, GAP_RAD = 0.01, 0.05, 0.01
+"""Odometry is thought to be no better than this and this share of its step, and in heading than this."""
 
 
 class Doubt(NamedTuple):
@@ -39,12 +39,19 @@ class MatchDoubt:
     def __init__(self) -> None:
         self._usual_m = 0.0
         self._usual_gap_m = 0.0
+        self._usual_gap_rad = 0.0
+        self._compared = 0
         self._sum = Doubt()
 
     @property
     def usual_m(self) -> float:
         """Usual error of matches, a recent mean (m); 0 before the first one."""
         return self._usual_m
+
+    @property
+    def usual_gap(self) -> tuple[float, float] | None:
+        """Usual gap of matches to odometry (m, rad), a recent mean; None before ``USUAL_SCANS`` scans with odometry."""
+        return (self._usual_gap_m, self._usual_gap_rad) if self._compared >= USUAL_SCANS else None
 
     def observe(self, last: Pose, predicted: Pose | None, matched: Pose, match: StageEstimate, points: int) -> bool:
         """Add a scan of so many points, by its accepted match with the map and the pose by odometry, if any.
@@ -60,7 +67,10 @@ class MatchDoubt:
         gap_m = math.hypot(gap.x, gap.y)
         step = last.inverse() @ predicted
         usual_m = max(self._usual_gap_m, GAP_M + GAP_SHARE * math.hypot(step.x, step.y))
+        usual_rad = max(self._usual_gap_rad, GAP_RAD)
         self._usual_gap_m += (min(gap_m, 2.0 * usual_m) - self._usual_gap_m) / USUAL_SCANS
+        self._usual_gap_rad += (min(abs(gap.theta), 2.0 * usual_rad) - self._usual_gap_rad) / USUAL_SCANS
+        self._compared += 1
         apart = max(share, _share(gap_m, APART * usual_m))
         self._sum = Doubt(self._sum.position_m2 + apart**2 * gap_m**2, self._sum.heading_rad2 + share**2 * gap.theta**2)
         return share == 0.0

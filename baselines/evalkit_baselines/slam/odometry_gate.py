@@ -1,4 +1,8 @@
-"""An ICP whose answer is kept only where it agrees with wheel odometry: wrong matches of bad scans are far from it."""
+"""An ICP whose answer is kept only where it agrees with wheel odometry: wrong matches of bad scans are far from it.
+
+How far is too far depends on the wheels: on some robots they agree with the scans to a centimetre, on others their
+clocks do not agree. A match is not believed where it is many times farther from the odometry than matches usually are.
+"""
 
 from __future__ import annotations
 
@@ -10,38 +14,50 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.plugins.protocols import Registration
 
-WIDE = 0.5, math.radians(36.0)
-"""A match farther than one of these (m, rad) from a guess by wheel odometry is not believed. Between two scans wheels
-slip less, and clocks that do not agree turn less; a robot that was carried away is found by the loop closures."""
+UNLIKELY = 20.0
+"""Times the usual gap between match and odometry (m, rad): a match that is farther from its guess is not believed."""
 
-STRICT = 0.3, math.radians(20.0)
-"""The same for dirty scans from a lidar and wheels whose clocks agree."""
+NARROW, STEP_SHARE = (0.3, math.radians(20.0)), 0.25
+"""Nearer than this (m, rad), and this share of the step, it is believed; with good odometry this is the limit."""
+
+WIDE = 0.5, math.radians(36.0)
+"""A match farther than one of these is not believed in any case, nor before it is known what is usual. Between two
+scans wheels slip less, and clocks that do not agree turn less; the loop closures find a robot that was carried away."""
 
 CLEAR_M, CLEAR_SHARE = 0.04, 0.9
 """Unless it has converged to a smaller error with this share of the points paired."""
 
 MIN_POINTS = 40
-"""With the strict gate, a match of a scan with fewer points is not believed either."""
+"""Where the odometry is good enough for a limit below ``WIDE``, a match of a scan with fewer points is not believed."""
 
 
 @dataclass
 class OdometryGate:
-    """A Registration; ``is_measured``: whether the guess comes from wheel odometry, set before each scan.
-
-    A match that is not believed is the guess, without inliers.
-    """
+    """A Registration; a match that is not believed is the guess, without inliers."""
 
     icp: Registration
-    strict: bool = False
-    is_measured: bool = False
+    _is_measured: bool = False
+    _limit: tuple[float, float] = WIDE
+
+    def begin_scan(self, step: Pose | None, usual_gap: tuple[float, float] | None) -> None:
+        """Give the motion since the last scan by wheel odometry, if measured, and the usual gap (m, rad), if known."""
+        self._is_measured = step is not None
+        self._limit = WIDE
+        if step is not None and usual_gap is not None:
+            moved = math.hypot(step.x, step.y), abs(step.theta)
+            metres, turn = (
+                min(max(UNLIKELY * usual, narrow + STEP_SHARE * far), wide)
+                for usual, narrow, far, wide in zip(usual_gap, NARROW, moved, WIDE, strict=True)
+            )
+            self._limit = metres, turn
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
         match = self.icp.register(target, source, guess)
-        if not self.is_measured:
+        if not self._is_measured:
             return match
-        gap, (most_m, most_rad) = guess.inverse() @ match.target_from_source, STRICT if self.strict else WIDE
+        gap, (most_m, most_rad) = guess.inverse() @ match.target_from_source, self._limit
         far = math.hypot(gap.x, gap.y) > most_m or abs(gap.theta) > most_rad
         clear = match.converged and match.error < CLEAR_M and match.inliers >= CLEAR_SHARE * len(source)
-        few = self.strict and len(source) < MIN_POINTS
+        few = most_m < WIDE[0] and len(source) < MIN_POINTS
         return match if not few and (clear or not far) else replace(match, target_from_source=guess, inliers=0)

@@ -56,9 +56,6 @@ class SlamSettings(LoopSettings):
 
     matcher: str = parameter("embedded", "", "the paper's ICP in C99 or in NumPy", choices=("embedded", "paper"))
     prior: str = parameter("odometry", "", "source of the first guess", choices=("odometry", "constant-velocity"))
-    odometry_gate: bool = parameter(
-        False, "", "believe no match that is only a little off wheel odometry, unless it fits well: for dirty scans"
-    )
     map_voxel_m: float = parameter(0.1, "m", "side of the voxels of the lasting map", low=0.01)
     map_reach_m: float = parameter(20.0, "m", "keyframes farther apart through the graph leave the map", low=1.0)
     keyframe_distance_m: float = parameter(0.3, "m", "a new keyframe after this distance", low=0.01)
@@ -101,7 +98,7 @@ class PaperSlam:
             CoarseToFine(narrow, brief, fine),
             brief,
         )
-        self._gate = OdometryGate(ObservableIcp(self._tries), settings.odometry_gate)
+        self._gate = OdometryGate(ObservableIcp(self._tries))
         self._front = FrontEnd(self._gate, self._gate, front_end, self._map)
         self._finder = LoopFinder(settings, wide, narrow)
         self._continuity = Continuity()
@@ -130,9 +127,10 @@ class PaperSlam:
             raise ValueError(f"paper-slam: {found}; give the scans in the order of time")
         self._corrected = False
         wheels = frame.odom_from_base
-        self._gate.is_measured = frame.odom_from_base is not None
         frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
+        step = Pose.of(self._odom_from_base[-1]).inverse() @ predicted if measured else None
+        self._gate.begin_scan(step, self._doubt.usual_gap)
         self._tries.begin_scan(self._doubt.usual_m, None if measured else predicted)
         estimate, source = self._front.match(frame)
         match = estimate.stages.get("s2m")

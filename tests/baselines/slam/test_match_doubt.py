@@ -74,6 +74,17 @@ def test_a_gap_that_is_usual_is_not_doubted_and_one_that_is_larger_by_far_become
     assert fresh.take() == pytest.approx((10 * 0.36, 0.0))
 
 
+def test_the_usual_gap_is_known_after_fifty_scans_with_odometry_and_a_larger_one_counts_twice():
+    doubt = MatchDoubt()
+    for scan in range(400):
+        assert (doubt.usual_gap is None) == (scan < 50)
+        observe(doubt, 0.02, gap=(0.0, 0.1, -0.02))
+    assert doubt.usual_gap == pytest.approx((0.1, 0.02), rel=1e-3)
+    before_m, before_rad = doubt.usual_gap
+    observe(doubt, 0.02, gap=(9.0, 0.0, 3.0), step_m=0.6)
+    assert doubt.usual_gap == pytest.approx((before_m * 51 / 50, before_rad * 51 / 50))
+
+
 def test_the_doubt_is_added_to_the_variance_of_the_drift_in_all_directions():
     room = Openness(np.array([1.0, 0.0]), 1.0)
     information = DriftModel(0.02, 0.005).information(1.0, room, Doubt(0.01, 0.001))

@@ -8,7 +8,7 @@ import pytest
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit_baselines.slam.odometry_gate import MIN_POINTS, STRICT, WIDE, OdometryGate
+from evalkit_baselines.slam.odometry_gate import MIN_POINTS, NARROW, WIDE, OdometryGate
 
 GUESS = Pose(1.0, -2.0, 0.5)
 
@@ -23,7 +23,7 @@ class Answers:
         return Match(guess @ self.gap, True, 3, self.error_m, len(source))
 
 
-@pytest.mark.parametrize("strict", [False, True])
+@pytest.mark.parametrize("usual_gap", [None, (1.0, 1.0), (0.0, 0.0)])
 @pytest.mark.parametrize(
     ("share", "points", "is_believed"),
     [
@@ -33,13 +33,16 @@ class Answers:
         ((0.1, 0.0, 0.0), MIN_POINTS - 1, (True, False)),
     ],
 )
-def test_far_answers_and_strictly_those_of_few_points_are_the_guess_without_pairs(share, points, is_believed, strict):
-    most_m, most_rad = STRICT if strict else WIDE
-    gap, is_believed = Pose(share[0] * most_m, share[1] * most_m, share[2] * most_rad), is_believed[strict]
-    gate = OdometryGate(Answers(gap), strict)
+def test_far_answers_and_beside_good_odometry_those_of_few_points_are_the_guess_without_pairs(
+    share, points, is_believed, usual_gap
+):
+    good = usual_gap == (0.0, 0.0)
+    most_m, most_rad = NARROW if good else WIDE
+    gap, is_believed = Pose(share[0] * most_m, share[1] * most_m, share[2] * most_rad), is_believed[good]
+    gate = OdometryGate(Answers(gap))
     cloud = Cloud(np.ones((points, 2)))
     assert gate.register(cloud, cloud, GUESS).inliers == points  # the guess is none of wheels
-    gate.is_measured = True
+    gate.begin_scan(Pose(0.0, 0.0, 0.0), usual_gap)
     match = gate.register(cloud, cloud, GUESS)
     if is_believed:
         assert match.target_from_source == GUESS @ gap
@@ -49,13 +52,27 @@ def test_far_answers_and_strictly_those_of_few_points_are_the_guess_without_pair
         assert match.inliers == 0
 
 
+@pytest.mark.parametrize("usual", [0.02, 0.0])
+@pytest.mark.parametrize(
+    ("gap", "is_believed"), [((0.39, 0.0, 0.39), True), ((0.0, 0.41, 0.0), False), ((0.0, 0.0, 0.41), False)]
+)
+def test_answers_up_to_twenty_times_the_usual_gap_or_a_quarter_of_the_step_are_believed(gap, is_believed, usual):
+    gate = OdometryGate(Answers(Pose(*gap)))
+    step = Pose(0.0, 0.0, 0.0) if usual else Pose(0.24, -0.32, -0.2)  # with good odometry, 0.1 m and 0.05 rad more
+    gate.begin_scan(step, (usual, usual))
+    cloud = Cloud(np.ones((MIN_POINTS, 2)))
+    assert (gate.register(cloud, cloud, GUESS).inliers > 0) == is_believed
+
+
 def test_a_far_answer_that_fits_well_is_believed():
-    gate = OdometryGate(Answers(Pose(1.0, 0.0, 0.0), 0.02), is_measured=True)
+    gate = OdometryGate(Answers(Pose(1.0, 0.0, 0.0), 0.02))
+    gate.begin_scan(Pose(0.0, 0.0, 0.0), None)
     cloud = Cloud(np.ones((MIN_POINTS, 2)))
     assert gate.register(cloud, cloud, GUESS).target_from_source == GUESS @ Pose(1.0, 0.0, 0.0)
 
 
 def test_a_jump_of_half_a_turn_is_far():
-    gate = OdometryGate(Answers(Pose(0.0, 0.0, math.pi)), is_measured=True)
+    gate = OdometryGate(Answers(Pose(0.0, 0.0, math.pi)))
+    gate.begin_scan(Pose(0.0, 0.0, 0.0), None)
     cloud = Cloud(np.ones((MIN_POINTS, 2)))
     assert gate.register(cloud, cloud, GUESS).target_from_source == GUESS

@@ -36,7 +36,6 @@ public:
                   take("loop_cell"),  take("loop_score"),     take("loop_ambiguity"), take("loop_near"),
                   take("loop_overlap"), take("loop_degenerate"), take("loop_gate"), take("loop_quick_gate")};
         p.use_odometry = size("use_odometry") != 0;
-        p.odometry_gate = size("odometry_gate") != 0;
         p.work = nb::cast<int64_t>(number["work"]);
         p.points = size("beams");
         p.keyframes = size("keyframes");

@@ -37,7 +37,6 @@ static ek_slam_parameters parameters_of(ek_input *input)
     parameters.loop.gate = parameters.loop.quick_gate = take_real(input);
     parameters.deskew = flags >> 5 & 1;
     parameters.use_odometry = flags >> 6 & 1;
-    parameters.odometry_gate = flags >> 4 & 1;
     parameters.work = flags >> 7 ? LIMIT : 0;
     return parameters;
 }

@@ -165,7 +165,7 @@ static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openn
     }
     const ek_status status = ek_slam_match(slam, target, *pose, predicted, match);
     const ek_pose limited = status == EK_OK ? ek_openness_limit(open, match->target_from_source, *pose) : *pose;
-    if (status == EK_OK && slam->gated && !ek_slam_is_believed(slam->parameters.odometry_gate, slam->scan.count, *pose, limited, match)) {
+    if (status == EK_OK && !ek_slam_is_believed(&slam->gate, slam->scan.count, *pose, limited, match)) {
         match->inliers = 0;
     }
     *accepted = status == EK_OK && match->inliers >= slam->parameters.min_inliers;
@@ -183,6 +183,7 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     const ek_openness open =
         ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
     const int measured = is_measured(slam, prior);
+    slam->gate = ek_slam_gate(slam, measured, last_from_base);
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, last_from_base);
     ek_status status = run_stage(slam, &slam->last, &open, NULL, &last_from_base, &estimate->scan_to_scan,
                                  &estimate->scan_to_scan_accepted);
@@ -325,7 +326,6 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     estimate->odom_from_base = identity;
     estimate->scan_to_scan = estimate->scan_to_map = none;
     slam->corrected = 0;
-    slam->gated = sweep->has_odometry;
     status = ek_slam_track(slam, &prior, estimate, &work);
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, ek_motion_predict(&slam->motion, &prior));
     if (status != EK_OK || !is_near(estimate->odom_from_base) || !is_near(predicted)) {

@@ -19,16 +19,20 @@
 #define FARTHEST EK_R(0.5)   /* m, and 36 deg: a further try that ends farther from the guess does not count */
 #define FARTHEST_THETA (EK_R(36.0) * EK_PI / EK_R(180.0))
 
-#define STRICT EK_R(0.3)     /* m, and 20 deg: a match farther from its guess by odometry is not believed by the strict gate, */
-#define STRICT_THETA (EK_R(20.0) * EK_PI / EK_R(180.0)) /* and by the other one beyond FARTHEST, */
+#define UNLIKELY EK_R(20.0)  /* times the usual gap to the odometry: a match farther from its guess by odometry is not believed, */
+#define NEAREST EK_R(0.3)    /* m, and 20 deg, and STEP_SHARE of the step: nearer than this it is, beyond FARTHEST it is not, */
+#define NEAREST_THETA (EK_R(20.0) * EK_PI / EK_R(180.0))
+#define STEP_SHARE EK_R(0.25)
 #define CLEAR EK_R(0.04)     /* m: unless it has converged to a smaller error with CLEAR_SHARE of the points in pairs */
 #define CLEAR_SHARE EK_R(0.9)
-#define USUAL_SCANS EK_R(50.0) /* scans over which the usual error of matches, and gap to the odometry, are averaged */
+#define USUAL_COUNT 50u      /* scans over which the usual error of matches, and gap to the odometry, are averaged */
+#define USUAL_SCANS EK_R(50.0)
 #define DOUBTED EK_R(2.0)    /* times the usual error: beyond it a match is doubted, beyond twice that wholly */
 #define APART EK_R(3.0)      /* the same for its gap to the odometry, in times the usual gap */
 #define FIRST_GAP EK_R(0.01) /* m: odometry is thought to be no better than this, */
-#define GAP_SHARE EK_R(0.05) /* and this share of its step */
-#define FEWEST 40u           /* a match of a scan with fewer points is not believed by the strict gate either */
+#define GAP_SHARE EK_R(0.05) /* and this share of its step, */
+#define FIRST_TURN EK_R(0.01) /* rad: nor in heading */
+#define FEWEST 40u           /* a match of a scan with fewer points is not believed where the odometry is good enough for less than FARTHEST */
 
 static const ek_real TURNS[] = {EK_R(0.0), EK_R(-12.0), EK_R(12.0), EK_R(-24.0), EK_R(24.0)}; /* deg: of further tries */
 
@@ -196,14 +200,32 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, co
     return EK_OK;
 }
 
-int ek_slam_is_believed(int strict, size_t points, ek_pose guess, ek_pose answer, const ek_match *match)
+/* So many times what is usual, between two limits. */
+static ek_real limit_of(ek_real usual, ek_real least, ek_real most)
+{
+    const ek_real limit = UNLIKELY * usual > least ? UNLIKELY * usual : least;
+    return limit < most ? limit : most;
+}
+
+ek_gate ek_slam_gate(const ek_slam *slam, int measured, ek_pose step)
+{
+    ek_gate gate = {measured, FARTHEST, FARTHEST_THETA};
+    if (slam->compared >= USUAL_COUNT) {
+        const ek_real length = EK_SQRT(step.x * step.x + step.y * step.y), turn = EK_FABS(step.theta);
+        gate.metres = limit_of(slam->usual_gap, NEAREST + STEP_SHARE * length, FARTHEST);
+        gate.theta = limit_of(slam->usual_turn, NEAREST_THETA + STEP_SHARE * turn, FARTHEST_THETA);
+    }
+    return gate;
+}
+
+int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_pose answer, const ek_match *match)
 {
     const ek_pose gap = ek_se2_between(guess, answer);
-    const ek_real most = strict ? STRICT : FARTHEST, most_theta = strict ? STRICT_THETA : FARTHEST_THETA;
-    const int far = gap.x * gap.x + gap.y * gap.y > most * most || EK_FABS(gap.theta) > most_theta;
+    const int far = gap.x * gap.x + gap.y * gap.y > gate->metres * gate->metres || EK_FABS(gap.theta) > gate->theta;
     const int clear = match->converged && match->error < CLEAR &&
                       (ek_real)match->inliers >= CLEAR_SHARE * (ek_real)points;
-    return !(strict && points < FEWEST) && (clear || !far);
+    const int few = gate->metres < FARTHEST && points < FEWEST;
+    return !gate->measured || (!few && (clear || !far));
 }
 
 /* 0 up to a limit, 1 from twice the limit on, and between them in proportion. */
@@ -234,7 +256,10 @@ int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, cons
     const ek_real least = FIRST_GAP + GAP_SHARE * EK_SQRT(step.x * step.x + step.y * step.y);
     const ek_real usual_gap = slam->usual_gap > least ? slam->usual_gap : least;
     const ek_real over = share_over(metres, APART * usual_gap), apart = over > share ? over : share;
+    const ek_real turn = slam->usual_turn > FIRST_TURN ? slam->usual_turn : FIRST_TURN;
     slam->usual_gap = take_mean(slam->usual_gap, metres, EK_R(2.0) * usual_gap);
+    slam->usual_turn = take_mean(slam->usual_turn, EK_FABS(gap.theta), EK_R(2.0) * turn);
+    slam->compared += slam->compared < USUAL_COUNT;
     slam->doubt.position += apart * apart * squared;
     slam->doubt.heading += share * share * gap.theta * gap.theta;
     return fits;

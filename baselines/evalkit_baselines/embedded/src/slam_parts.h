@@ -8,6 +8,7 @@
 #define ek_slam_prepare EK_NAME(slam_prepare)
 #define ek_slam_observe_wheels EK_NAME(slam_observe_wheels)
 #define ek_slam_match EK_NAME(slam_match)
+#define ek_slam_gate EK_NAME(slam_gate)
 #define ek_slam_is_believed EK_NAME(slam_is_believed)
 #define ek_slam_doubt EK_NAME(slam_doubt)
 #define ek_slam_init EK_NAME(slam_init)
@@ -39,12 +40,15 @@ void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *o
  * tried again, one of more than twice the usual error is too, from headings at `predicted` and from `guess`. */
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, ek_match *match);
 
-/* 0 where a match of a scan contradicts the odometry that its guess comes from (odometry_gate.py). */
-int ek_slam_is_believed(int strict, size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
+/* How far a match of this scan may be from its guess, by the predicted motion since the last scan. */
+ek_gate ek_slam_gate(const ek_slam *slam, int measured, ek_pose last_from_predicted);
 
-/* 1 if a match fits about as usual; adds to the doubt of the step: where a match fits poorly or lies farther than usual from the pose that wheel odometry
- * predicts (NULL: without odometry there is no such doubt), the truth may be anywhere between the two. Averages what is
- * usual. */
+/* 0 where a match of so many points contradicts the odometry that its guess comes from. */
+int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
+
+/* 1 if a match fits about as usual; adds to the doubt of the step: where a match fits poorly or lies farther than usual
+ * from the pose that wheel odometry predicts (NULL: without odometry there is no such doubt), the truth may be anywhere
+ * between the two. Averages what is usual. */
 int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match);
 
 /* Match the projected scan with the last one and with the map; fills stages and odom_from_base. */

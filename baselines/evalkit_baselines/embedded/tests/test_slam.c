@@ -314,9 +314,9 @@ static void a_step_is_doubted_where_its_matches_are_far_from_the_odometry(void)
     free(arena.memory);
 }
 
-/* Of 100 points: within 0.3 m and 20 degrees of the guess any match is believed by the strict gate, and within 0.5 m and 36
- * degrees by the other one; beyond them one that has converged to an error below 0.04 m with 90 of them. A match of 39 points
- * is never believed by the strict gate. */
+/* Of 100 points: within 0.3 m and 20 degrees of the guess any match is believed where matches were usually near the odometry,
+ * and within 0.5 m and 36 degrees where nothing is known; beyond them one that has converged to an error below 0.04 m with 90
+ * of them. A match of 39 points is never believed beside good odometry. */
 static void a_match_far_from_the_odometry_must_be_clear(void)
 {
     static const struct {
@@ -334,21 +334,41 @@ static void a_match_far_from_the_odometry_must_be_clear(void)
         const ek_pose answer = pose_of(cases[k].x, cases[k].y, cases[k].turn_deg * (double)EK_PI / 180.0);
         const ek_match match = {answer, cases[k].converged, 5, cases[k].inliers, EK_R(cases[k].error), 0u};
         const ek_pose guess = pose_of(0.0, 0.0, 0.0);
-        CHECK(ek_slam_is_believed(1, cases[k].points, guess, answer, &match) == cases[k].strict);
-        CHECK(ek_slam_is_believed(0, cases[k].points, guess, answer, &match) == cases[k].wide);
+        for (size_t known = 0; known < 4u; known++) { /* good odometry; nothing known; bad odometry; none */
+            slam.compared = known == 1u ? 49u : 50u;
+            slam.usual_gap = slam.usual_turn = known == 2u ? EK_R(1.0) : EK_R(0.0);
+            const ek_gate gate = ek_slam_gate(&slam, known < 3u, guess);
+            const int expected = known == 3u || (known == 0u ? cases[k].strict : cases[k].wide);
+            CHECK(ek_slam_is_believed(&gate, cases[k].points, guess, answer, &match) == expected);
+        }
     }
 }
 
-/* A standing robot, 0.1 m ahead of itself by its odometry: with the strict gate a scan of 39 points says nothing against it. */
+/* Usually 0.02 m and 0.02 rad from the odometry, or beside good odometry after a step of 0.4 m and 0.2 rad: 0.4 m and 0.4 rad are
+ * believed, and more is not. */
+static void a_match_is_believed_up_to_twenty_times_its_usual_distance_or_a_quarter_of_the_step(void)
+{
+    static const double gaps[][3] = {{0.39, 0.39, 1.0}, {0.41, 0.0, 0.0}, {0.0, 0.41, 0.0}};
+    slam.compared = 50u;
+    for (size_t k = 0; k < 6u; k++) {
+        slam.usual_gap = slam.usual_turn = k < 3u ? EK_R(0.02) : EK_R(0.0);
+        const ek_gate gate = ek_slam_gate(&slam, 1, k < 3u ? pose_of(0.0, 0.0, 0.0) : pose_of(0.24, -0.32, -0.2));
+        const ek_pose answer = pose_of(0.0, gaps[k % 3u][0], gaps[k % 3u][1]);
+        const ek_match match = {answer, 1, 5, 100, EK_R(0.1), 0u};
+        CHECK(ek_slam_is_believed(&gate, 100u, pose_of(0.0, 0.0, 0.0), answer, &match) == (gaps[k % 3u][2] > 0.5));
+    }
+}
+
+/* A standing robot, 0.1 m ahead of itself by its odometry, which was good before: a scan of 39 points says nothing against it. */
 static void the_gate_believes_the_odometry_before_few_points(void)
 {
     static const size_t beams[] = {39u, 40u};
     ek_slam_parameters p = parameters_of(0);
-    p.odometry_gate = 1;
     for (size_t few = 0; few < 2u; few++) {
         ek_arena arena = start(&p);
         uint64_t seed = 7u;
         ek_slam_estimate estimate;
+        slam.compared = 50u;
         for (size_t k = 0; k < 2u; k++) {
             ek_sweep sweep = sweep_at(0u, &seed);
             for (size_t i = 0; i < beams[few]; i++) {
@@ -1060,6 +1080,7 @@ int main(void)
     a_step_is_doubted_where_its_matches_fit_poorly();
     a_step_is_doubted_where_its_matches_are_far_from_the_odometry();
     a_match_far_from_the_odometry_must_be_clear();
+    a_match_is_believed_up_to_twenty_times_its_usual_distance_or_a_quarter_of_the_step();
     the_gate_believes_the_odometry_before_few_points();
     a_lost_robot_is_looked_for_at_all_places_in_turn();
     after_a_step_of_the_wheels_alone_five_turns_look_at_four_kinds_of_places();

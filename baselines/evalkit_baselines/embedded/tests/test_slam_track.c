@@ -105,7 +105,7 @@ static void a_stage_is_accepted_with_enough_pairs(void)
         ek_pose pose = pose_of(0.05, 0.02, 0.01);
         int32_t accepted = 7;
         see_corner(ORIGIN);
-        slam.gated = 0;
+        slam.gate.measured = 0;
         slam.parameters.min_inliers = least;
         CHECK(run_stage(&slam, &slam.map_index, &closed, NULL, &pose, &match, &accepted) == EK_OK && match.inliers == 40);
         CHECK(accepted == (least <= 40));
@@ -116,7 +116,7 @@ static void a_stage_is_accepted_with_enough_pairs(void)
         ek_pose pose = pose_of(0.6, 0.0, 0.0);
         int32_t accepted = 7;
         see_corner(ORIGIN);
-        slam.gated = gated;
+        slam.gate = ek_slam_gate(&slam, gated, ORIGIN);
         slam.tried = 1;
         slam.parameters.matcher.max_iterations = 3;
         CHECK(run_stage(&slam, &slam.map_index, &closed, NULL, &pose, &match, &accepted) == EK_OK);

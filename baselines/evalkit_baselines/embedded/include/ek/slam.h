@@ -22,7 +22,6 @@ typedef struct {
     ek_icp_parameters matcher;   /* EK_METRIC_LINE */
     ek_real fine_correspondence; /* m: largest distance of a pair in the last match of a loop, and of all points of a large scan */
     int32_t deskew, use_odometry; /* 1 or 0 */
-    int32_t odometry_gate;       /* 1: believe no match that is only a little off the odometry, unless it fits well */
     int32_t min_inliers;         /* with fewer pairs the result is rejected and the guess kept */
     ek_real keyframe_distance, keyframe_angle; /* m, rad */
     ek_real map_voxel, map_radius; /* m: side of the voxels; scans are matched with those within the radius */
@@ -82,6 +81,12 @@ typedef struct {
     ek_pose keyframe;             /* raw odometry at the last keyframe */
 } ek_wheels;
 
+/* How far a match may be from its guess by wheel odometry (odometry_gate.py). */
+typedef struct {
+    int32_t measured;      /* 0: the guess is none of wheel odometry */
+    ek_real metres, theta; /* m, rad */
+} ek_gate;
+
 typedef struct {
     ek_slam_parameters parameters;
     ek_motion motion;
@@ -97,7 +102,7 @@ typedef struct {
     ek_real *moved, *sums, *stored;
     uint32_t *counts;
     ek_real centre_x, centre_y; /* of the part of the map around the robot */
-    int32_t map_changed, has_keyframe, gated, tried;
+    int32_t map_changed, has_keyframe, tried;
     ek_pose odom_from_front; /* of the front end's last keyframe */
     ek_keyframes keyframes;
     ek_pose *odom_from_keyframe;
@@ -112,7 +117,9 @@ typedef struct {
     ek_wheels wheels;
     ek_doubt doubt;          /* of the step since the last keyframe */
     ek_real usual_error;     /* m: of matches with the map */
-    ek_real usual_gap;       /* m: between them and the odometry */
+    ek_real usual_gap, usual_turn; /* m, rad: between them and the odometry */
+    uint32_t compared;       /* scans with odometry before this one, as far as they are counted */
+    ek_gate gate;            /* of this scan */
     int64_t fitted_ns;       /* stamp of the last scan that fitted */
     ek_real *smoothed, *scratch;
     int32_t undecided, corrected, full, rounds;
