@@ -14,13 +14,16 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.lattice import REACH, distances_to_walls_m, find_squared_distances
+from evalkit.metrics.filters import filter_image, gaussian_weights
+from evalkit.metrics.lattice import REACH, build_wall_tree, distances_to_walls_m, find_squared_distances
 from evalkit.metrics.metric import (
     Evidence,
     MissingMap,
     PlacedScans,
     cached,
+    find_occupied,
     find_probabilities,
+    find_surprises,
     make_metrics,
     make_score,
     place_hits,
@@ -30,7 +33,6 @@ from evalkit.metrics.neighbourhoods import (
     PATCH_M,
     Neighbourhoods,
     PointCells,
-    build_kd_tree,
     compute_neighbourhoods,
     sort_into_cells,
     thin_evenly,
@@ -42,11 +44,14 @@ MIN_WALL_SHARE = 0.05
 CORNER_APART_M = 0.2
 CORNER_RESPONSE = 1.8e-5
 """In units of (occupied - free)^4. Right angles of walls 2 to 5 cells thick give 2e-5 to 1e-4, slanted walls less."""
-_WINDOW_CELLS = 1.5
+_EDGE_REACH = 4
+_WINDOW_CELLS, _WINDOW_REACH = 1.5, 6
+"""Where the Gaussians of 1 cell and of the window are cut off (cells): four standard deviations."""
+
 _BLOCK = 4096
 """Cells whose surroundings are in memory at once."""
 _RIM = 8
-"""Empty cells added around the image in which corners are detected."""
+"""Empty cells around the occupied ones, in which corners are detected, too."""
 MIN_AREA_CELLS = 4
 CLEARED = -1.0
 NOISE_M = 0.1
@@ -61,9 +66,10 @@ _NO_HALVES = "the two halves of the run have no maps"
 
 def map_entropy(grid: OccupancyGrid) -> float:
     """Return the mean entropy of the observed cells in nats: 0 if all are certain, ln 2 if nothing is known."""
-    p = find_probabilities(grid)[grid.observed]
-    p = np.clip(p, 1e-12, 1.0 - 1e-12)
-    return float(-np.mean(p * np.log(p) + (1.0 - p) * np.log(1.0 - p)))
+    more = np.minimum(np.abs(grid.log_odds.astype(np.float64)), 700.0)  # beyond, the less likely state is certainly not
+    p = find_probabilities(grid)
+    entropies = find_surprises(grid) + more * np.minimum(p, 1.0 - p)
+    return float(np.mean(entropies[grid.observed]))
 
 
 def wall_thicknesses(hits: Floats) -> tuple[Floats, float]:
@@ -90,7 +96,7 @@ def occupied_share(grid: OccupancyGrid) -> float:
     """Return the number of occupied cells divided by the number of occupied and free cells, of which there is at least
     one.
     """
-    occupied, free = np.count_nonzero(grid.occupied()), np.count_nonzero(grid.free())
+    occupied, free = np.count_nonzero(find_occupied(grid)), np.count_nonzero(grid.free())
     return float(occupied / (occupied + free))
 
 
@@ -101,20 +107,17 @@ def find_corners(grid: OccupancyGrid) -> Floats:
     Laplacian of Gaussian (1 cell) of the 0/1 image, Harris response (window 1.5 cells, k = 0.05), peaks above an
     absolute threshold, at most one within 0.2 m.
     """
-    from scipy import ndimage
-
-    occupied = grid.occupied()
+    occupied = find_occupied(grid)
     if not occupied.any():
         return np.zeros((0, 2))
     rows, columns = (np.flatnonzero(occupied.any(axis=axis)) for axis in (1, 0))
-    image = np.pad(occupied[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], _RIM).astype(np.float32)
-    edges = -ndimage.gaussian_laplace(image, 1.0)
-    x, y = (ndimage.gaussian_filter(edges, 1.0, order=order) for order in ((0, 1), (1, 0)))
+    around = _RIM + 2 * _EDGE_REACH + _WINDOW_REACH  # what the filters take off, and the rim that is left
+    image = np.pad(occupied[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], around).astype(np.float32)
+    smooth, slope, bend = (gaussian_weights(1.0, _EDGE_REACH, order) for order in range(3))
+    edges = filter_image(image, bend, smooth) + filter_image(image, smooth, bend)
+    x, y = filter_image(edges, smooth, slope), filter_image(edges, slope, smooth)
     places = _find_peaks(_compute_responses(x, y), max(int(np.ceil(CORNER_APART_M / grid.resolution_m)), 1))
-    peaks = np.zeros(image.shape, np.bool_)
-    peaks[places] = True
-    labels, count = ndimage.label(peaks, np.ones((3, 3)))
-    cluster = labels[places] - 1
+    count, cluster = _join_adjacent(places)
     sizes = np.bincount(cluster, minlength=count)
     at = np.stack([np.bincount(cluster, along, minlength=count) / sizes for along in places], axis=-1)
     cells = at[:, ::-1] - _RIM + [columns[0], rows[0]]
@@ -122,22 +125,20 @@ def find_corners(grid: OccupancyGrid) -> Floats:
 
 
 def _compute_responses(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the Harris response (H, W) of gradients (H, W), or 0 in cells where it does not exceed the threshold.
+    """Return the Harris response (H - 12, W - 12) of gradients (H, W), or 0 in cells where it does not exceed the
+    threshold.
 
     Only in the few cells where it could, the products of both gradients are smoothed.
     """
-    from scipy import ndimage
-
-    xx, yy = (ndimage.gaussian_filter(square, _WINDOW_CELLS) for square in (x * x, y * y))
-    products, traces, reach = xx * yy, 0.05 * (xx + yy) ** 2, int(4.0 * _WINDOW_CELLS + 0.5)  # the filter's reach
-    rows, columns = np.divmod(np.flatnonzero(products - traces > 0.999 * CORNER_RESPONSE), x.shape[1])
-    around = sliding_window_view(np.pad(x * y, reach, mode="symmetric"), (2 * reach + 1, 2 * reach + 1))
-    responses = np.zeros_like(x)
+    weights = gaussian_weights(_WINDOW_CELLS, _WINDOW_REACH)
+    xx, yy = (filter_image(square, weights, weights) for square in (x * x, y * y))
+    products, traces, side = xx * yy, 0.05 * (xx + yy) ** 2, len(weights)
+    rows, columns = np.divmod(np.flatnonzero(products - traces > 0.999 * CORNER_RESPONSE), xx.shape[1])
+    around = sliding_window_view(x * y, (side, side))
+    responses = np.zeros_like(xx)
     for begin in range(0, len(rows), _BLOCK):
         at = rows[begin : begin + _BLOCK], columns[begin : begin + _BLOCK]
-        xy = around[at]
-        for _ in range(2):  # along columns, then along rows; only the middle is wanted
-            xy = ndimage.gaussian_filter1d(xy, _WINDOW_CELLS, axis=1)[:, reach]
+        xy = filter_image(around[at].reshape(-1, side), weights, weights)[::side, 0]
         responses[at] = products[at] - xy * xy - traces[at]
     return responses
 
@@ -154,8 +155,26 @@ def _find_peaks(response: NDArray[np.float32], reach: int) -> tuple[Ints, Ints]:
     return rows, columns
 
 
+def _join_adjacent(places: tuple[Ints, Ints]) -> tuple[int, Ints]:
+    """Return the number of groups of cells that touch each other, and the group (K,) of each cell.
+
+    ``places``: row and column (K,), in the order of rows; groups are counted in the order of their first cells.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    cells, size = np.stack(places, axis=-1), len(places[0])
+    if not size:
+        return 0, np.zeros(0, np.int64)
+    one, other = cKDTree(cells).query_pairs(1.5, output_type="ndarray").T
+    links = coo_matrix((np.ones(len(one)), (one, other)), shape=(size, size))
+    count, groups = connected_components(links, directed=False)
+    return int(count), np.asarray(groups, np.int64)
+
+
 def _score_corners(grid: OccupancyGrid) -> Score:
-    return make_score(len(find_corners(grid)), int(np.count_nonzero(grid.occupied())))
+    return make_score(len(find_corners(grid)), int(np.count_nonzero(find_occupied(grid))))
 
 
 def find_enclosed_areas(grid: OccupancyGrid) -> Ints:
@@ -183,17 +202,16 @@ def cleared_share(hits: Floats, other: OccupancyGrid) -> tuple[float, int]:
     """
     log_odds, observed = look_up_cells(hits, other)
     count = int(np.count_nonzero(observed))
-    suspects, walls = hits[observed & (log_odds < CLEARED)], other.occupied()
+    suspects = hits[observed & (log_odds < CLEARED)]
     rows, columns, _ = other.find_cells(suspects)
-    squares, beyond = find_squared_distances(rows, columns, walls)
+    squares, beyond = find_squared_distances(rows, columns, other)
     apart, within_cell = np.sqrt(squares), _HALF_DIAGONAL + _EDGE  # of the centres of cells; of a hit from its centre
     apart[beyond] = REACH  # or more
     near = (apart + within_cell) * other.resolution_m <= NOISE_M
     near[beyond] = False
     far = (apart - within_cell) * other.resolution_m > NOISE_M
     unclear = np.flatnonzero(~near & ~far)
-    tree = build_kd_tree(other.centres(walls))
-    far[unclear] = np.isinf(tree.query(suspects[unclear], distance_upper_bound=NOISE_M)[0])
+    far[unclear] = np.isinf(build_wall_tree(other).query(suspects[unclear], distance_upper_bound=NOISE_M)[0])
     return (float(np.count_nonzero(far) / count), count) if count else (0.0, 0)
 
 
@@ -202,13 +220,13 @@ def split_distances(first: OccupancyGrid, second: OccupancyGrid) -> Floats:
 
     Only cells that the other map has observed count.
     """
-    walls = first.occupied(), second.occupied()
-    if not all(map(np.any, walls)):
+    if not all(find_occupied(grid).any() for grid in (first, second)):
         return np.zeros(0)
     distances = []
-    for (grid, own), (other, theirs) in permutations(zip((first, second), walls, strict=True)):
+    for grid, other in permutations((first, second)):
+        own = find_occupied(grid)
         shared = np.flatnonzero(own)[look_up_cells(grid.centres(own), other)[1]]
-        distances.append(distances_to_walls_m(grid, shared, other, theirs))
+        distances.append(distances_to_walls_m(grid, shared, other))
     return np.concatenate(distances)
 
 
@@ -256,7 +274,7 @@ def with_cells(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence]
 
 @cached
 def _has_cells(grid: OccupancyGrid) -> bool:
-    return bool(grid.occupied().any() and grid.free().any())
+    return bool(find_occupied(grid).any() and grid.free().any())
 
 
 def _make_thickness_score(statistic: Callable[[Floats], np.floating | float]) -> Callable[[Evidence], Score]:
@@ -322,7 +340,7 @@ def _score_split(evidence: Evidence) -> Score:
 
 
 def _count_cells(grid: OccupancyGrid) -> int:
-    return int(np.count_nonzero(grid.occupied() | grid.free()))
+    return int(np.count_nonzero(find_occupied(grid) | grid.free()))
 
 
 METRICS = make_metrics(

@@ -10,7 +10,7 @@ import numpy as np
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.metric import NO_TRUE_MAP, Evidence, MissingMap, cached, make_metrics, make_score
+from evalkit.metrics.metric import NO_TRUE_MAP, Evidence, MissingMap, cached, find_occupied, make_metrics, make_score
 
 VOXEL_M = 1.0
 MIN_CELLS = 5
@@ -121,7 +121,7 @@ def _compare_voxels(evidence: Evidence) -> tuple[Ints, Floats] | Score:
         return Score(None, reason=NO_TRUE_MAP)
     if isinstance(mapped, MissingMap):
         return Score(None, reason=f"no map: {mapped.reason}")
-    return voxel_distances(mapped.centres(mapped.occupied()), true.centres(true.occupied()))
+    return voxel_distances(mapped.centres(find_occupied(mapped)), true.centres(find_occupied(true)))
 
 
 _NO_NEIGHBOURS = "no square with walls has two neighbours with walls"

@@ -11,13 +11,17 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
+from evalkit.metrics.filters import filter_image, gaussian_weights
 from evalkit.metrics.maps import find_cells
 from evalkit.metrics.metric import find_probabilities, make_metrics, make_score, with_true_grid
 
 Cell = TypeVar("Cell", bound=np.generic)
 
-WINDOW_CELLS = 1.5
-"""Standard deviation of the Gaussian window, which is cut off 5 cells from its centre (11 x 11 cells)."""
+_WINDOW = gaussian_weights(1.5, 5)
+"""The Gaussian window, which is cut off 5 cells from its centre (11 x 11 cells)."""
+
+_ROWS = 64
+"""Rows whose similarity is computed at once, so that their means and variances stay in the cache."""
 
 LUMINANCE, CONTRAST = 0.01**2, 0.03**2
 REACH_CELLS = 3
@@ -30,10 +34,22 @@ def ssim(one: Floats, other: Floats) -> Floats:
     Wang et al., IEEE TIP 13(4), 2004, eq. 13: (2 m m' + C1)(2 s + C2) / ((m^2 + m'^2 + C1)(v + v' + C2)) with the
     means, variances and covariance under a Gaussian window of 11 x 11 cells.
     """
-    from scipy import ndimage
+    reach = len(_WINDOW) // 2
+    one, other = (np.pad(image, reach, mode="edge") for image in (one, other))
+    height, width = (size - 2 * reach for size in one.shape)
+    similarity = np.empty((height, width))
+    for begin in range(0, height, _ROWS):
+        end = min(begin + _ROWS, height)
+        rows = slice(begin, end + 2 * reach)
+        similarity[begin:end] = _ssim_inside(one[rows], other[rows])
+    return similarity
+
+
+def _ssim_inside(one: Floats, other: Floats) -> Floats:
+    """Return the structural similarity of the cells whose whole window lies in both images."""
 
     def smooth(image: Floats) -> Floats:
-        return np.asarray(ndimage.gaussian_filter(image, WINDOW_CELLS, mode="nearest", radius=5))
+        return filter_image(image, _WINDOW, _WINDOW)
 
     mean, other_mean = smooth(one), smooth(other)
     product = mean * other_mean
@@ -90,13 +106,17 @@ def find_best_shift(one: Floats, other: Floats, reach: int = REACH_CELLS) -> tup
     Among equal maxima, the shortest shift.
     """
     ours, theirs = (np.asarray(image - 0.5, dtype=np.float32) for image in (one, other))
-    shifts = sorted(np.ndindex(2 * reach + 1, 2 * reach + 1), key=lambda at: np.hypot(at[0] - reach, at[1] - reach))
-    steps = [(row - reach, column - reach) for row, column in shifts]
-    sums = [
-        float(np.einsum("ij,ij->", _crop_shifted(ours, step), _crop_shifted(theirs, (-step[0], -step[1]))))
-        for step in steps
-    ]
-    return steps[int(np.argmax(np.round(sums, 1)))]
+    theirs = np.pad(theirs, reach)
+    height, width = ours.shape
+    steps = sorted(np.ndindex(2 * reach + 1, 2 * reach + 1), key=lambda at: np.hypot(at[0] - reach, at[1] - reach))
+    sums = np.zeros(len(steps))
+    for begin in range(0, height, _ROWS):  # all shifts of these rows, while they are in the cache
+        rows = ours[begin : begin + _ROWS]
+        for index, (row, column) in enumerate(steps):
+            beside = theirs[begin + row : begin + row + len(rows), column : column + width]
+            sums[index] += np.einsum("ij,ij->", rows, beside)
+    row, column = steps[int(np.argmax(np.round(sums, 1)))]
+    return row - reach, column - reach
 
 
 def _crop_shifted(image: NDArray[Cell], step: tuple[int, int]) -> NDArray[Cell]:

@@ -9,17 +9,18 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, find_corners
+from evalkit.metrics.lattice import build_wall_tree
 from evalkit.metrics.maps import NO_TRUE_WALL
 from evalkit.metrics.metric import (
     NO_TRUE_MAP,
     Evidence,
     PlacedScans,
+    find_occupied,
     make_metrics,
     make_score,
     place_hits,
     with_true_grid,
 )
-from evalkit.metrics.neighbourhoods import build_kd_tree
 
 CUTOFF_M = 0.5
 ORDER = 1.0
@@ -53,13 +54,13 @@ def signed_offsets(mapped: PlacedScans, true: OccupancyGrid, within_m: float = B
 
     Hits without a wall within ``within_m`` are omitted.
     """
-    walls, thin = true.centres(true.occupied()), max(sum(int(scan.hits.sum()) for scan, _ in mapped) // MAX_HITS, 1)
+    walls, thin = true.centres(find_occupied(true)), max(sum(int(scan.hits.sum()) for scan, _ in mapped) // MAX_HITS, 1)
     if not len(walls) or not mapped:
         return np.zeros(0)
     scans = [place_hits(placed)[::thin] for placed in mapped]
     points = np.concatenate(scans)
     sensors = np.repeat([world_from_sensor[:2] for _, world_from_sensor in mapped], list(map(len, scans)), axis=0)
-    apart, nearest = map(np.asarray, build_kd_tree(walls).query(points, distance_upper_bound=within_m))
+    apart, nearest = map(np.asarray, build_wall_tree(true).query(points, distance_upper_bound=within_m))
     near = np.isfinite(apart)
     from_wall, beams = points[near] - walls[nearest[near]], points[near] - sensors[near]
     return np.asarray(np.copysign(apart[near], np.sum(from_wall * beams, axis=1)))
@@ -74,7 +75,7 @@ def _score_corners(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
 
 def _score_offset(evidence: Evidence) -> Score:
     true = evidence.truth.grid
-    if true is None or not true.occupied().any():
+    if true is None or not find_occupied(true).any():
         return Score(None, reason=NO_TRUE_MAP if true is None else NO_TRUE_WALL)
     if not any(scan.hits.any() for scan, _ in evidence.mapped):
         return Score(None, reason=NO_HIT)

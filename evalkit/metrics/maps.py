@@ -19,6 +19,7 @@ from evalkit.metrics.metric import (
     Evidence,
     MissingMap,
     cached,
+    find_occupied,
     make_metrics,
     make_score,
     with_true_grid,
@@ -57,10 +58,10 @@ def compare_walls(mapped: OccupancyGrid, true: OccupancyGrid) -> WallDistances:
 
     The grids may differ in origin and resolution.
     """
-    ours, theirs = mapped.occupied(), true.occupied()
+    ours, theirs = find_occupied(mapped), find_occupied(true)
     coarser = max(true, mapped, key=lambda grid: grid.resolution_m)
-    to_true = distances_to_walls_m(mapped, np.flatnonzero(ours), true, theirs)
-    to_mapped = distances_to_walls_m(true, np.flatnonzero(theirs), mapped, ours)
+    to_true = distances_to_walls_m(mapped, np.flatnonzero(ours), true)
+    to_mapped = distances_to_walls_m(true, np.flatnonzero(theirs), mapped)
     return WallDistances(mapped.centres(ours), true.centres(theirs), to_true, to_mapped, coarser)
 
 
@@ -142,11 +143,11 @@ _WITHOUT_WALL = Score(None, reason=NO_WALL)
 def _compare_walls(evidence: Evidence) -> WallDistances | Score:
     """Return the distances between the walls of both maps, or a score without value if they are missing."""
     true, mapped = evidence.truth.grid, evidence.grid
-    if true is None or not true.occupied().any():
+    if true is None or not find_occupied(true).any():
         return Score(None, reason=NO_TRUE_MAP if true is None else NO_TRUE_WALL)
     if isinstance(mapped, MissingMap):
         return Score(None, reason=f"no map: {mapped.reason}")
-    return compare_walls(mapped, true) if mapped.occupied().any() else _WITHOUT_WALL
+    return compare_walls(mapped, true) if find_occupied(mapped).any() else _WITHOUT_WALL
 
 
 _NO_INLIER = f"no wall of the map is within {INLIER_M:g} m of a true wall"

@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from evalkit.core import se2
+from evalkit.core.arrays import Bools
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.known_map import KnownMap
@@ -177,11 +178,31 @@ def cached(compute: Callable[[Given], Computed]) -> Callable[[Given], Computed]:
 
 
 @cached
+def find_occupied(grid: OccupancyGrid) -> Bools:
+    """Return the occupied cells (H, W) of a map, read-only, computed once for all metrics."""
+    occupied = grid.occupied()
+    occupied.flags.writeable = False
+    return occupied
+
+
+@cached
 def find_probabilities(grid: OccupancyGrid) -> Floats:
     """Return the probability of occupancy (H, W) of a map, read-only, computed once for all metrics."""
     probabilities = grid.probability()
     probabilities.flags.writeable = False
     return probabilities
+
+
+@cached
+def find_surprises(grid: OccupancyGrid) -> Floats:
+    """Return -ln p of the likelier state of each cell (H, W) of a map (nat), read-only, computed once for all metrics.
+
+    The other state has |log-odds| more.
+    """
+    p = find_probabilities(grid)
+    surprises = -np.log(np.maximum(p, 1.0 - p))
+    surprises.flags.writeable = False
+    return surprises
 
 
 def place_hits(placed: PlacedScan) -> Floats:

@@ -8,7 +8,7 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.metrics.consistency import wall_thicknesses, with_cells
-from evalkit.metrics.metric import make_metrics, make_score, with_true_grid
+from evalkit.metrics.metric import find_occupied, find_surprises, make_metrics, make_score, with_true_grid
 
 _EDGE = 1e-6  # cells: a centre at this distance from an edge counts as on the edge
 
@@ -22,7 +22,7 @@ def find_true_states(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[Bools,
     """
     if true.resolution_m > mapped.resolution_m * (1.0 + _EDGE):
         raise ValueError(f"true: its cells of {true.resolution_m} m are coarser than the map's {mapped.resolution_m} m")
-    occupied = _find_touched(mapped, true, true.occupied())
+    occupied = _find_touched(mapped, true, find_occupied(true))
     return occupied, _find_touched(mapped, true, true.free()) & ~occupied
 
 
@@ -37,9 +37,8 @@ def log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
     known = mapped.observed & (occupied | free)
     if not known.any():
         return float("nan"), 0
-    log_odds = mapped.log_odds[known].astype(np.float64)
-    signed = np.where(occupied[known], -log_odds, log_odds)
-    return float(np.logaddexp(0.0, signed).mean()), int(np.count_nonzero(known))
+    wrong = np.maximum(np.where(occupied, -mapped.log_odds, mapped.log_odds), 0.0)  # more for the less likely state
+    return float(np.mean((find_surprises(mapped) + wrong)[known])), int(np.count_nonzero(known))
 
 
 def wall_width_m(mapped: OccupancyGrid, threshold: float = 0.65) -> float:
@@ -101,7 +100,7 @@ def _score_log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
 
 
 def _score_wall_width(grid: OccupancyGrid) -> Score:
-    width, cells = wall_width_m(grid), int(np.count_nonzero(grid.occupied()))
+    width, cells = wall_width_m(grid), int(np.count_nonzero(find_occupied(grid)))
     return make_score(width, cells, _NO_LINE)
 
 

@@ -207,14 +207,14 @@ def test_only_observed_cells_of_the_other_map_below_minus_one_are_free_space() -
 def test_responses_above_the_threshold_equal_those_with_all_products_smoothed() -> None:
     rng = np.random.default_rng(0)
     x, y = (ndimage.gaussian_filter(rng.normal(0.0, 0.3, (90, 110)), 1.0).astype(np.float32) for _ in range(2))
-    xx, xy, yy = (ndimage.gaussian_filter(product, 1.5) for product in (x * x, x * y, y * y))
+    xx, xy, yy = (ndimage.gaussian_filter(product, 1.5)[6:-6, 6:-6] for product in (x * x, x * y, y * y))
     expected = xx * yy - xy * xy - 0.05 * (xx + yy) ** 2
     above = expected > consistency.CORNER_RESPONSE
     found = consistency._compute_responses(x, y)
     assert all(border.any() for border in (above[0], above[-1], above[:, 0], above[:, -1]))
     assert 4096 < np.count_nonzero(above) < above.size  # more than one block
-    np.testing.assert_allclose(found[above], expected[above], rtol=1e-6)
-    assert (found[~above] <= consistency.CORNER_RESPONSE * 1.000001).all()
+    np.testing.assert_allclose(found[above], expected[above], rtol=1e-5)  # sums in single precision
+    assert (found[~above] <= consistency.CORNER_RESPONSE * 1.00001).all()
 
 
 @pytest.mark.parametrize(("resolution_m", "walls"), [(0.004, 3), (0.03, 100), (0.05, 100), (0.3, 600)])

@@ -10,8 +10,9 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.metrics.lattice import REACH, distances_to_walls_m, find_squared_distances
 
 
-def make_grid(shape: tuple[int, int], resolution_m: float, origin_x: float, origin_y: float) -> OccupancyGrid:
-    return OccupancyGrid(np.zeros(shape, np.float32), np.ones(shape, np.bool_), resolution_m, origin_x, origin_y)
+def make_grid(walls: Bools, resolution_m: float, origin_x: float, origin_y: float) -> OccupancyGrid:
+    log_odds = np.where(walls, np.float32(3.0), np.float32(-3.0))
+    return OccupancyGrid(log_odds, np.ones_like(walls), resolution_m, origin_x, origin_y)
 
 
 def pick(shape: tuple[int, int], share: float, seed: int) -> Bools:
@@ -27,12 +28,12 @@ def pick(shape: tuple[int, int], share: float, seed: int) -> Bools:
     ],
 )  # fmt: skip
 def test_distances_equal_brute_force(share: float, resolution_m: float, x: float, y: float) -> None:
-    grid, other = make_grid((70, 90), resolution_m, x, y), make_grid((64, 101), 0.05, 0.0, 0.0)
-    own, walls = pick(grid.shape, 0.05, 0), pick(other.shape, share, 1)
+    own, walls = pick((70, 90), 0.05, 0), pick((64, 101), share, 1)
     walls[0, 0] = True
+    grid, other = make_grid(own, resolution_m, x, y), make_grid(walls, 0.05, 0.0, 0.0)
     offsets = grid.centres(own)[:, None] - other.centres(walls)[None]
     expected = np.sqrt(np.sum(offsets**2, axis=-1)).min(axis=1)
-    assert distances_to_walls_m(grid, np.flatnonzero(own), other, walls) == pytest.approx(expected, abs=1e-12)
+    assert distances_to_walls_m(grid, np.flatnonzero(own), other) == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("size", [1, 41])  # the place is outside, inside
@@ -41,6 +42,6 @@ def test_a_wall_is_found_up_to_fifteen_cells_away_in_any_direction(row: int, col
     marked = np.zeros((size, size), np.bool_)
     marked[size // 2, size // 2] = True
     rows, columns = size // 2 + np.array([row, 2 * row]), size // 2 + np.array([column, 2 * column])
-    squares, far = find_squared_distances(rows, columns, marked)
+    squares, far = find_squared_distances(rows, columns, make_grid(marked, 0.05, 0.0, 0.0))
     assert squares[0] == REACH**2
     assert far.tolist() == [1]
