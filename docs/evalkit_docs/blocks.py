@@ -13,7 +13,7 @@ CONSOLE = "console"
 
 
 @dataclass(frozen=True)
-class Block:
+class CodeBlock:
     """A block of code.
 
     ``title``: the name of the file to save it as, or "". ``long``: it takes many seconds (marked ``<!-- long -->``).
@@ -25,9 +25,9 @@ class Block:
     long: bool
 
 
-def find_blocks(page: str) -> list[Block]:
+def find_blocks(page: str) -> list[CodeBlock]:
     """Return the fenced blocks of a Markdown page, in order."""
-    return [Block(match[3], match[4] or "", match[5], match[1] is not None) for match in FENCE.finditer(page)]
+    return [CodeBlock(match[3], match[4] or "", match[5], match[1] is not None) for match in FENCE.finditer(page)]
 
 
 def find_commands(console: str) -> Iterator[tuple[str, str]]:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from evalkit.config.limits import Limits
 from evalkit.plugins.parameters import ALIGN_TRUTH, EXCERPT, MAP, MAP_START, NUISANCE
 
-Kind = Literal["experiment", "study", "tuning"]
+FileKind = Literal["experiment", "study", "tuning"]
 Type = Literal["text", "texts", "flag", "whole", "wholes", "number", "positive", "table", "tables", "any"]
 """``wholes``: a list of whole numbers from 0. ``positive``: a number above 0. ``table``, ``tables``: [KEY], [[KEY]]."""
 
@@ -172,4 +172,4 @@ TUNING = Form("TuningFile", "A tuning with equal budgets (``evalkit tune FILE``)
     "held-out": Key("tables", required=True, form=SEQUENCE),
 })  # fmt: skip
 
-FORMS: Mapping[Kind, Form] = {"experiment": EXPERIMENT, "study": STUDY, "tuning": TUNING}
+FORMS: Mapping[FileKind, Form] = {"experiment": EXPERIMENT, "study": STUDY, "tuning": TUNING}

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
-from evalkit.config.forms import FORMS, MAX_WHOLES, Form, Key, Kind, Type
+from evalkit.config.forms import FORMS, MAX_WHOLES, FileKind, Form, Key, Type
 from evalkit.config.toml_tables import flatten
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, NotInstalled, UnknownName, brief
 from evalkit.odometry import frontend
@@ -75,7 +75,7 @@ _BASES: Mapping[str, type[BaseModel]] = {
 
 
 @cache
-def make_model(kind: Kind) -> type[BaseModel]:
+def make_model(kind: FileKind) -> type[BaseModel]:
     """Return the model of a kind of file."""
     return _make_model(FORMS[kind], {})
 
@@ -112,7 +112,7 @@ def _make_field(name: str, key: Key, made: dict[str, type[BaseModel]]) -> tuple[
     return kinds[key.type], Field(default, description=key.meaning or None, alias=alias)
 
 
-def add_further_mistakes(first: BadExperiment, content: Mapping[str, Any], kind: Kind) -> BadExperiment:
+def add_further_mistakes(first: BadExperiment, content: Mapping[str, Any], kind: FileKind) -> BadExperiment:
     """Return the first mistake of a file with all others behind it, each with its place."""
     file, place, what = first.args
     text = what
@@ -129,7 +129,7 @@ def add_further_mistakes(first: BadExperiment, content: Mapping[str, Any], kind:
     return BadExperiment(file, place, text)
 
 
-def find_mistakes(content: Mapping[str, Any], kind: Kind) -> Iterator[tuple[str, str]]:
+def find_mistakes(content: Mapping[str, Any], kind: FileKind) -> Iterator[tuple[str, str]]:
     """Yield the place of every mistake of a file's content, such as "method 2", and the mistake with its place."""
     try:
         make_model(kind).model_validate(content)
@@ -142,7 +142,7 @@ def find_mistakes(content: Mapping[str, Any], kind: Kind) -> Iterator[tuple[str,
             yield place, f"{place}: {what}" if place else what
 
 
-def _describe(kind: Kind, error: dict[str, Any]) -> tuple[str, str]:
+def _describe(kind: FileKind, error: dict[str, Any]) -> tuple[str, str]:
     """Return the table and what is wrong in it."""
     path = list(error["loc"])
     key = "" if error["type"] == "value_error" else str(path.pop())
@@ -157,7 +157,7 @@ def _describe(kind: Kind, error: dict[str, Any]) -> tuple[str, str]:
     return place, f"'{key}': found {brief(error['input'])}, {error['msg'][:1].lower()}{error['msg'][1:]}"
 
 
-def _find_form(kind: Kind, path: list[Any]) -> Form:
+def _find_form(kind: FileKind, path: list[Any]) -> Form:
     """Return the form of the table at a place of a file."""
     form = FORMS[kind]
     for part in path:
@@ -187,7 +187,7 @@ def _load(find: Any, name: str) -> Any:
         raise ValueError(str(error)) from None
 
 
-def make_schema(kind: Kind) -> dict[str, Any]:
+def make_schema(kind: FileKind) -> dict[str, Any]:
     """Return the JSON Schema of a kind of file, with the names and parameters of the installed plug-ins."""
     schema = make_model(kind).model_json_schema(by_alias=True)
     tables: Mapping[str, tuple[Any, Any]] = {

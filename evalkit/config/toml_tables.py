@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from evalkit.config.forms import MAX_WHOLES, OPEN, Form, Key, Kind
+from evalkit.config.forms import MAX_WHOLES, OPEN, FileKind, Form, Key
 from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
 
 T = TypeVar("T")
 
 
 @contextmanager
-def all_mistakes(content: Mapping[str, Any], kind: Kind) -> Iterator[None]:
+def all_mistakes(content: Mapping[str, Any], kind: FileKind) -> Iterator[None]:
     """Add to the first mistake of a file, raised within the block, all others, each with its place."""
     try:
         yield

@@ -49,5 +49,5 @@ class Pose:
         return se2.transform(self.row, points)
 
     @property
-    def _motion(self) -> se2.Motion:
+    def _motion(self) -> se2.PoseValues:
         return float(self.x), float(self.y), self.theta

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-Motion = tuple[float, float, float]
+PoseValues = tuple[float, float, float]
 """x [m], y [m], theta [rad] of one motion: arrays cost ten times as much for a single one."""
 
 
@@ -27,14 +27,14 @@ def wrap_angle(theta: float) -> float:
     return (float(theta) + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def compose_one(a_from_b: Motion, b_from_c: Motion) -> Motion:
+def compose_one(a_from_b: PoseValues, b_from_c: PoseValues) -> PoseValues:
     """Return what ``compose`` returns for one motion, to the bit."""
     (ax, ay, a), (bx, by, b) = a_from_b, b_from_c
     cos, sin = float(np.cos(a)), float(np.sin(a))  # their last bits may differ from those of math
     return ax + cos * bx - sin * by, ay + sin * bx + cos * by, wrap_angle(a + b)
 
 
-def invert_one(a_from_b: Motion) -> Motion:
+def invert_one(a_from_b: PoseValues) -> PoseValues:
     """Return what ``inverse`` returns for one motion, to the bit."""
     x, y, theta = a_from_b
     cos, sin = float(np.cos(theta)), float(np.sin(theta))

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeVar
 
-Answer = TypeVar("Answer")
+Returned = TypeVar("Returned")
 Clock = Literal["wall", "cpu"]
 
 
@@ -89,7 +89,7 @@ class Stopwatch:
         self.cpu_ns += time.process_time_ns() - self._start_ns
 
 
-def timed(call: Callable[[], Answer]) -> tuple[Answer, CallTiming]:
+def timed(call: Callable[[], Returned]) -> tuple[Returned, CallTiming]:
     """Call a function and measure it; return its answer and the time. Nothing else runs between the two readings."""
     wall, cpu = time.perf_counter_ns(), time.process_time_ns()
     answer = call()

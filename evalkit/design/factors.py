@@ -15,7 +15,7 @@ from evalkit.design.designs import DesignAxis
 from evalkit.plugins.parameters import Value
 
 Scale = Literal["linear", "log"]
-Settings = Mapping[str, Value]
+FactorSettings = Mapping[str, Value]
 """Values by their full names: "method.epsilon", "sequence.speed_mps", "mapper.resolution_m"."""
 
 GROUPS = ("method", "sequence", "mapper")
@@ -26,7 +26,7 @@ class FactorLevel:
     """One level: its label, the settings it gives, and its number if the factor is ordered (None if not)."""
 
     label: str
-    sets: Settings
+    sets: FactorSettings
     number: float | None = None
 
 
@@ -86,7 +86,7 @@ class Factor:
         return low + (place - known[low]) / (known[low + 1] - known[low])
 
 
-def read_factor(table: TomlTable, base: Settings) -> Factor:
+def read_factor(table: TomlTable, base: FactorSettings) -> Factor:
     """The factor of a table: ``sets = NAME`` (or names) with a list of levels, or ``levels.LABEL = { NAME = VALUE }``.
 
     Its default is the level that agrees with ``base``. Raises BadExperiment with the key that is wrong.

@@ -34,7 +34,7 @@ FOLDER = ".frames"
 
 SUFFIX = ".frames"
 
-Parameters = tuple[tuple[str, Value], ...]
+ParameterItems = tuple[tuple[str, Value], ...]
 
 
 @dataclass
@@ -106,7 +106,7 @@ class SharedFrames:
 
 
 def write_frames_file(
-    folder: Path, path: Path, dataset: str, parameters: Parameters, core: int | None, limit_s: float
+    folder: Path, path: Path, dataset: str, parameters: ParameterItems, core: int | None, limit_s: float
 ) -> FramesFile | None:
     """Write the frames of a sequence to a file below a results folder, on a core; None where that is not possible.
 
@@ -125,7 +125,7 @@ def write_frames_file(
 
 
 @lru_cache(maxsize=1)
-def open_kept(folder: Path, dataset: str, parameters: Parameters) -> KeptSequence:
+def open_kept(folder: Path, dataset: str, parameters: ParameterItems) -> KeptSequence:
     """The data of a run, kept for the next one: successive runs are of different methods on the same data.
 
     ``folder``: of the results; another experiment reads the data again, which may have changed in between.
@@ -135,7 +135,7 @@ def open_kept(folder: Path, dataset: str, parameters: Parameters) -> KeptSequenc
 
 
 @lru_cache(maxsize=1)
-def _open_unperturbed(_folder: Path, dataset: str, parameters: Parameters) -> Sequence:
+def _open_unperturbed(_folder: Path, dataset: str, parameters: ParameterItems) -> Sequence:
     """The data of all perturbed repetitions."""
     return registry.dataset(dataset).make(**dict(parameters))
 

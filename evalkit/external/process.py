@@ -20,7 +20,7 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
-from evalkit.core.timing import Answer, Cost, Stopwatch
+from evalkit.core.timing import Cost, Returned, Stopwatch
 from evalkit.core.trajectory import Trajectory
 from evalkit.external import elf
 from evalkit.external.declaration import (
@@ -181,8 +181,8 @@ class ProgramSession:
         self.program.ask({"ask": "create", "parameters": dict(parameters)})
 
     def ask(
-        self, question: dict[str, Any], parse: Callable[[dict[str, Any]], Answer], conversion: Stopwatch
-    ) -> tuple[Answer, Cost]:
+        self, question: dict[str, Any], parse: Callable[[dict[str, Any]], Returned], conversion: Stopwatch
+    ) -> tuple[Returned, Cost]:
         """Send a question; return the parsed answer and its cost. For work on a device, CPU time is withheld."""
         with conversion:
             line = self.program.encode_line(question)

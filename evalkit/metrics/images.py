@@ -15,7 +15,7 @@ from evalkit.metrics.filters import filter_image, gaussian_weights
 from evalkit.metrics.maps import find_cells
 from evalkit.metrics.metric import find_probabilities, make_metrics, make_score, with_true_grid
 
-Cell = TypeVar("Cell", bound=np.generic)
+Element = TypeVar("Element", bound=np.generic)
 
 _WINDOW = gaussian_weights(1.5, 5)
 """The Gaussian window, which is cut off 5 cells from its centre (11 x 11 cells)."""
@@ -119,7 +119,7 @@ def find_best_shift(one: Floats, other: Floats, reach: int = REACH_CELLS) -> tup
     return row - reach, column - reach
 
 
-def _crop_shifted(image: NDArray[Cell], step: tuple[int, int]) -> NDArray[Cell]:
+def _crop_shifted(image: NDArray[Element], step: tuple[int, int]) -> NDArray[Element]:
     """Return the part of an image, shifted by ``step``, that overlaps the image that is not shifted."""
     rows, columns = (slice(max(-by, 0), max(size - max(by, 0), 0)) for by, size in zip(step, image.shape, strict=True))
     return image[rows, columns]

@@ -17,7 +17,7 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.metric import Evidence, make_metrics, make_score
 from evalkit.metrics.trajectory import can_interpolate
 
-Part = Literal["short", "long", "all"]
+RelationPart = Literal["short", "long", "all"]
 
 MAX_GAP_S = 2.0
 """The estimate is interpolated at the stamps of a relation between poses at most this far apart."""
@@ -69,7 +69,7 @@ def compute_estimated_motions(
     return se2.between(world_from_first, estimate.at(relations.second_ns[covered])), covered
 
 
-def select_part(relations: Relations, part: Part) -> Bools:
+def select_part(relations: Relations, part: RelationPart) -> Bools:
     """Return which relations (M,) span less than 10 s ("short"), 10 s or more ("long"), or any time ("all")."""
     short = np.abs(relations.second_ns - relations.first_ns) < SHORT_S * 1e9
     return np.asarray({"short": short, "long": ~short, "all": np.ones_like(short)}[part])
@@ -88,7 +88,7 @@ def _compute_norms(errors: Errors) -> Errors:
 
 
 def _score_with(
-    part: Part,
+    part: RelationPart,
     column: int,
     statistic: Callable[[Floats], np.floating],
     form: Errors = symmetric_errors,
@@ -120,7 +120,7 @@ def _score_covered(evidence: Evidence) -> Score:
 
 _NO_RELATIONS = "no measured relations"
 
-_PARTS: tuple[Part, ...] = ("all", "short", "long")
+_PARTS: tuple[RelationPart, ...] = ("all", "short", "long")
 _STATISTICS: dict[str, Callable[[Floats], np.floating]] = {"mean": np.mean, "sd": np.std}
 _UNITS = ("m", "deg")
 _FORMS: dict[str, Errors] = {"kuemmerle": componentwise_errors, "cartographer": cartographer_errors}

@@ -76,7 +76,7 @@ def _segment_errors(run: ScoredRun) -> Series | None:
     return Series(keys[order], percent[order], "mean", max(span_s / len(rows), 1e-3))
 
 
-def _relation_errors(part: relations.Part) -> Callable[[ScoredRun], Series | None]:
+def _relation_errors(part: relations.RelationPart) -> Callable[[ScoredRun], Series | None]:
     """Return a function for the translation errors of measured motions, by the first of their two times."""
 
     def series(run: ScoredRun) -> Series | None:

@@ -114,7 +114,7 @@ def _measure_fits(
         yield one, _fit(target, source, one.own), _fit(target, source, one.reference)
 
 
-Window = tuple[int, int]
+IndexWindow = tuple[int, int]
 """Indices of its first and last scan."""
 
 
@@ -171,7 +171,7 @@ def _make_tracks(estimate: Trajectory, reference: Trajectory) -> _Tracks:
     return _Tracks(stamps, estimate.poses[known], reference.at(stamps))
 
 
-def _find_windows(tracks: _Tracks) -> Iterator[Window]:
+def _find_windows(tracks: _Tracks) -> Iterator[IndexWindow]:
     """Yield wrong windows in the order of time, without overlap, each cut at the first scan where it is wrong.
 
     Where the last step alone is wrong, the window is that step.
@@ -189,7 +189,7 @@ def _find_windows(tracks: _Tracks) -> Iterator[Window]:
             yield free_from - 1 if tracks.are_wrong(*step)[0] else start, free_from
 
 
-def _find_long_windows(tracks: _Tracks) -> Iterator[Window]:
+def _find_long_windows(tracks: _Tracks) -> Iterator[IndexWindow]:
     """Yield the windows from the start of a part of the track whose error exceeds its share of the path."""
     first = np.searchsorted(tracks.part, tracks.part)
     last = np.arange(len(tracks.part))

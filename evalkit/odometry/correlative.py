@@ -21,7 +21,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 from evalkit.odometry.local_map import voxel_means
 
-Scores: TypeAlias = NDArray[np.uint8]
+CellScores: TypeAlias = NDArray[np.uint8]
 Cells: TypeAlias = NDArray[np.int32]
 Prior: TypeAlias = Callable[[Floats, Floats, Floats], Floats]
 """Factor within [0, 1] of the score for offsets dx, dy (m) and dtheta (rad) from the window's centre, arrays (K,).
@@ -48,7 +48,7 @@ class ScoreGrid:
     same shape, with a border of zeros. ``(origin_x, origin_y)`` is the lower left corner of cell (0, 0) (m).
     """
 
-    levels: tuple[Scores, ...]
+    levels: tuple[CellScores, ...]
     cell_m: float
     origin_x: float
     origin_y: float
@@ -279,7 +279,7 @@ def _no_prior(x: Floats, y: Floats, theta: Floats) -> Floats:  # noqa: ARG001 - 
     return np.ones(len(x))
 
 
-def _smear(means: Floats, shape: tuple[int, int], sigma: float, kernel: int) -> Scores:
+def _smear(means: Floats, shape: tuple[int, int], sigma: float, kernel: int) -> CellScores:
     """Return the scores of a grid from one mean (N, 2) per occupied cell; lengths in cells."""
     scores = np.zeros(shape, dtype=np.uint8)
     flat, cells = scores.ravel(), np.floor(means).astype(np.int64)
@@ -295,7 +295,7 @@ def _smear(means: Floats, shape: tuple[int, int], sigma: float, kernel: int) -> 
     return scores
 
 
-def _maximum_of_four(level: Scores, step: int) -> Scores:
+def _maximum_of_four(level: CellScores, step: int) -> CellScores:
     """Return the maxima of each cell and those ``step`` cells higher in x, in y and in both."""
     wide = level.copy()
     np.maximum(wide[:, :-step], level[:, step:], out=wide[:, :-step])

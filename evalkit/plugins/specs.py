@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 GUESS_NOT_REPORTED = "not reported"
 NOT_STATED = "not stated"
 
-Kind = Literal["registration", "odometry", "slam", "map"]
+BackendKind = Literal["registration", "odometry", "slam", "map"]
 
 Role = Literal["", "reference", "baseline", "peer"]
 """Role of a back end in a comparison.
@@ -70,7 +70,7 @@ class BackendSpec:
     default: bool = False
     reference: str = ""
 
-    kind: ClassVar[Kind]
+    kind: ClassVar[BackendKind]
     recorded: ClassVar[bool] = False
     """True where the answers were computed elsewhere, so that only the scans of that recording have one."""
 
@@ -88,7 +88,7 @@ class RegistrationSpec(BackendSpec):
     frontend: Mapping[str, Value] = field(default_factory=dict)
     scan_to_scan: Mapping[str, Value] = field(default_factory=dict)
 
-    kind: ClassVar[Kind] = "registration"
+    kind: ClassVar[BackendKind] = "registration"
 
     def first_stage_parameters(self) -> tuple[Parameter, ...]:
         """Return the parameters ``s2s.NAME`` with different defaults in the scan-to-scan stage."""
@@ -111,7 +111,7 @@ class OdometrySpec(BackendSpec):
 
     make: Callable[..., Odometry]
 
-    kind: ClassVar[Kind] = "odometry"
+    kind: ClassVar[BackendKind] = "odometry"
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class SlamSpec(OdometrySpec):
 
     make: Callable[..., Slam]
 
-    kind: ClassVar[Kind] = "slam"
+    kind: ClassVar[BackendKind] = "slam"
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class MapSpec(BackendSpec):
 
     make: Callable[..., OccupancyGrid]
 
-    kind: ClassVar[Kind] = "map"
+    kind: ClassVar[BackendKind] = "map"
     recorded: ClassVar[bool] = True
 
 

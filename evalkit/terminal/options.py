@@ -108,7 +108,7 @@ Backends = Annotated[
         show_default="all", autocompletion=complete("backends"),
     ),
 ]  # fmt: skip
-Settings = Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE of every back end (repeatable).")]
+BackendSettings = Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE of every back end (repeatable).")]
 On = Annotated[
     list[str] | None,
     typer.Option(
@@ -147,7 +147,7 @@ Engine = Annotated[
         autocompletion=lambda: list(ENGINES),
     ),
 ]  # fmt: skip
-Scheduler = Annotated[
+SchedulerAddress = Annotated[
     str,
     typer.Option(
         help="A Dask scheduler, tls://HOST:PORT.", show_default="a new cluster on this machine",

@@ -268,7 +268,7 @@ def _drift_figures(settings: Settings, ladders: Sequence[Ladder]) -> list[Block]
 
 def _figure(
     shown: Sequence[Ladder], path: tuple[str, ...], label: str, title: str, alone: float | None = None,
-    scale: charts.Scale = "log",
+    scale: charts.AxisKind = "log",
 ) -> Figure:  # fmt: skip
     curves = []
     for ladder in shown:

@@ -53,12 +53,12 @@ class HasRanges(Protocol):
         ...
 
 
-Scan = TypeVar("Scan", bound=HasRanges)
+AnyScan = TypeVar("AnyScan", bound=HasRanges)
 
 
-def sort_by_rank(ranked_scans: Iterable[tuple[int, Scan]], max_ahead: int = MAX_AHEAD) -> Iterator[Scan]:
+def sort_by_rank(ranked_scans: Iterable[tuple[int, AnyScan]], max_ahead: int = MAX_AHEAD) -> Iterator[AnyScan]:
     """Yield scans in the order of their ranks 0, 1, 2, ..., given in any order; stops before a missing rank."""
-    early: dict[int, Scan] = {}
+    early: dict[int, AnyScan] = {}
     on_disk = _RangesOnDisk()
     next_rank = 0
     for rank, scan in ranked_scans:
@@ -80,14 +80,14 @@ class _RangesOnDisk:
         self._file: Any = None
         self._places: dict[int, tuple[int, int]] = {}
 
-    def store(self, rank: int, scan: Scan) -> Scan:
+    def store(self, rank: int, scan: AnyScan) -> AnyScan:
         """Write the ranges of a scan to the file and return the scan without them."""
         self._file = self._file or tempfile.TemporaryFile()  # noqa: SIM115 - closed after the last scan
         self._places[rank] = self._file.seek(0, 2), len(scan.ranges)
         self._file.write(scan.ranges.tobytes())
         return _with_ranges(scan, _NO_RANGES)
 
-    def restore(self, rank: int, scan: Scan) -> Scan:
+    def restore(self, rank: int, scan: AnyScan) -> AnyScan:
         """Return the scan with its ranges; a scan that was not stored is returned as it is."""
         if rank not in self._places:
             return scan
@@ -101,5 +101,5 @@ class _RangesOnDisk:
             self._file.close()
 
 
-def _with_ranges(scan: Scan, ranges: Floats) -> Scan:
+def _with_ranges(scan: AnyScan, ranges: Floats) -> AnyScan:
     return replace(scan, ranges=ranges)  # type: ignore[type-var]  # every HasRanges is a dataclass

@@ -27,7 +27,7 @@ STEP_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5}
 MAX_LINES_BEFORE = 2000
 """Lines of a log among which the first scan or pose is looked for: parameters and comments come before."""
 
-Row = tuple[float, float, float]
+PoseRow = tuple[float, float, float]
 
 Layout = tuple[float, float]
 """Angle of the first beam of a FLASER line and step between beams, in deg; step 0: by the number of beams."""
@@ -40,8 +40,8 @@ class Reading:
     stamp_ns: int
     ranges: Floats
     angles: Floats
-    laser: Row
-    robot: Row
+    laser: PoseRow
+    robot: PoseRow
 
 
 @dataclass(eq=False)
@@ -229,7 +229,7 @@ def _parse_floats(words: list[bytes]) -> Floats:
     return np.fromiter(map(float, words), np.float64, len(words))
 
 
-def _parse_row(words: list[bytes]) -> Row:
+def _parse_row(words: list[bytes]) -> PoseRow:
     x, y, theta = (float(word) for word in words)
     if not math.isfinite(x + y + theta):
         raise ValueError("the pose is not finite")

@@ -148,7 +148,7 @@ def layout_from_table(owner: str, table: Mapping[str, Any]) -> ColumnsLayout:
     return _make(owner, "", ColumnsLayout, parts)
 
 
-Part = TypeVar("Part")
+LayoutPart = TypeVar("LayoutPart")
 
 _RANGES: Mapping[str, tuple[float, float]] = {
     **dict.fromkeys(("column", "first", "x", "y", "heading", "left", "right"), (1, MAX_COLUMNS)),
@@ -164,7 +164,7 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 """Limits of the numbers, by key."""
 
 
-def _make(owner: str, place: str, kind: type[Part], values: object) -> Part:
+def _make(owner: str, place: str, kind: type[LayoutPart], values: object) -> LayoutPart:
     """Return a dataclass of the values of a table, all of them checked."""
     if not isinstance(values, Mapping):
         raise BadData(owner, place, f"{brief(values)} is not a table", f"give {EXPECTED}")

@@ -23,7 +23,7 @@ OFFLINE = "EVALKIT_OFFLINE"
 ANSWER_S = 5.0
 """A server that does not answer within this time is not waited for."""
 
-Progress = Callable[[int, int], None]
+ReportProgress = Callable[[int, int], None]
 """Called with the bytes received and the total (0: unknown)."""
 
 
@@ -31,7 +31,7 @@ def _ignore_progress(_received: int, _total: int) -> None:
     return None
 
 
-def fetch(name: str, progress: Progress = _ignore_progress) -> Path:
+def fetch(name: str, progress: ReportProgress = _ignore_progress) -> Path:
     """Return the path of the verified file, downloaded or built into the cache unless it is on this machine already.
 
     Raises DataMissing if it has no public URL or the connection fails (the received part is kept for the next call),
@@ -84,7 +84,7 @@ def list_downloads(names: Iterable[str]) -> list[CatalogFile]:
     return list(found.values())
 
 
-def _build(card: CatalogFile, target: Path, progress: Progress) -> Path:
+def _build(card: CatalogFile, target: Path, progress: ReportProgress) -> Path:
     """Build a file from its sources, fetched first; raises BadData if the result is not the catalogued file."""
     from evalkit_datasets.recordings.building.builders import iter_built  # noqa: PLC0415 - used for building only
 
@@ -129,7 +129,7 @@ def _verify_or_delete(card: CatalogFile, part: Path) -> None:
         ) from None
 
 
-def _download(card: CatalogFile, part: Path, progress: Progress) -> None:
+def _download(card: CatalogFile, part: Path, progress: ReportProgress) -> None:
     """Complete the partial file; a server without range requests sends the whole file again."""
     received = part.stat().st_size if part.is_file() else 0
     if card.bytes and received >= card.bytes:
@@ -153,7 +153,7 @@ def _download(card: CatalogFile, part: Path, progress: Progress) -> None:
         ) from error
 
 
-def _request(card: CatalogFile, file: BinaryIO, received: int, progress: Progress) -> None:
+def _request(card: CatalogFile, file: BinaryIO, received: int, progress: ReportProgress) -> None:
     import pooch  # noqa: PLC0415 - heavy, and used for downloads only
 
     sink = _ProgressFile(file, card.bytes, progress)
@@ -170,7 +170,7 @@ class _TooLarge(Exception):
 class _ProgressFile:
     """A file that reports progress, and starts over if the server sends the whole file instead of the rest."""
 
-    def __init__(self, file: BinaryIO, total: int, progress: Progress) -> None:
+    def __init__(self, file: BinaryIO, total: int, progress: ReportProgress) -> None:
         self._file, self._total, self._progress = file, total, progress
 
     def handle_response(self, response: Any, **_: object) -> None:

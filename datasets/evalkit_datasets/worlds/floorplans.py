@@ -19,7 +19,7 @@ from evalkit_datasets.worlds.robot import Route
 LEG_RADIUS_M = 0.02
 PARTITION_M = 0.12
 
-Row = Sequence[float]
+Numbers = Sequence[float]
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def _rectangle(x: float, y: float, width: float, depth: float, rotation_deg: flo
     )
 
 
-def _outline(corners: Sequence[Row], niches: Sequence[Row]) -> Floats:
+def _outline(corners: Sequence[Numbers], niches: Sequence[Numbers]) -> Floats:
     """Return the corners (N, 2) of a polygon with niches (side, distance from its start, width, depth)."""
     points: list[Floats] = []
     for side, corner in enumerate(corners):
@@ -78,7 +78,7 @@ def _outline(corners: Sequence[Row], niches: Sequence[Row]) -> Floats:
     return np.array(points)
 
 
-def _partition(start: Row, end: Row, doors: Sequence[Row]) -> list[Floats]:
+def _partition(start: Numbers, end: Numbers, doors: Sequence[Numbers]) -> list[Floats]:
     """Return the boxes of a wall along x or y with doors (distance from its start, width, thickness; 0: open)."""
     origin, forward, length = _direction(start, end)
     pieces, done = [], 0.0

@@ -27,7 +27,7 @@ def basin(
     backend: options.Backends = None,
     scene: Annotated[list[str] | None, typer.Option(help="Only this scene (repeatable).", show_default="all")] = None,
     on: options.On = None,
-    setting: options.Settings = None,
+    setting: options.BackendSettings = None,
     offsets: Annotated[int, typer.Option(min=10, help="Disturbed guesses per back end and scene.")] = 1024,
     distance: Annotated[float, typer.Option(min=0.01, help="Largest shift of a guess (m).")] = 1.0,
     turn: Annotated[float, typer.Option(min=0.1, max=180.0, help="Largest turn of a guess (deg).")] = 45.0,

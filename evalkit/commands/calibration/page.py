@@ -14,7 +14,7 @@ HEADINGS = (
     "equal methods get a verdict: blocks", "runs", *(f"{100 * size:.0f} % worse is found" for size in DIFFERENCES),
 )  # fmt: skip
 
-Row = Mapping[str, Any]
+CalibrationRow = Mapping[str, Any]
 
 
 def build_document(content: Mapping[str, Any]) -> Document:
@@ -112,7 +112,7 @@ def _describe_group(content: Mapping[str, Any], name: str, labels: Sequence[str]
     )
 
 
-def _rows(rows: Sequence[Row]) -> list[list[str]]:
+def _rows(rows: Sequence[CalibrationRow]) -> list[list[str]]:
     return [[_format_cell(value) for value in row.values()] for row in rows]
 
 

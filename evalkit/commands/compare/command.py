@@ -126,7 +126,7 @@ def compare(
     rerun: options.Rerun = None,
     collect: options.Collect = False,
     engine: options.Engine = "local",
-    scheduler: options.Scheduler = "",
+    scheduler: options.SchedulerAddress = "",
     insecure: options.Insecure = False,
     accuracy_only: options.AccuracyOnly = False,
     as_json: options.Json = False,

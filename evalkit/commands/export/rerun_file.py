@@ -17,7 +17,7 @@ from evalkit.core.se2 import Floats
 from evalkit.io.map_server import draw_pixels
 from evalkit.io.output_files import staging_folder
 from evalkit.plugins.protocols import Sequence as SensorSequence
-from evalkit.report.html.run_figures import Strokes
+from evalkit.report.html.method_colours import Strokes
 from evalkit.results.run_record import RunRecord
 
 TIMELINE = "recording"

@@ -30,7 +30,7 @@ from evalkit.plugins.protocols import Sequence
 MEASURED = 40
 """At most this many scans of a drive are measured, evenly spaced."""
 
-Change = Callable[["KnownDrive", np.random.Generator], "KnownDrive"]
+DriveChange = Callable[["KnownDrive", np.random.Generator], "KnownDrive"]
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ def _choose_pieces(points: Floats, share: float, rng: np.random.Generator) -> It
         yield np.flatnonzero(piece)
 
 
-FAULTS: Mapping[str, Change] = {
+FAULTS: Mapping[str, DriveChange] = {
     "none": lambda drive, _: drive,
     "wrong start": start_wrong,
     "kidnapped": kidnap,

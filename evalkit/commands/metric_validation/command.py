@@ -25,7 +25,7 @@ app = typer.Typer(help="Validate the metrics themselves.", no_args_is_help=True,
 
 QUICK_SIZES, QUICK_SCANS = 2, 40
 
-Mapper = Annotated[str, typer.Option(help="Mapper of all maps.", show_default="the default mapper")]
+MapperOption = Annotated[str, typer.Option(help="Mapper of all maps.", show_default="the default mapper")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the worlds' noise and of random perturbations.")]
 
 
@@ -34,7 +34,7 @@ def validate(
     world: Annotated[
         list[str] | None, typer.Option(help="A data set (repeatable).", show_default="a simulated one")
     ] = None,
-    mapper: Mapper = "",
+    mapper: MapperOption = "",
     scans: Annotated[int, typer.Option(min=20, help="Scans per map.")] = 150,
     sizes: Annotated[int, typer.Option(min=2, max=5, help="Sizes of every perturbation.")] = 5,
     seed: Seed = 0,
@@ -73,7 +73,7 @@ def selftest(
     world: Annotated[
         str, typer.Option(help="A data set with a ground-truth trajectory.", show_default="a simulated one")
     ] = "",
-    mapper: Mapper = "",
+    mapper: MapperOption = "",
     seed: Seed = 0,
     folder: Out = None,
     jobs: options.Jobs = None,

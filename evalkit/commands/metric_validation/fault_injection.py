@@ -28,7 +28,7 @@ from evalkit.metrics.metric import Metric
 from evalkit.plugins.changed_sequence import ChangedSequence
 from evalkit.plugins.protocols import Sequence
 
-Steps = NDArray[np.void]
+StepRows = NDArray[np.void]
 
 JITTER_M = 0.01
 """Jitter of the poses of the run without a fault, a typical error of a good method."""
@@ -47,7 +47,7 @@ class Fault:
     """A fault: its description, and its effect on the steps of a run or on each frame."""
 
     what: str
-    change_steps: Callable[[Steps], Steps] | None = None
+    change_steps: Callable[[StepRows], StepRows] | None = None
     change_frame: Callable[[int, Frame], Frame] | None = None
 
 
@@ -61,16 +61,16 @@ class Detection:
     factor: float
 
 
-def _shift_stamps(steps: Steps) -> Steps:
+def _shift_stamps(steps: StepRows) -> StepRows:
     shifted = steps[:-1].copy()
     shifted["stamp_ns"] = steps["stamp_ns"][1:]
     return shifted
 
 
-def _change_poses(change: Callable[[Floats], Floats]) -> Callable[[Steps], Steps]:
+def _change_poses(change: Callable[[Floats], Floats]) -> Callable[[StepRows], StepRows]:
     """Return a fault of the poses (N, 3) as a function of the steps."""
 
-    def change_steps(steps: Steps) -> Steps:
+    def change_steps(steps: StepRows) -> StepRows:
         changed = steps.copy()
         poses = np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1)
         changed["x"], changed["y"], changed["theta"] = change(poses).T

@@ -38,7 +38,7 @@ def realtime(
             autocompletion=options.complete("datasets"),
         ),
     ] = "",
-    setting: options.Settings = None,
+    setting: options.BackendSettings = None,
     factors: Annotated[
         str,
         typer.Option(

@@ -25,7 +25,7 @@ Policy = Literal["drop", "queue-of-one"]
 
 POLICIES: tuple[Policy, ...] = get_args(Policy)
 
-Cost = Callable[[int, int], int]
+ScanCost = Callable[[int, int], int]
 """Cost (ns) of a scan by its index and its gap, the number of scans since the last answered one (1: no drop)."""
 
 
@@ -58,7 +58,7 @@ class Schedule:
         return np.asarray(self.done_ns - self.arrivals_ns[self.answered])
 
 
-def compute_schedule(arrivals_ns: ArrayLike, cost: Cost, policy: Policy = "queue-of-one") -> Schedule:
+def compute_schedule(arrivals_ns: ArrayLike, cost: ScanCost, policy: Policy = "queue-of-one") -> Schedule:
     """Compute which scans are answered if they are processed one at a time, each to its end.
 
     A scan that arrives at the moment an answer is complete is processed at once. Raises ValueError if ``arrivals_ns``
@@ -135,7 +135,7 @@ class CostProfile:
         """The cost of a scan on this machine."""
         return float(self.scans_ns[index] * np.interp(np.log(gap), np.log(self.gaps), self.growth))
 
-    def slow_down(self, factor: float) -> Cost:
+    def slow_down(self, factor: float) -> ScanCost:
         """The cost on a device that takes ``factor`` times as long, for ``compute_schedule``."""
         return lambda index, gap: round(factor * self.ns(index, gap))
 

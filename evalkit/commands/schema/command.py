@@ -7,7 +7,7 @@ from typing import Annotated, get_args
 
 import typer
 
-from evalkit.config.forms import Kind
+from evalkit.config.forms import FileKind
 from evalkit.core.errors import UnknownName
 from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
@@ -25,7 +25,7 @@ def schema(
     """
     from evalkit.config.models import make_schema  # noqa: PLC0415 - loads pydantic
 
-    kinds: dict[str, Kind] = {name: name for name in get_args(Kind)}
+    kinds: dict[str, FileKind] = {name: name for name in get_args(FileKind)}
     if kind not in kinds:
         raise UnknownName("kind of file", kind, kinds)
     text = indent_json(make_schema(kinds[kind]))

@@ -15,7 +15,7 @@ from evalkit.execution import environment
 from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Json, Out, Scheduler, err, out
+from evalkit.terminal.options import Json, Out, SchedulerAddress, err, out
 
 if TYPE_CHECKING:
     from evalkit.commands.study.plan import Study
@@ -28,7 +28,7 @@ def study(
     folder: Out = None,
     jobs: options.Jobs = None,
     engine: options.Engine = "local",
-    scheduler: Scheduler = "",
+    scheduler: SchedulerAddress = "",
     insecure: options.Insecure = False,
     as_json: Json = False,
 ) -> None:

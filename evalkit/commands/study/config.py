@@ -8,13 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-from evalkit.commands.study.plan import Design, EnvelopeChoice, Kind, Point, Study
+from evalkit.commands.study.plan import Design, DesignKind, EnvelopeChoice, Point, Study
 from evalkit.commands.study.sampling import sample
 from evalkit.config.experiment import experiment_from_tables
 from evalkit.config.forms import RESPONSE, STUDY
 from evalkit.config.toml_tables import TomlTable, all_mistakes, flatten
 from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief
-from evalkit.design.factors import Factor, FactorLevel, Scale, Settings, read_factor
+from evalkit.design.factors import Factor, FactorLevel, FactorSettings, Scale, read_factor
 from evalkit.design.responses import Response
 from evalkit.io.toml import load_toml
 from evalkit.metrics import all_metrics
@@ -83,13 +83,13 @@ class _BaseSettings:
         self.limit_s = plan.limits.run_s
         self._spec = registry.find_backend(self.method.backend)
         self._checked_sequences: set[str] = set()
-        self.settings: Settings = {
+        self.settings: FactorSettings = {
             **{f"method.{name}": value for name, value in self.method.parameters.items()},
             **{f"sequence.{name}": value for name, value in self.sequence.parameters.items()},
             **{f"mapper.{name}": value for name, value in self.mapper.parameters.items()},
         }
 
-    def point(self, levels: Mapping[str, FactorLevel], fixed: Settings, table: TomlTable) -> Point:
+    def point(self, levels: Mapping[str, FactorLevel], fixed: FactorSettings, table: TomlTable) -> Point:
         """The point with these levels and the settings that a design fixes.
 
         Raises BadExperiment for ``table`` if a setting is unknown or has a value that it cannot take.
@@ -161,7 +161,7 @@ def _read_response(table: TomlTable) -> Response:
 def _read_design(table: TomlTable, factors: list[Factor], base: _BaseSettings) -> Design:
     table = _label_table(table)
     table.check_keys()
-    kinds: dict[str, Kind] = {kind: kind for kind in get_args(Kind)}
+    kinds: dict[str, DesignKind] = {kind: kind for kind in get_args(DesignKind)}
     kind = table.choice("kind", "kind of design", kinds)
     numbers = {key: _read_number(table, key, kind) for key in ("points", "resolution")}
     chosen = _read_chosen_factors(table, factors)
@@ -176,7 +176,7 @@ def _read_design(table: TomlTable, factors: list[Factor], base: _BaseSettings) -
     return Design(name, kind, chosen, positions, points, base.seeds(table), numbers["resolution"], dealt)
 
 
-def _read_number(table: TomlTable, key: str, kind: Kind) -> int:
+def _read_number(table: TomlTable, key: str, kind: DesignKind) -> int:
     """The value of a key that this kind of design requires, 0 if the kind has no such key."""
     if REQUIRED.get(kind) == key:
         return table.whole_number(key)

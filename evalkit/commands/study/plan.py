@@ -21,7 +21,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.code_hash import hash_files
 from evalkit.plugins.parameters import Value
 
-Kind = Literal["optimal", "fractional", "sobol", "latin", "curves", "grid"]
+DesignKind = Literal["optimal", "fractional", "sobol", "latin", "curves", "grid"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Design:
     """
 
     name: str
-    kind: Kind
+    kind: DesignKind
     factors: tuple[Factor, ...]
     positions: Floats
     points: tuple[Point, ...]

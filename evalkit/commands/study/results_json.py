@@ -13,14 +13,14 @@ from evalkit.commands.study.result import StudyResult
 from evalkit.design.responses import Response
 from evalkit.stats.intervals import Interval
 
-Row = dict[str, Any]
+JsonRow = dict[str, Any]
 
 
-def make_run_rows(outcome: StudyResult) -> list[Row]:
+def make_run_rows(outcome: StudyResult) -> list[JsonRow]:
     """A row for every run of every design: levels, scores, and why it is lost, or ""."""
     study = outcome.study
     names = [factor.name for factor in study.factors]
-    rows: list[Row] = []
+    rows: list[JsonRow] = []
     for design in study.designs:
         for point in design.points:
             levels = {name: point.levels[name].label if name in point.levels else "" for name in names}
@@ -32,12 +32,12 @@ def make_run_rows(outcome: StudyResult) -> list[Row]:
     return rows
 
 
-def make_effect_rows(outcome: StudyResult) -> list[Row]:
+def make_effect_rows(outcome: StudyResult) -> list[JsonRow]:
     """A row for every level's distance from the mean, and for every interaction's largest corner; natural logarithms.
 
     ``scale`` "log": exp(value) is a ratio.
     """
-    rows: list[Row] = []
+    rows: list[JsonRow] = []
     fits = [(design, response, outcome.fit(design, response))
             for design in outcome.study.designs for response in outcome.study.responses]  # fmt: skip
     for design, response, fit in fits:
@@ -59,7 +59,7 @@ def make_effect_rows(outcome: StudyResult) -> list[Row]:
     return rows
 
 
-def study_as_json(outcome: StudyResult) -> Row:
+def study_as_json(outcome: StudyResult) -> JsonRow:
     """The whole study as JSON values."""
     study = outcome.study
     return {
@@ -83,7 +83,7 @@ def study_as_json(outcome: StudyResult) -> Row:
     }
 
 
-def format_csv(rows: list[Row]) -> str:
+def format_csv(rows: list[JsonRow]) -> str:
     """Rows with the same names as CSV text."""
     out = io.StringIO()
     writer = csv.DictWriter(out, list(rows[0]) if rows else [], lineterminator="\n")
@@ -92,7 +92,7 @@ def format_csv(rows: list[Row]) -> str:
     return out.getvalue()
 
 
-def _box_as_json(outcome: StudyResult, choice: EnvelopeChoice, panel: Panel) -> Row:
+def _box_as_json(outcome: StudyResult, choice: EnvelopeChoice, panel: Panel) -> JsonRow:
     """The ends of a panel's box by factor, None without a box, and the number of lost cells."""
     ends = zip(find_envelope_axes(outcome.study.design(choice.design), choice), panel.box, strict=True)
     reached = {factor.name: factor.numbers[count - 1] if factor.numbers and count else None for factor, count in ends}
@@ -101,6 +101,6 @@ def _box_as_json(outcome: StudyResult, choice: EnvelopeChoice, panel: Panel) -> 
 
 def _effect_as_json(
     design: Design, response: Response, kind: str, factor: str, level: str, value: Interval, share: float
-) -> Row:
+) -> JsonRow:
     head = {"design": design.name, "metric": response.name, "scale": response.scale, "kind": kind, "factor": factor}
     return {**head, "level": level, **asdict(value), "share": share}

@@ -11,7 +11,7 @@ SCHEMA = 3
 """Version of the JSON form (``acceptance.schema.json``). Increase it if a reader of the old form would be misled."""
 
 Claim = Literal["equal", "as-good"]
-Outcome = Literal["passed", "failed", "not shown", "waived", "informative", "not applicable"]
+CheckOutcome = Literal["passed", "failed", "not shown", "waived", "informative", "not applicable"]
 """Of a check. "not shown": too few data to tell; "waived": failed, but excepted by name with a reason."""
 
 Deciding = Literal["always", "equal", "as-good", "never"]
@@ -35,7 +35,7 @@ class Check:
 
     name: str
     on: str
-    outcome: Outcome
+    outcome: CheckOutcome
     deciding: Deciding
     observed: str
     margin: str = ""
@@ -69,7 +69,7 @@ class AcceptanceLevel:
         """The checks that support a claim."""
         return [check for check in self.checks if check.outcome == "passed" and check.decides(claim)]
 
-    def outcome(self, claim: Claim) -> Outcome:
+    def outcome(self, claim: Claim) -> CheckOutcome:
         """The outcome of the level for a claim."""
         if self.failed(claim):
             return "failed"

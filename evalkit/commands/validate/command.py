@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 SEED_FILE = "seed.txt"
 """In the results folder: the seed of its drawn questions."""
 
-Group = Literal["rules", "registrations", "lockstep", "determinism"]
-ONLY: tuple[Group, ...] = get_args(Group)
+CheckGroup = Literal["rules", "registrations", "lockstep", "determinism"]
+ONLY: tuple[CheckGroup, ...] = get_args(CheckGroup)
 
 Subject = Literal["back end", "mapper", "data set"]
 

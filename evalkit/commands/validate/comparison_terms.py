@@ -10,7 +10,7 @@ from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING
 from evalkit.execution.sandbox import ENDED
 from evalkit.execution.task import Result
 
-Results = Mapping[str, Result]
+ResultsByPlace = Mapping[str, Result]
 """Results by place: "room, seed 0"."""
 
 
@@ -30,7 +30,7 @@ class ComparisonTerms:
     waivers: Mapping[str, str] = field(default_factory=dict)
 
 
-def choose_margin(results: Results, margins: Sequence[str]) -> str:
+def choose_margin(results: ResultsByPlace, margins: Sequence[str]) -> str:
     """The first margin under which all results are equal.
 
     Single precision is chosen only if every result shows its rounding and the back end repeats all its answers to the
@@ -67,7 +67,7 @@ def is_equal(comparison: Mapping[str, Any], margin: str) -> bool:
     return not comparison["beyond_rounding"] and not comparison["unanswered"]
 
 
-def format_margin(results: Results, margin: str) -> str:
+def format_margin(results: ResultsByPlace, margin: str) -> str:
     """The margin in words, at the largest value over all results.
 
     The poses of odometries are equal if their mean difference lies within it: where all results are equal and a single

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from evalkit.commands.validate.acceptance import Check, Outcome
-from evalkit.commands.validate.comparison_terms import ComparisonTerms, Results
+from evalkit.commands.validate.acceptance import Check, CheckOutcome
+from evalkit.commands.validate.comparison_terms import ComparisonTerms, ResultsByPlace
 from evalkit.commands.validate.equivalence.lockstep import DISTURBED
 from evalkit.commands.validate.equivalence.margins import EquivalenceInterval, interval
 from evalkit.core import se2
@@ -17,7 +17,7 @@ from evalkit.execution.sandbox import ENDED
 from evalkit.execution.task import Result
 
 
-def known_motion_checks(results: Results, terms: ComparisonTerms) -> list[Check]:
+def known_motion_checks(results: ResultsByPlace, terms: ComparisonTerms) -> list[Check]:
     """Whether the back end finds known motions as well as the reference does."""
     known = {place: result for place, result in results.items() if np.isfinite(result["truth"]).any()}
     if not known:
@@ -42,7 +42,7 @@ def known_motion_checks(results: Results, terms: ComparisonTerms) -> list[Check]
     return checks
 
 
-def peer_check(name: str, results: Results, answers: Results, terms: ComparisonTerms) -> Check:
+def peer_check(name: str, results: ResultsByPlace, answers: ResultsByPlace, terms: ComparisonTerms) -> Check:
     """The distance of the answers to those of another method."""
     label = f"compared with {name}"
     shared = {place: result for place, result in results.items() if ENDED not in answers.get(place, {ENDED: ""})}
@@ -72,7 +72,7 @@ def peer_check(name: str, results: Results, answers: Results, terms: ComparisonT
     )  # fmt: skip
 
 
-def judge_gap(value: float, low: float, high: float, margin: float, count: int) -> tuple[Outcome, str]:
+def judge_gap(value: float, low: float, high: float, margin: float, count: int) -> tuple[CheckOutcome, str]:
     """Whether a loss is shown to be below a margin, or above it, and else what would show it.
 
     ``low``, ``high``: the 90 % interval of the loss over ``count`` values; it shrinks with the root of their number.
@@ -95,13 +95,13 @@ def near_guesses(result: Result) -> Bools:
     return np.array([not stage.endswith(DISTURBED) for stage in result["stage"]], dtype=np.bool_)
 
 
-def answer_errors(results: Results, side: str) -> Floats:
+def answer_errors(results: ResultsByPlace, side: str) -> Floats:
     """Errors (N, 2) of all answers to known motions: metres and radians, nan if there is no answer or no truth."""
     apart = np.concatenate([se2.between(result["truth"], result[side]) for result in results.values()])
     return np.stack([np.hypot(apart[:, 0], apart[:, 1]), np.abs(apart[:, 2])], axis=1)
 
 
-def noise_level(results: Results, share: float) -> tuple[float, float]:
+def noise_level(results: ResultsByPlace, share: float) -> tuple[float, float]:
     """A share of the uncertainty of an answer due to the sensor's noise alone: metres, radians.
 
     N points with mean distance e to their partners determine a position to about e / sqrt(N), and a heading to that

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from evalkit.commands.validate.acceptance import AcceptanceLevel, Check, Outcome
-from evalkit.commands.validate.comparison_terms import ComparisonTerms, Results, is_equal
+from evalkit.commands.validate.acceptance import AcceptanceLevel, Check, CheckOutcome
+from evalkit.commands.validate.comparison_terms import ComparisonTerms, ResultsByPlace, is_equal
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.equivalence.lockstep import DISTURBED
 from evalkit.commands.validate.known_motion import known_motion_checks, peer_check
@@ -64,7 +64,10 @@ def waive(level: AcceptanceLevel, waivers: Mapping[str, str]) -> AcceptanceLevel
 
 
 def registrations_level(
-    results: Results, peers: Mapping[str, Results], terms: ComparisonTerms, drawn: Results | None = None
+    results: ResultsByPlace,
+    peers: Mapping[str, ResultsByPlace],
+    terms: ComparisonTerms,
+    drawn: ResultsByPlace | None = None,
 ) -> AcceptanceLevel:
     """Level 1; ``peers``: the answers of other methods by name; ``drawn``: the comparison of drawn questions."""
     checks = _repetition_checks({**results, **(drawn or {})})  # a state explains every other difference
@@ -87,7 +90,7 @@ def registrations_level(
     return waive(AcceptanceLevel(1, "registrations", question, tuple(checks), results_of_level), terms.waivers)
 
 
-def lockstep_level(results: Results, terms: ComparisonTerms) -> AcceptanceLevel:
+def lockstep_level(results: ResultsByPlace, terms: ComparisonTerms) -> AcceptanceLevel:
     """Level 2."""
     checks = [_equality(place, result, terms, "scan") for place, result in results.items()]
     checks += _field_checks(results, terms)
@@ -105,7 +108,7 @@ def mapper_check(place: str, result: Result, terms: ComparisonTerms) -> Check:
     margin = f"{comparison['margin']['log_odds']:.2g} log-odds per cell: a grid is float32"
     first = format_divergence(comparison, terms, "scan")
     observed = f"{comparison['n']} scans, cell by cell after each" + (f"; first {first}" if first else ", all equal")
-    outcome: Outcome = "passed" if comparison["equivalent"] else "failed"
+    outcome: CheckOutcome = "passed" if comparison["equivalent"] else "failed"
     return Check(name, place, outcome, "always", observed, margin, data=comparison)
 
 
@@ -189,7 +192,7 @@ def _format_equal(family: Mapping[str, Any], terms: ComparisonTerms) -> str:
     return text
 
 
-def _name_by_questions(checks: list[Check], drawn: Results, terms: ComparisonTerms) -> list[Check]:
+def _name_by_questions(checks: list[Check], drawn: ResultsByPlace, terms: ComparisonTerms) -> list[Check]:
     """The checks, with what the drawn questions say about a first difference that has no name.
 
     With well separated points every neighbour search and every outlier rule give the same pairs. Pairs that differ in
@@ -246,7 +249,7 @@ def _describe_clear(text: str, clear: Mapping[str, Any], mispaired: bool) -> str
     return f"{which}well separated points give as many pairs, but other answers"
 
 
-def name_traces(checks: list[Check], drawn: Results, terms: ComparisonTerms) -> list[Check]:
+def name_traces(checks: list[Check], drawn: ResultsByPlace, terms: ComparisonTerms) -> list[Check]:
     """The checks, where the trace alone differs with the step that the drawn questions name."""
     families = [
         one for result in drawn.values() if ENDED not in result for one in result[terms.margin]["families"].values()
@@ -260,7 +263,7 @@ def name_traces(checks: list[Check], drawn: Results, terms: ComparisonTerms) -> 
     ]
 
 
-def _field_checks(results: Results, terms: ComparisonTerms) -> list[Check]:
+def _field_checks(results: ResultsByPlace, terms: ComparisonTerms) -> list[Check]:
     """One check for every field that differs where the pose does not, or one for all."""
     counts: dict[str, list[str]] = {}
     questions = 0
@@ -285,7 +288,7 @@ def _field_checks(results: Results, terms: ComparisonTerms) -> list[Check]:
     return [Check("fields", "", "passed", "equal", f"{names} agree in {questions} questions where they are reported")]
 
 
-def _repetition_checks(results: Results) -> list[Check]:
+def _repetition_checks(results: ResultsByPlace) -> list[Check]:
     """Whether every answer came again to the bit at the end, in the opposite order."""
     counts = {place: result["unrepeated"] for place, result in results.items() if "unrepeated" in result}
     wrong = ", ".join(f"{place}: {count}" for place, count in counts.items() if count)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit.commands.validate.acceptance import AcceptanceLevel, Check, Outcome
+from evalkit.commands.validate.acceptance import AcceptanceLevel, Check, CheckOutcome
 from evalkit.commands.validate.comparison_terms import ComparisonTerms
 from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import ENDED
@@ -88,7 +88,7 @@ def _keeps_up(place: str, result: Result, row: int) -> Check:
     slow = float(np.mean(times > period))
     p95 = float(np.quantile(times, 0.95))
     observed = f"95 % of the scans within {p95:.3g} ms ({clock}); {100 * slow:.1f} % took longer than the sensor"
-    outcome: Outcome = "passed" if p95 < period else "failed"
+    outcome: CheckOutcome = "passed" if p95 < period else "failed"
     name = "keeps up with the sensor on this core"
     return Check(name, place, outcome, "never", observed, f"{period:.4g} ms between two scans")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from evalkit.commands.validate.acceptance import DECIDING, AcceptanceLevel, AcceptanceReport, Check, Outcome
+from evalkit.commands.validate.acceptance import DECIDING, AcceptanceLevel, AcceptanceReport, Check, CheckOutcome
 from evalkit.commands.validate.charts import figures
 from evalkit.commands.validate.first_screen import first_figures
 from evalkit.report.html.blocks import (
@@ -24,7 +24,7 @@ from evalkit.report.html.blocks import (
     render,
 )
 
-TONES: Mapping[Outcome, Tone] = {
+TONES: Mapping[CheckOutcome, Tone] = {
     "passed": "good", "failed": "bad", "not shown": "warn", "waived": "warn", "informative": "", "not applicable": "",
 }  # fmt: skip
 

@@ -38,10 +38,10 @@ MAX_MOVED = 5
 
 FIELDS_OF_TRACE = ("trace length", "trace inliers", "trace error", "trace pose")
 
-Effect = Literal["none", "some", "not asked"]
+ProbedEffect = Literal["none", "some", "not asked"]
 """The effect of a changed parameter on an answer, where it has one on the reference."""
 
-Key = tuple[tuple[str, Any], ...]
+ParameterKey = tuple[tuple[str, Any], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Asked:
     drawn: DrawnQuestion
     answers: AnswerPair
     others: tuple[Match, ...]
-    effect: Effect
+    effect: ProbedEffect
     repeats: bool
     reference: Registration
     ask: Callable[[Question], AnswerPair]
@@ -80,7 +80,7 @@ def compare_questions(a: Plugin, b: Plugin, seed: int, margins: list[str], quick
 
 def _ask_all(sides: tuple[ComparedBackend, ComparedBackend], drawn: list[DrawnQuestion]) -> list[Asked]:
     @cache
-    def make_registration(side: int, key: Key) -> Registration:
+    def make_registration(side: int, key: ParameterKey) -> Registration:
         one = sides[side]
         return replace(one, parameters={**one.parameters, **dict(key)}).registrations()["s2m"]
 
@@ -95,7 +95,7 @@ def _ask_all(sides: tuple[ComparedBackend, ComparedBackend], drawn: list[DrawnQu
         except Exception:  # noqa: BLE001 - what the reference refuses is no question
             continue
 
-        def ask(question: Question, first: Registration = first, key: Key = key) -> AnswerPair:
+        def ask(question: Question, first: Registration = first, key: ParameterKey = key) -> AnswerPair:
             match = first.register(question.target, question.source, question.guess)
             return _answer(lambda: make_registration(1, key), question, match, first)
 
@@ -128,7 +128,7 @@ def _answer(make: Any, question: Question, match: Match, reference: Registration
     return lockstep.answer(registration, question, match, reference)
 
 
-def _effect(make_registration: Any, one: DrawnQuestion, answers: AnswerPair) -> Effect:
+def _effect(make_registration: Any, one: DrawnQuestion, answers: AnswerPair) -> ProbedEffect:
     """Whether a single parameter that changes the answer of the reference changes the other one too."""
     if len(one.changes) != 1 or answers.b is None or math.isnan(answers.b.error):
         return "not asked"

@@ -12,7 +12,7 @@ from typing import Any
 
 from evalkit.commands.validate import level_answers, level_costs, level_runs, probes
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check
-from evalkit.commands.validate.comparison_terms import ComparisonTerms, Results, choose_margin, format_margin
+from evalkit.commands.validate.comparison_terms import ComparisonTerms, ResultsByPlace, choose_margin, format_margin
 from evalkit.commands.validate.determinism import measure_determinism
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.plan import (
@@ -78,14 +78,14 @@ class ValidationRun:
             return self._report(EXACT, "", (rules,))
         return self._full_report(rules)
 
-    def _comparison_report(self, results: Results) -> AcceptanceReport:
+    def _comparison_report(self, results: ResultsByPlace) -> AcceptanceReport:
         """The report of level 1 or level 2 alone."""
         compared = _comparisons(results)
         margin = choose_margin(compared, self.plan.request.margins)
         levels = self._comparison_levels(results, self._terms(margin))
         return self._report(margin, format_margin(compared, margin), levels)
 
-    def _comparison_levels(self, results: Results, terms: ComparisonTerms) -> tuple[AcceptanceLevel, ...]:
+    def _comparison_levels(self, results: ResultsByPlace, terms: ComparisonTerms) -> tuple[AcceptanceLevel, ...]:
         pairs, scans = _of_kind("pairs", results), _of_kind("scans", results)
         answers = {name: _of_kind(f"answers of {name}", results) for name in self.plan.peers}
         peers = {name: own for name, own in answers.items() if own}
@@ -276,7 +276,7 @@ def _report_alone(subject: str, level: AcceptanceLevel, settings: Mapping[str, A
     return AcceptanceReport(subject, "", "", (), {}, "equal", "", "", (level,), settings, environment.describe(jobs=1))
 
 
-def _comparisons(results: Results) -> dict[str, Result]:
+def _comparisons(results: ResultsByPlace) -> dict[str, Result]:
     """All comparisons with the reference, question by question."""
     return {
         f"{kind}, {place}": one
@@ -285,7 +285,7 @@ def _comparisons(results: Results) -> dict[str, Result]:
     }
 
 
-def _of_kind(kind: str, results: Results) -> dict[str, Result]:
+def _of_kind(kind: str, results: ResultsByPlace) -> dict[str, Result]:
     """The results of one kind of task by place."""
     prefix = f"{kind}, "
     return {name.removeprefix(prefix): result for name, result in results.items() if name.startswith(prefix)}

@@ -26,7 +26,7 @@ from evalkit.stats.paired_tests import (
 )
 from evalkit.stats.ranks import FriedmanTest, NotTested, compute_ranks, friedman_test, success_quantiles
 
-RunErrors = Mapping[tuple[str, int | None], float]
+ErrorsByRun = Mapping[tuple[str, int | None], float]
 """The deciding error of every run by sequence and seed; infinite if the run failed."""
 
 SIGNIFICANCE_LEVEL = 0.05
@@ -134,7 +134,7 @@ def _counted_rankings(sequences: Sequence[SequenceAnalysis]) -> list[Ranking]:
     ]
 
 
-def _run_errors(comparison: Comparison, counted: Sequence[Ranking], method: str) -> RunErrors:
+def _run_errors(comparison: Comparison, counted: Sequence[Ranking], method: str) -> ErrorsByRun:
     metric = {ranking.sequence: ranking.metric.name for ranking in counted}
     return {
         (run.sequence, run.seed): _run_error(run, metric[run.sequence])
@@ -154,7 +154,7 @@ def _run_error(run: RunRecord, metric: str) -> float:
     return math.inf if not run.result.is_complete or value is None else value
 
 
-def _median_errors(counted: Sequence[Ranking], errors: Mapping[str, RunErrors]) -> tuple[Floats, tuple[str, ...]]:
+def _median_errors(counted: Sequence[Ranking], errors: Mapping[str, ErrorsByRun]) -> tuple[Floats, tuple[str, ...]]:
     """Return median errors (N, K) of the K methods that could start on every sequence, and these methods."""
     by_sequence = {
         method: {one.sequence: [e for (label, _), e in runs.items() if label == one.sequence] for one in counted}
@@ -171,7 +171,7 @@ def _median_error(errors: Sequence[float]) -> float:
 
 
 def _method_record(
-    comparison: Comparison, method: str, errors: RunErrors, rank: float | None, metres: set[str]
+    comparison: Comparison, method: str, errors: ErrorsByRun, rank: float | None, metres: set[str]
 ) -> MethodRecord:
     started = [run for run in comparison.records if run.method == method and run.result.status not in NOT_EXECUTED]
     finished = sum(run.result.is_complete for run in started)
@@ -182,14 +182,14 @@ def _method_record(
     )  # fmt: skip
 
 
-def _compare_pairs(errors: Mapping[str, RunErrors], named: Sequence[tuple[str, str]]) -> tuple[PairedComparison, ...]:
+def _compare_pairs(errors: Mapping[str, ErrorsByRun], named: Sequence[tuple[str, str]]) -> tuple[PairedComparison, ...]:
     pairs = {(method, reference): _pair_errors(errors[method], errors[reference]) for method, reference in named}
     pairs = {names: both for names, both in pairs.items() if len(both[0])}
     tests = signed_rank_tests({" ".join(names): both for names, both in pairs.items()})
     return tuple(_compare_pair(*names, *both, tests[" ".join(names)]) for names, both in pairs.items())
 
 
-def _pair_errors(one: RunErrors, other: RunErrors) -> tuple[Floats, Floats]:
+def _pair_errors(one: ErrorsByRun, other: ErrorsByRun) -> tuple[Floats, Floats]:
     """Return the logarithms (N,) of both errors over common runs: a ratio counts the same on every sequence.
 
     Rounded to nine digits, so that rounding errors make no difference.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from markupsafe import Markup
 
@@ -28,11 +28,9 @@ from evalkit.report.html.blocks import (
     Table,
     Text,
 )
-from evalkit.report.html.method_colours import Stroke
+from evalkit.report.html.method_colours import Strokes
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.ranks import NotTested
-
-Strokes = Mapping[str, Stroke]
 
 HOW = (
     "Each number is the median over the complete runs. The 95 % interval below it contains, in 19 of 20 cases, the "

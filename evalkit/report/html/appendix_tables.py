@@ -14,7 +14,8 @@ from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.significance import MethodRecord, PairedComparison
 from evalkit.report.formatting import capitalise, format_bounds, format_number
 from evalkit.report.html.blocks import Block, Cell, Column, Fold, Table
-from evalkit.report.html.report_tables import DASH, Strokes, method_cell, runs_anchor
+from evalkit.report.html.method_colours import Strokes
+from evalkit.report.html.report_tables import DASH, method_cell, runs_anchor
 from evalkit.results.run_record import RunRecord
 
 

@@ -19,7 +19,7 @@ from evalkit.report.html.method_colours import DASHES, HUES, Stroke
 
 WIDE = (7.6, 4.4)  # inches
 SQUARE = (6.2, 5.4)
-Scale = Literal["linear", "log"]
+AxisKind = Literal["linear", "log"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Axis:
     """The label of an axis with its unit, its scale and limits; ``ticks``: the only marked values, if given."""
 
     label: str
-    scale: Scale = "linear"
+    scale: AxisKind = "linear"
     low: float | None = None
     high: float | None = None
     ticks: Sequence[float] = ()

@@ -18,9 +18,9 @@ from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import format_length
 from evalkit.report.html.blocks import Block, Cell, Column, Fold, Heading, Table, Text
 from evalkit.report.html.corrected_runs import SUFFIX
+from evalkit.report.html.method_colours import Strokes
 from evalkit.report.html.report_tables import (
     DASH,
-    Strokes,
     by_rank,
     method_cell,
     metric_column,

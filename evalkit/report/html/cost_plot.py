@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
@@ -11,10 +11,9 @@ from evalkit.metrics.runtime import period_ns
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.standings import Standing
 from evalkit.report.formatting import format_milliseconds
-from evalkit.report.html.method_colours import Stroke
+from evalkit.report.html.method_colours import Strokes
 from evalkit.report.html.svg import AxisScale, element, join, log_scale, place_labels
 
-Strokes = Mapping[str, Stroke]
 SCATTER = (360.0, 296.0)
 PLOT = (34.0, 8.0, 350.0, 252.0)
 """Size of the scatter plot, and left, top, right and bottom of its frame."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import median
 
@@ -15,10 +14,9 @@ from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, find_loss
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.standings import Contest
 from evalkit.report.formatting import format_amount, format_loss, format_tick
-from evalkit.report.html.method_colours import Stroke
+from evalkit.report.html.method_colours import Strokes
 from evalkit.report.html.svg import AxisScale, element, join, log_scale
 
-Strokes = Mapping[str, Stroke]
 ROW = 22
 """Height of a row of the dot plot (px)."""
 

@@ -13,10 +13,9 @@ from evalkit.report.formatting import format_length, format_loss
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Table, Text
 from evalkit.report.html.charts import Axis, Points
-from evalkit.report.html.method_colours import TRUTH
+from evalkit.report.html.method_colours import TRUTH, Strokes
 from evalkit.report.html.report_tables import (
     DASH,
-    Strokes,
     by_rank,
     method_cell,
     metric_column,

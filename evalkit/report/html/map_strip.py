@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import median
 from urllib.parse import quote
@@ -14,9 +13,8 @@ from evalkit.report.analysis.statements.pills import find_left_out
 from evalkit.report.formatting import format_amount, format_loss, format_milliseconds
 from evalkit.report.html.blocks import Figure
 from evalkit.report.html.maps import find_window, measure_image, render_map
-from evalkit.report.html.method_colours import Stroke
+from evalkit.report.html.method_colours import Stroke, Strokes
 
-Strokes = Mapping[str, Stroke]
 MAX_TILES = 4
 
 

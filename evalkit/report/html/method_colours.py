@@ -32,7 +32,11 @@ class Stroke:
         return f"var(--hue-{HUES.index(self.colour)})" if self.colour in HUES else "var(--grey)"
 
 
-def assign_strokes(methods: Iterable[str], baselines: Iterable[str] = ()) -> Mapping[str, Stroke]:
+Strokes = Mapping[str, Stroke]
+"""The stroke of every method, by its name."""
+
+
+def assign_strokes(methods: Iterable[str], baselines: Iterable[str] = ()) -> Strokes:
     """Return a stroke for every method: the colour by its name, dashes for methods that share one; baselines are grey.
 
     Names in alphabetical order get the dashes, so that they do not depend on the order of the methods.

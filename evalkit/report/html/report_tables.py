@@ -15,12 +15,11 @@ from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, select_un
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import capitalise, count_losses, format_amount, format_loss, format_number
 from evalkit.report.html.blocks import Block, Cell, Chips, Column, Table, Text, Tone
-from evalkit.report.html.method_colours import Stroke
+from evalkit.report.html.method_colours import Strokes
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.intervals import wilson_interval
 from evalkit.stats.runs import MIN_RUNS
 
-Strokes = Mapping[str, Stroke]
 DASH = Cell("–", "")
 CHIPS: Mapping[str, Chips] = {"reference": (("reference", ""),), "baseline": (("baseline", ""),)}
 

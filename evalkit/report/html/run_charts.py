@@ -12,13 +12,12 @@ from markupsafe import Markup
 from evalkit.core.se2 import Floats
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.formatting import format_length, format_milliseconds, format_tick
-from evalkit.report.html.method_colours import Stroke
+from evalkit.report.html.method_colours import Strokes
 from evalkit.report.html.run_lines import POINTS, STRETCHES, bin_series, find_frame, seconds_of, thin_points, world_path
 from evalkit.report.html.svg import AxisScale, element, join, log_scale, polyline
 from evalkit.results.run_record import RunRecord
 
-Series = Mapping[str, tuple[Floats, Floats]]
-Strokes = Mapping[str, Stroke]
+ChartLines = Mapping[str, tuple[Floats, Floats]]
 Drawn = TypeVar("Drawn")
 
 WIDE = 1000.0
@@ -145,7 +144,7 @@ def _cost_row(
 
 
 def _time_chart(
-    title: str, note: str, finding: str, lines: Series, strokes: Strokes, leader: str,
+    title: str, note: str, finding: str, lines: ChartLines, strokes: Strokes, leader: str,
     keys: Mapping[str, float] | None = None,
 ) -> Markup:  # fmt: skip
     """Return lines over time; ``keys``: the value beside each name, in the list of names below the chart."""

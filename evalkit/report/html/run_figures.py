@@ -13,13 +13,11 @@ from matplotlib.axes import Axes
 from evalkit.core.se2 import Floats
 from evalkit.metrics.runtime import is_measured, period_ns
 from evalkit.report.html.chart_style import LIMIT, Draw, format_log_axis, line_style, render_figure
-from evalkit.report.html.method_colours import TRUTH, Stroke
+from evalkit.report.html.method_colours import TRUTH, Strokes
 from evalkit.report.html.run_lines import POINTS, STRETCHES, bin_series, find_frame, seconds_of, thin_points, world_path
 from evalkit.results.run_record import RunRecord
 
 SIZE = (6.6, 4.7)  # inches
-
-Strokes = Mapping[str, Stroke]
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, RegistrationSpec
 
 MarginChoice = Margin | Literal["float32"]
-Given = Mapping[str, object]
+GivenParameters = Mapping[str, object]
 Arguments = ParamSpec("Arguments")
 Sides = tuple[ComparedBackend, ComparedBackend]
 
@@ -59,9 +59,9 @@ def equivalence(
     b: str | BackendSpec,
     on: str | DatasetSpec = "",
     *,
-    set_a: Given | None = None,
-    set_b: Given | None = None,
-    set_on: Given | None = None,
+    set_a: GivenParameters | None = None,
+    set_b: GivenParameters | None = None,
+    set_on: GivenParameters | None = None,
     margin: MarginChoice = Margin(),  # noqa: B008 - a Margin is frozen
     scans: int = 30,
     disturbed: bool = True,
@@ -92,9 +92,9 @@ def mapper_equivalence(
     b: str | MapperSpec,
     on: str | DatasetSpec = "",
     *,
-    set_a: Given | None = None,
-    set_b: Given | None = None,
-    set_on: Given | None = None,
+    set_a: GivenParameters | None = None,
+    set_b: GivenParameters | None = None,
+    set_on: GivenParameters | None = None,
     margin: MarginChoice = Margin(),  # noqa: B008 - a Margin is frozen
     scans: int = 30,
 ) -> Equivalence:
@@ -147,7 +147,7 @@ assert_equivalent = _raise_if_different(equivalence)
 """``equivalence`` with the same arguments and result; raises NotEquivalent with its text if the back ends differ."""
 
 
-def load_backend(name: str, backend: str | BackendSpec, given: Given) -> ComparedBackend:
+def load_backend(name: str, backend: str | BackendSpec, given: GivenParameters) -> ComparedBackend:
     """A back end with all its parameters, and its trace on if it has one; NotInstalled if it cannot run here."""
     label = label_of(backend, name)
     spec = spec_at(address_of(backend), BackendSpec, registry.backend) if isinstance(backend, str) else backend
@@ -272,7 +272,7 @@ def _count_kinds(divergences: list[Divergence]) -> dict[str, int]:
     return dict(Counter(str(one.kind) for one in divergences).most_common())
 
 
-def _load_sequence(on: str | DatasetSpec, given: Given) -> tuple[str, Sequence]:
+def _load_sequence(on: str | DatasetSpec, given: GivenParameters) -> tuple[str, Sequence]:
     if on == "":
         on = defaults.find_simulated_dataset()
         given = {**defaults.find_excerpts("quick")[on], **given}

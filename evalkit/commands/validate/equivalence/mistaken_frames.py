@@ -13,13 +13,13 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 
-Change = Callable[[Frame], Frame]
+FrameChange = Callable[[Frame], Frame]
 
 DISTANCES_M = (3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 GRIDS_M = (0.001, 0.005, 0.01, 0.02, 0.05, 0.1)
 
 
-def mistaken_frames() -> Iterator[tuple[str, Change]]:
+def mistaken_frames() -> Iterator[tuple[str, FrameChange]]:
     """Mistakes in reading frames: what is wrong, and the frame as it is read."""
     yield "the wheel odometry is not used", lambda one: replace(one, odom_from_base=None, start_from_end=None)
     yield "the motion within a scan is not used: it is not deskewed", lambda one: replace(one, start_from_end=None)
@@ -46,7 +46,7 @@ def skipped_scans(count: int) -> Iterator[tuple[str, Ints]]:
         yield f"one scan of {every} is skipped: it has the answer before", scans - ((scans + 1) % every == 0)
 
 
-def _of_angles() -> Iterator[tuple[str, Change]]:
+def _of_angles() -> Iterator[tuple[str, FrameChange]]:
     yield "the angles of the beams are in the reverse order", lambda one: _with_angles(one, one.scan.angles[::-1])
     yield "the angles of the beams are clockwise", lambda one: _with_angles(one, -one.scan.angles)
     yield "the angles of the beams are in degrees", lambda one: _with_angles(one, np.degrees(one.scan.angles))
@@ -54,7 +54,7 @@ def _of_angles() -> Iterator[tuple[str, Change]]:
         yield f"the angles of the beams are not read: they are even from {start:.3g} rad", _even_from(start)
 
 
-def _of_ranges() -> Iterator[tuple[str, Change]]:
+def _of_ranges() -> Iterator[tuple[str, FrameChange]]:
     for chosen, name in ((np.isinf, "no return"), (np.isnan, "an invalid range")):
         for share in (0.001, 0.01, 0.1, 0.95, 0.99, 0.999):
             what = f"{name} is a point at {share:g} of the way from the smallest range to the largest"
@@ -69,7 +69,7 @@ def _of_ranges() -> Iterator[tuple[str, Change]]:
     yield "only every second beam is used", _of_beams(slice(1, None, 2))
 
 
-def _at_share(chosen: Callable[[Floats], Bools], share: float) -> Change:
+def _at_share(chosen: Callable[[Floats], Bools], share: float) -> FrameChange:
     def read(frame: Frame) -> Frame:
         least, most = frame.scan.range_min_m, frame.scan.range_max_m
         return _fill_ranges(frame, chosen, least + share * (most - least))
@@ -77,7 +77,7 @@ def _at_share(chosen: Callable[[Floats], Bools], share: float) -> Change:
     return read
 
 
-def _even_from(start: float) -> Change:
+def _even_from(start: float) -> FrameChange:
     def read(frame: Frame) -> Frame:
         count = len(frame.scan.angles)
         return _with_angles(frame, start + np.arange(count, dtype=np.float64) * (2.0 * math.pi / max(count, 1)))
@@ -85,15 +85,15 @@ def _even_from(start: float) -> Change:
     return read
 
 
-def _nearer_than(limit_m: float) -> Change:
+def _nearer_than(limit_m: float) -> FrameChange:
     return lambda one: _fill_ranges(one, lambda ranges: np.asarray(ranges > limit_m), math.nan)
 
 
-def _on_grid(step_m: float, rounding: Callable[[Floats], Floats]) -> Change:
+def _on_grid(step_m: float, rounding: Callable[[Floats], Floats]) -> FrameChange:
     return lambda one: _with_ranges(one, rounding(one.scan.ranges / step_m) * step_m)
 
 
-def _of_beams(dropped: slice) -> Change:
+def _of_beams(dropped: slice) -> FrameChange:
     def read(frame: Frame) -> Frame:
         ranges = frame.scan.ranges.copy()
         ranges[dropped] = math.nan

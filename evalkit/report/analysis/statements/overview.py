@@ -9,7 +9,7 @@ from evalkit.metrics.runtime import late_share, work_ns
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.statements.verdict import Outcome, SequenceVerdict, describe_success
+from evalkit.report.analysis.statements.verdict import SequenceVerdict, VerdictOutcome, describe_success
 from evalkit.report.formatting import join_words
 from evalkit.stats.runs import MIN_RUNS
 
@@ -51,7 +51,7 @@ def _describe_wins(counted: Sequence[SequenceVerdict]) -> str:
     return f"Over {count} with ground truth and a geometry that determines the pose, {join_words(parts)}."
 
 
-def _group_leads(verdicts: Sequence[SequenceVerdict], outcome: Outcome) -> list[tuple[str, list[str]]]:
+def _group_leads(verdicts: Sequence[SequenceVerdict], outcome: VerdictOutcome) -> list[tuple[str, list[str]]]:
     """Return the leading methods of that outcome with their sequences, most first."""
     led: dict[str, list[str]] = {}
     for verdict in verdicts:

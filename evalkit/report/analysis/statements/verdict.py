@@ -36,8 +36,8 @@ from evalkit.report.formatting import (
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.runs import FEW_RUNS, MAX_RUNS, MIN_RUNS
 
-Outcome = Literal["winner", "tied", "one run", "single", "lost", "disagreement", "degenerate", "unranked"]
-LED: tuple[Outcome, ...] = ("winner", "tied")
+VerdictOutcome = Literal["winner", "tied", "one run", "single", "lost", "disagreement", "degenerate", "unranked"]
+LED: tuple[VerdictOutcome, ...] = ("winner", "tied")
 NAMED = 3
 """A sentence on an order without a verdict names at most so many methods."""
 
@@ -51,7 +51,7 @@ class SequenceVerdict:
     """
 
     sequence: str
-    outcome: Outcome
+    outcome: VerdictOutcome
     counts: bool
     leaders: tuple[str, ...]
     sentences: tuple[str, ...]
@@ -120,7 +120,7 @@ def _count_statuses(runs: Sequence[RunRecord], expected: Mapping[str, int]) -> s
     )
 
 
-def _find_outcome(sequence: SequenceAnalysis) -> Outcome:
+def _find_outcome(sequence: SequenceAnalysis) -> VerdictOutcome:
     ranking = sequence.deciding
     if sequence.card.degenerate:
         return "degenerate"
@@ -133,7 +133,7 @@ def _find_outcome(sequence: SequenceAnalysis) -> Outcome:
         return "single" if ranking.ranked else "unranked"
     if not ranking.repeated:
         return "one run"
-    undecided: Outcome = "disagreement" if sequence.map_agreement.disagrees else "tied"
+    undecided: VerdictOutcome = "disagreement" if sequence.map_agreement.disagrees else "tied"
     return undecided if ranking.winner is None or not ranking.comparable else "winner"
 
 
@@ -143,7 +143,7 @@ def _find_leaders(sequence: SequenceAnalysis, ranking: Ranking) -> tuple[str, ..
     return tuple(score.method for score in ranking.near)
 
 
-def _describe_outcome(sequence: SequenceAnalysis, ranking: Ranking, outcome: Outcome) -> str:
+def _describe_outcome(sequence: SequenceAnalysis, ranking: Ranking, outcome: VerdictOutcome) -> str:
     if outcome == "disagreement":
         return _describe_disagreement(sequence.map_agreement)
     if outcome == "lost":
@@ -152,7 +152,7 @@ def _describe_outcome(sequence: SequenceAnalysis, ranking: Ranking, outcome: Out
     return f"{sentence} The other map metrics agree." if decided_by_maps(ranking) and outcome in LED else sentence
 
 
-def _describe_leaders(ranking: Ranking, outcome: Outcome, recorded: bool) -> str:
+def _describe_leaders(ranking: Ranking, outcome: VerdictOutcome, recorded: bool) -> str:
     metric, ranked = ranking.metric, ranking.ranked
     if not ranked:
         return f"No method completed every run with a value for {metric.label}, so there is no winner."
