@@ -1,6 +1,7 @@
 """The keys of experiment, study and tuning files, declared once: type, meaning, default and bounds of each.
 
-The readers take them from here (``toml_tables``), and the models of a whole file are made of them (``models``).
+The readers take them from here (``toml_tables``), as do the search for all mistakes of a file (``mistakes``) and its
+JSON Schema (``json_schema``).
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ def all_mistakes(content: Mapping[str, Any], kind: FileKind) -> Iterator[None]:
     try:
         yield
     except BadExperiment as error:
-        from evalkit.config.models import add_further_mistakes  # noqa: PLC0415 - loads pydantic, for mistakes only
+        from evalkit.config.mistakes import add_further_mistakes  # noqa: PLC0415 - it stands on this module
 
         raise add_further_mistakes(error, content, kind) from error
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from evalkit.core.se2 import Floats
 
-Value = TypeVar("Value", np.float32, np.float64)
+Real = TypeVar("Real", np.float32, np.float64)
 
 _BLOCK = 64_000
 """Cells that are filtered at once."""
@@ -28,7 +28,7 @@ def gaussian_weights(sigma: float, reach: int, order: int = 0) -> Floats:
     return np.asarray(weights * factors[order])
 
 
-def filter_image(image: NDArray[Value], down: Floats, across: Floats) -> NDArray[Value]:
+def filter_image(image: NDArray[Real], down: Floats, across: Floats) -> NDArray[Real]:
     """Return the weighted sums of neighbouring cells of an image (H, W) along columns, then along rows.
 
     ``down``, ``across`` (2 R + 1,): symmetric or antisymmetric weights. Only cells with all neighbours in the image
@@ -42,7 +42,7 @@ def filter_image(image: NDArray[Value], down: Floats, across: Floats) -> NDArray
     return rows.reshape(height, -1)[:, :width]
 
 
-def _correlate(values: NDArray[Value], weights: Floats, stride: int) -> NDArray[Value]:
+def _correlate(values: NDArray[Real], weights: Floats, stride: int) -> NDArray[Real]:
     """Return the weighted sums (N,) of values (N,) that are ``stride`` apart; the last 2 R ``stride`` are arbitrary."""
     reach, join = len(weights) // 2, np.add if weights[-1] == weights[0] else np.subtract
     own = weights.astype(values.dtype)

@@ -23,7 +23,7 @@ def schema(
     It knows the installed methods and data sets. An editor that reads it completes names, and marks mistakes while
     typing.
     """
-    from evalkit.config.models import make_schema  # noqa: PLC0415 - loads pydantic
+    from evalkit.config.json_schema import make_schema  # noqa: PLC0415 - loads numpy
 
     kinds: dict[str, FileKind] = {name: name for name in get_args(FileKind)}
     if kind not in kinds:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -78,7 +79,12 @@ class _BaseSettings:
             "method": [groups["method"]], "sequence": [groups["sequence"]], "mapper": table.content.get("mapper", {}),
             "limits": limits.content,
         }  # fmt: skip
-        plan = experiment_from_tables(content, table.file, "study", "study")
+        try:
+            plan = experiment_from_tables(content, table.file, "study", "study")
+        except BadExperiment as error:  # a study has one [method] and one [sequence]
+            where, *texts = error.args
+            place, what = (re.sub(r"^(method|sequence) 1\b", r"\1", text) for text in texts)
+            raise BadExperiment(where, place, what) from error
         self.table, self.method, self.sequence, self.mapper = table, plan.methods[0], plan.sequences[0], plan.mapper
         self.limit_s = plan.limits.run_s
         self._spec = registry.find_backend(self.method.backend)

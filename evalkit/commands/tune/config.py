@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -97,7 +98,8 @@ def _make_plan(table: TomlTable, sequences: Sequence[TomlTable], kind: str) -> E
         return experiment_from_tables(content, table.file, "tuning", "tuning")
     except BadExperiment as error:
         where, place, what = error.args
-        raise BadExperiment(where, place.replace("sequence", kind), what.replace("sequences", kind)) from error
+        what = re.sub(r"^sequence(?= \d)|sequences", kind, what)
+        raise BadExperiment(where, place.replace("sequence", kind), what) from error
 
 
 def _remove_key(table: TomlTable, key: str) -> dict[str, Any]:
