@@ -18,6 +18,8 @@ WIDTH_INCHES: dict[Width, float] = {"column": 3.4, "text": 7.0}
 
 MAX_MAPS = 4
 
+TUNED = "settings chosen on these data"
+
 
 def draw_figures(results: ExportSelection, form: FileFormat, width: Width = "column", font: str = "") -> Files:
     """Yield the figures of each sequence's lowest seed, drawn in their final size with text of 7 pt or more.
@@ -73,7 +75,10 @@ def draw_maps(results: ExportSelection, sequence: str, form: FileFormat, paper: 
 
 
 def draw_accuracy_time(results: ExportSelection, sequence: str, form: FileFormat, paper: PaperStyle) -> bytes | None:
-    """Draw the error in the deciding metric over the CPU time a scan, a dot a method; None without two of them."""
+    """Draw the error in the deciding metric over the CPU time a scan, a dot a method; None without two of them.
+
+    An open diamond instead of the dot: settings of the method were chosen on these data.
+    """
     deciding = results.deciding(sequence)
     column, costs = results.column(deciding), {row.method: row.median for row in _rows(results, sequence, COST)}
     points = [
@@ -91,7 +96,10 @@ def draw_accuracy_time(results: ExportSelection, sequence: str, form: FileFormat
             colour = results.strokes[row.method].colour
             if row.spread is not None:
                 axes.vlines(cost, row.spread.low, row.spread.high, color=colour, linewidth=0.8)
-            axes.plot(cost, error, "o", color=colour, markersize=4.0)
+            tuned = results.is_tuned(row.method, sequence)
+            axes.plot(
+                cost, error, "D" if tuned else "o", color=colour, mfc="white" if tuned else colour, markersize=4.0
+            )
             right = cost > middle
             axes.annotate(row.method, (cost, error), (-3 if right else 3, 3), textcoords="offset points",
                           ha="right" if right else "left", fontsize=paper.MIN_PT, color=colour)  # fmt: skip
@@ -102,6 +110,9 @@ def draw_accuracy_time(results: ExportSelection, sequence: str, form: FileFormat
             axes.set_yscale("log")
             format_log_axis(axes.yaxis)
         axes.margins(x=0.15)
+        if any(results.is_tuned(row.method, sequence) for row, *_ in points):
+            axes.plot([], [], "D", color="black", mfc="white", markersize=4.0, label=TUNED)
+            axes.legend(fontsize=paper.MIN_PT, frameon=False, handletextpad=0.2)
         axes.set(xlabel="CPU time per scan [ms]", ylabel=f"{column.label} [{column.unit}]")
 
     return render_figure([draw], (paper.width_in, min(0.7 * paper.width_in, 3.0)), None, form, paper)

@@ -91,6 +91,11 @@ class ExportSelection:
             label for label in self.sequences if any((label, c.name) in valued for c in self.columns_of(label))
         )
 
+    def is_tuned(self, method: str, sequence: str) -> bool:
+        """Return whether settings of a method were chosen on the data set of a sequence."""
+        data_sets = {run["dataset"] for run in self.content["runs"] if run["sequence"] == sequence}
+        return not data_sets.isdisjoint(self.content["methods"][method]["tuned_on"])
+
     def column(self, metric: str) -> MetricColumn | None:
         """Return a metric as a column, None for an unknown one."""
         card = next((one for one in self.content["metrics"] if one["name"] == metric), None)

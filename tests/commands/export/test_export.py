@@ -17,6 +17,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 from typer.testing import CliRunner
 
@@ -459,6 +460,28 @@ def test_figures_are_vector_graphics_with_embedded_fonts_and_reproducible_bytes(
     first = next(iter(drawn))
     assert next(figures.draw_figures(found, "pdf")) == (first, drawn[first])
     assert next(figures.draw_figures(found, "svg"))[1].startswith(b"<?xml")
+
+
+def test_the_figure_of_errors_marks_methods_whose_settings_were_chosen_on_its_data(finished_folder, monkeypatch):
+    shown = []
+
+    def keep(panels, *_):
+        shown.append(Figure().subplots())
+        panels[0](shown[-1])
+
+    monkeypatch.setattr(figures, "render_figure", keep)
+    found = load_selection(finished_folder)
+    paper = chart_style.PaperStyle(3.4, "")
+    for tuned_on in ([], ["other"], ["lap"]):
+        methods = {**found.content["methods"], "paper": {**found.content["methods"]["paper"], "tuned_on": tuned_on}}
+        figures.draw_accuracy_time(replace(found, content={**found.content, "methods": methods}), AWKWARD, "svg", paper)
+    marks = [sorted(line.get_marker() for line in axes.lines if len(line.get_xdata())) for axes in shown]
+    assert marks == [["o", "o"], ["o", "o"], ["D", "o"]]
+    assert [axes.get_legend() and axes.get_legend().get_texts()[0].get_text() for axes in shown] == [
+        None,
+        None,
+        figures.TUNED,
+    ]
 
 
 @pytest.mark.parametrize(("width", "inches"), [("column", 3.4), pytest.param("text", 7.0, marks=pytest.mark.thorough)])
