@@ -53,9 +53,9 @@ def add_further_mistakes(first: BadExperiment, content: Mapping[str, Any], kind:
     found = list(islice(find_mistakes(content, kind), MAX_MISTAKES))
     lines = [re.sub(KNOWN, r"\1", _join(*one)) for one in found if not _is_told(*one, place, what)]
     text = what
-    for told, line in enumerate(lines):
+    for listed, line in enumerate(lines):
         if len(text) + len(line) > MAX_CHARACTERS:
-            text += f"; and {'at least ' if len(found) == MAX_MISTAKES else ''}{len(lines) - told} more"
+            text += f"; and {'at least ' if len(found) == MAX_MISTAKES else ''}{len(lines) - listed} more"
             break
         text += f"; also {line}"
     return BadExperiment(file, place, text)

@@ -85,13 +85,13 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     """Findings on drift over loops, contributions 1 and 2, artefacts, and moving people."""
     first = {entry.name: _errors_after_one_lap(settings, results, entry.name) for entry in ENTRIES}
-    told = "; ".join(f"{label}: {_format_range(values)} %" for label, values in first.items())
+    text = "; ".join(f"{label}: {_format_range(values)} %" for label, values in first.items())
     updates = results["map updates"]
     slowest = max(updates.values())
     return (
         Finding(
             "Drift remains limited for loops of moderate length", "no figure is given",
-            f"position error after one lap in % of the path, over worlds and seeds: {told}",
+            f"position error after one lap in % of the path, over worlds and seeds: {text}",
             verdicts.judge_loops(float(first[PRINTED].max()), float(first[READING].max()),
                                  "the error of the stop rule is the mean distance, as in Table 1"),
             LOOPS,
@@ -139,11 +139,11 @@ def _loop_section(settings: Settings, results: Results) -> Section:
         Column("At the end", "m", number=True), Column("of the path", "%", number=True),
         Column("Growth exponent", number=True, tip="slope of log error over log path length, from one lap on"),
     )  # fmt: skip
-    told = (
+    text = (
         f"One drive of {settings['laps']:g} laps, {settings['seeds']} seeds. Only the first pose is aligned: the "
         "position error is what the robot is off by when it returns to a place. Values are medians over the seeds."
     )
-    return Section("Loops of moderate length", (Text(told), figures, Table(columns, rows)), LOOPS)
+    return Section("Loops of moderate length", (Text(text), figures, Table(columns, rows)), LOOPS)
 
 
 def _growth_figure(settings: Settings, results: Results, world: str) -> Figure:
@@ -183,12 +183,12 @@ def _change_section(settings: Settings, results: Results) -> Section:
         "Changed", Column("ATE RMSE", "m", number=True), Column("map F1 at 10 cm", number=True),
         Column("wall precision at 10 cm", number=True), Column("map entropy", "nat", number=True),
     )  # fmt: skip
-    told = (
+    text = (
         "The paper's ICP as in Table 1, in the lab; one thing is changed in each row. People are discs of 0.25 m "
         f"radius that walk at 1 m/s. Median over {settings['map_seeds']} seeds, minimum and maximum in brackets. The "
         "text gives neither the limit of its outlier filter nor its local radius; here outliers are pairs beyond 0.3 m."
     )
-    return Section("Maps under changes", (Text(told), Table(columns, rows)), CHANGES)
+    return Section("Maps under changes", (Text(text), Table(columns, rows)), CHANGES)
 
 
 def _errors_after_one_lap(settings: Settings, results: Results, label: str) -> Floats:

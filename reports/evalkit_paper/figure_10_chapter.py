@@ -58,13 +58,13 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     del settings
     true = lab_maps.grid_of(results["plan"])
     ghosts = {each.name: _count_ghosts(results[each.name], true) for each in VARIANTS}
-    told = ", ".join(f"{name} {count[0]} of {count[1]}" for name, count in ghosts.items())
+    text = ", ".join(f"{name} {count[0]} of {count[1]}" for name, count in ghosts.items())
     share = {name: count[0] / max(count[1], 1) for name, count in ghosts.items()}
     shares = {"paper": share["paper"], "odometry": share[lab_maps.ODOMETRY.name]}
     return (
         Finding(
             "Figure 10", "a map that agrees with the place (a photo; here the simulated plan)",
-            f"cells more than {map_faults.GHOST_M:g} m off every true wall: {told}",
+            f"cells more than {map_faults.GHOST_M:g} m off every true wall: {text}",
             verdicts.judge_map(shares, float(results["paper"]["f1"])), ANCHOR,
         ),
     )  # fmt: skip

@@ -248,12 +248,12 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
         Figure(chart(path(root, words, below), words, begin, end, "change under epsilon, or 40 rounds?"), title)
         for title, words, below, begin, end in _drawings(root)
     ]
-    told = (
+    text = (
         f"Recorded from the running code, not drawn by hand: the calls of scan {results[RECORDED]['scan'] + 1} of a "
         "drive through the laboratory, in order. A stage that is switched off in this chapter's settings is missing "
         "from its figure; a repeated round is drawn once, with its number of repetitions."
     )
-    return (Section("Figures 2 to 5: pipeline and flow charts", (Text(told), Figures(figures, small=True)), ANCHOR),)
+    return (Section("Figures 2 to 5: pipeline and flow charts", (Text(text), Figures(figures, small=True)), ANCHOR),)
 
 
 def _drawings(root: TracedCall) -> tuple[tuple[str, Words, str, str, str], ...]:

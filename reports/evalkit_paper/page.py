@@ -61,7 +61,7 @@ def build_document(
 def findings_section(findings: Sequence[Finding]) -> Section:
     """Table of all findings: printed, measured, verdict, reason."""
     counted = {verdict: sum(item.judgement.verdict == verdict for item in findings) for verdict in TONES}
-    told = ", ".join(f"{number} {verdict}" for verdict, number in counted.items() if number)
+    text = ", ".join(f"{number} {verdict}" for verdict, number in counted.items() if number)
     columns = ("Item", Column("The paper"), Column("Measured here"), "Verdict", "Reason")
     rows = [
         (
@@ -73,7 +73,7 @@ def findings_section(findings: Sequence[Finding]) -> Section:
         )
         for item in findings
     ]
-    return Section("Findings", (Text(f"{len(findings)} items: {told}."), Table(columns, rows)), "findings")
+    return Section("Findings", (Text(f"{len(findings)} items: {text}."), Table(columns, rows)), "findings")
 
 
 def _describe_reason(judgement: Judgement) -> str:

@@ -150,14 +150,14 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     """Finding on the paper's claim of real time."""
     own = [ladder for ladder in _ladders(settings, results) if ladder.label in ("embedded-pipeline", "paper")]
-    told = "; ".join(
+    text = "; ".join(
         f"{ladder.label} at {ladder.rate_hz:g} Hz: {np.median(ladder.costs_ms):.2f} ms per scan, in time up to factor "
         f"{ladder.headroom:.3g}, {_describe_breaking_point(ladder)}"
         for ladder in own
     )
     return (
         Finding(
-            "Real time on the Jetson TX2", "claimed, no times printed", told,
+            "Real time on the Jetson TX2", "claimed, no times printed", text,
             verdicts.judge_real_time(min(ladder.headroom for ladder in own)), ANCHOR,
         ),
     )  # fmt: skip
@@ -203,9 +203,9 @@ def _short_drive_warning(ladders: Sequence[Ladder]) -> list[Block]:
     alone = max(float(np.median(_ate(ladder)[:, 0])) for ladder in ladders if ladder.label == WHEELS)
     if alone > RULE.floor_m:
         return []
-    told = f"The error of wheel odometry alone is only {100.0 * alone:.1f} cm on these drives: no bridged method can "
+    text = f"The error of wheel odometry alone is only {100.0 * alone:.1f} cm on these drives: no bridged method can "
     "break."
-    return [Text(told, "warn")]
+    return [Text(text, "warn")]
 
 
 def _ate(ladder: Ladder) -> Floats:
@@ -294,8 +294,8 @@ def _answered_only_blocks(ladders: Sequence[Ladder]) -> list[Block]:
     if not curves:
         return []
     svg = charts.lines(curves, Axis("device factor", "log"), Axis("ATE [m]", "log"))
-    told = (
+    text = (
         "Scored by answered scans only, slow devices look good however many scans they drop: the few results are "
         "accurate. The poses in between are not."
     )
-    return [Text(told), Figure(svg, "Scoring only answered scans is misleading", "Median over the seeds, 10 Hz.")]
+    return [Text(text), Figure(svg, "Scoring only answered scans is misleading", "Median over the seeds, 10 Hz.")]

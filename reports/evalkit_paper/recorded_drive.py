@@ -81,13 +81,13 @@ def count_spikes_in_turns(result: Result) -> str:
     speeds = np.hypot(*np.diff(result["path"], axis=0, prepend=result["path"][:1]).T) * len(times) / times[-1]
     calm = (yaw < CALM_DPS) & (speeds > DRIVING_MPS)
     turns = spikes.find_events(times, yaw >= TURNING_DPS)
-    told = []
+    texts = []
     for stage in stage_errors.STAGES:
         residual = result[stage][:, 0]
         found = spikes.find_spikes(residual, spikes.compute_band(residual, calm))
         inside = sum(any(spikes.belongs_to(spike, times, turn) for turn in turns) for spike in found)
-        told.append(f"{inside} of {len(found)} {stage.upper()} spikes")
-    return " and ".join(told)
+        texts.append(f"{inside} of {len(found)} {stage.upper()} spikes")
+    return " and ".join(texts)
 
 
 def _residual_figure(result: Result) -> Figure:
@@ -99,11 +99,11 @@ def _residual_figure(result: Result) -> Figure:
         for number, stage in enumerate(stage_errors.STAGES)
     ]  # fmt: skip
     groups.append(([Curve("yaw rate", times, yaw, stroke=charts.stroke(2))], Axis("[deg/s]", low=0.0)))
-    told = [f"{stage.upper()} {_describe_medians(result, stage)}" for stage in stage_errors.STAGES]
+    texts = [f"{stage.upper()} {_describe_medians(result, stage)}" for stage in stage_errors.STAGES]
     return Figure(
         charts.panels(groups, Axis("time [s]"), spans, height=1.7),
         "TurtleBot 4: S2S, S2M and yaw rate over time with 'paper', deskewed by odometry",
-        f"Medians outside turns and in turns from {TURNING_DPS:g} deg/s: {'; '.join(told)}. "
+        f"Medians outside turns and in turns from {TURNING_DPS:g} deg/s: {'; '.join(texts)}. "
         f"{count_spikes_in_turns(result)} fall into turns. Yaw rate by odometry.",
     )  # fmt: skip
 

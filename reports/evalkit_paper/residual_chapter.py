@@ -102,7 +102,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
         f"{rate:g} Hz": [results[lab_drives.speed_name(speed, rate)]["median"] for speed in speeds] for rate in rates
     }
     ranges = {name: (min(values), max(values)) for name, values in by_speed.items()}
-    told = "; ".join(f"{low:.3f} to {high:.3f} m at {name}" for name, (low, high) in ranges.items())
+    text = "; ".join(f"{low:.3f} to {high:.3f} m at {name}" for name, (low, high) in ranges.items())
     turns = [row for row in spike_causes.cause_spikes(settings, results, "s2m") if row.cause.name == "quick turns"]
     spiking = verdicts.judge_spikes(
         sum(row.hit for row in turns), sum(row.count for row in turns), max(row.longest_s for row in turns),
@@ -112,7 +112,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
         Finding("Figure 9, S2S", "stable in the range 0.02 to 0.03", _describe_medians(scan),
                 verdicts.judge_steady({name: (value, value) for name, value in scan.items()}, metres), ANCHOR),
         Finding("Figure 9, S2S for all v < 0.3 m/s", "stable in the range 0.02 to 0.03",
-                f"{told} ({speeds[0]:g} to {speeds[-1]:g} m/s)", verdicts.judge_steady(ranges, metres), ANCHOR),
+                f"{text} ({speeds[0]:g} to {speeds[-1]:g} m/s)", verdicts.judge_steady(ranges, metres), ANCHOR),
         Finding("Figure 9, S2M in steady motion", "remains low", _describe_medians(by_map),
                 verdicts.judge_low(max(by_map[name] / scan[name] for name in scan)), ANCHOR),
         Finding("Figure 9, S2M in turns", "only short-lived spikes during turning phases",

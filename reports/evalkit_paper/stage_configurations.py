@@ -96,13 +96,13 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
     )  # fmt: skip
     best = min(float(np.mean(_values(settings, results, each, "ate_m"))) for each in CONFIGURATIONS)
     rows = [_configuration_row(settings, results, each, best) for each in CONFIGURATIONS]
-    told = (
+    text = (
         f"The laboratory, {settings['laps']:g} laps ({path_m:.0f} m) at {settings['speed_mps']:g} m/s and "
         f"{settings['rate_hz']:g} Hz, {settings['seeds']} seed{'s' if settings['seeds'] > 1 else ''}. The paper "
         "describes neither the local map of its second stage nor the unit of its threshold; possible readings of the "
         "text are marked. One-to-one pairs of at most 0.3 m unless a row says otherwise."
     )
-    return (Section("Two stages: what the text leaves open", (Text(told), Table(columns, rows)), ANCHOR),)
+    return (Section("Two stages: what the text leaves open", (Text(text), Table(columns, rows)), ANCHOR),)
 
 
 def _configuration_row(settings: Settings, results: Results, each: Case, best: float) -> list[Cell | str]:

@@ -58,10 +58,10 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
     if study.missing:
         return (Section(heading, (Text(f"Not computed here: {study.missing}", "warn"),), name),)
     outcome = _study_result(study, results)
-    told = describe_cost(outcome)
+    text = describe_cost(outcome)
     if "comparisons" in settings:
-        told += f" {describe_agreement(settings, results)}"
-    first = Section(heading, (Text(study.description), Text(told)), name)
+        text += f" {describe_agreement(settings, results)}"
+    first = Section(heading, (Text(study.description), Text(text)), name)
     return (first, *build_sections(outcome, f"{heading}: ", f"{name}-"))
 
 
@@ -73,14 +73,14 @@ def study_findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     outcome = _study_result(study, results)
     response = study.responses[0]
     fits = outcome.fits(response)
-    told = [f"{design.name}: {describe_main_effects(response, design, fit)} {describe_interactions(response, fit, 2)}"
+    texts = [f"{design.name}: {describe_main_effects(response, design, fit)} {describe_interactions(response, fit, 2)}"
             for design, fit in fits]  # fmt: skip
     matter = [
         fit.factor(number).largest.value.excludes(0.0) for design, fit in fits for number in range(len(design.factors))
     ]
     found = [Finding(
         "Contribution 3: study of grid resolution, ICP parameters and vehicle speed",
-        "announced; no table or figure of it is printed", " ".join(told),
+        "announced; no table or figure of it is printed", " ".join(texts),
         verdicts.judge_study(sum(matter), len(matter)), f"{STUDY}-effects",
     )]  # fmt: skip
     for choice in study.envelopes:
@@ -103,18 +103,18 @@ def map_findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     levels = _levels(_study_result(study, results))
     found = []
     if cells := levels.get("cell"):
-        told = ", ".join(f"{name} m {value:.3f}" for name, value in cells.items())
+        text = ", ".join(f"{name} m {value:.3f}" for name, value in cells.items())
         spread = max(cells.values()) - min(cells.values()) > 0.02
         found.append(Finding(
-            "Study of the grid's resolution", "announced, no table printed", f"F1 at 10 cm by cell size: {told}",
+            "Study of the grid's resolution", "announced, no table printed", f"F1 at 10 cm by cell size: {text}",
             verdicts.judge_study(int(spread), 1), f"{MAPS}-curves",
         ))  # fmt: skip
     spans = {name: (min(levels[name].values()), max(levels[name].values())) for name in OPEN_CHOICES if name in levels}
     if spans:
-        told = "; ".join(f"{name}: F1 {low:.3f} to {high:.3f}" for name, (low, high) in spans.items())
+        text = "; ".join(f"{name}: F1 {low:.3f} to {high:.3f}" for name, (low, high) in spans.items())
         found.append(Finding(
             "Bounds of the log-odds, several beams in one cell, cells that a beam crosses",
-            "l_min and l_max without values; nothing on the other two", told, verdicts.judge_open_choices(spans),
+            "l_min and l_max without values; nothing on the other two", text, verdicts.judge_open_choices(spans),
             f"{MAPS}-curves",
         ))  # fmt: skip
     return tuple(found)

@@ -39,7 +39,7 @@ FAR_STARTS: tuple[Bounds, Bounds] = ((40.0, 90.0), (4.0, 8.0))
 """Turns (deg) and distances (m) of good and of bad initial guesses."""
 
 OVERLAP, OVERLAPS, LIMIT_M = "overlap", (1.0, 0.9, 0.8, 0.7, 0.6, 0.5), 0.5
-LEAST_OVERLAP = 0.7
+MIN_OVERLAP = 0.7
 """Overlap from which on every start must succeed."""
 
 
@@ -82,7 +82,7 @@ def blocks(settings: Settings, results: Results) -> list[Block]:
     metres, degrees = table_1.initial_offset(ROOMS["first"])
     trials = settings["basin_seeds"]
     widest = wilson_interval(trials // 2, trials)
-    told = (
+    text = (
         "The scan of Table 1 is shifted by a distance at the room's centre, in all directions, and rotated about it to "
         f"either side; {trials} starts per cell, each with its own noise. Success: within {settings['within_m']:g} m "
         f"at the centre and {settings['within_deg']:g} deg of the true pose when ICP ends. Table 1 itself starts "
@@ -90,7 +90,7 @@ def blocks(settings: Settings, results: Results) -> list[Block]:
         f"to {100 * widest.high:.0f} % (Wilson)."
     )
     return [
-        Text(told),
+        Text(text),
         Figures([_heat_figure(variant, load_successes(results, variant), trials) for variant in VARIANTS], small=True),
         _end_table(results, trials),
         Text(_summarize(results, trials)),
@@ -107,7 +107,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     fewer = float(fisher_exact(counts, alternative="less").pvalue)
     found = results[OVERLAP]
     plain, limited = (dict(zip(OVERLAPS, found[name].tolist(), strict=True)) for name in ("plain", "limited"))
-    told = ", ".join(f"{100 * overlap:.0f} %: {100 * plain[overlap]:.0f} and {100 * limited[overlap]:.0f} %"
+    text = ", ".join(f"{100 * overlap:.0f} %: {100 * plain[overlap]:.0f} and {100 * limited[overlap]:.0f} %"
                      for overlap in OVERLAPS)  # fmt: skip
     return (
         Finding(
@@ -118,8 +118,8 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
         ),
         Finding(
             "Partial overlap", "named, no figure is given",
-            f"starts that succeed by overlap, with all pairs and with pairs within {LIMIT_M:g} m: {told}",
-            verdicts.judge_overlap(plain, limited, LEAST_OVERLAP, f"pairs beyond {LIMIT_M:g} m are dropped"), "basin",
+            f"starts that succeed by overlap, with all pairs and with pairs within {LIMIT_M:g} m: {text}",
+            verdicts.judge_overlap(plain, limited, MIN_OVERLAP, f"pairs beyond {LIMIT_M:g} m are dropped"), "basin",
         ),
     )  # fmt: skip
 

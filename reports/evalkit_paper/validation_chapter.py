@@ -177,9 +177,9 @@ def _fit_table(known: Mapping[str, Fit]) -> Table:
         off = [Cell(f"{value:.1f} ({name})", sort=value, tone=tone) for value, name in (fit.largest, fit.of_pose)]
         share = Cell(f"{100 * fit.converged.mean():.0f}")
         rows.append((Cell(fit.reading, tone=tone), *numbers, share, off[0], Cell(off[1].text, sort=off[1].sort)))
-    for seed, told in ((fitting.nearest, "the whole row"), (fitting.nearest_in_errors, "k and errors")):
+    for seed, criterion in ((fitting.nearest, "the whole row"), (fitting.nearest_in_errors, "k and errors")):
         near = [Cell(f"{value:.{digits}f}") for value, digits in zip(fitting.rows[seed], DIGITS, strict=True)]
-        rows.append((Cell(f"seed {seed}, nearest in {told}"), *near, *[Cell("-")] * 3))
+        rows.append((Cell(f"seed {seed}, nearest in {criterion}"), *near, *[Cell("-")] * 3))
     return Table(columns, rows, sortable=False)
 
 
@@ -202,12 +202,12 @@ def _describe_pose(fit: Fit) -> str:
 
 
 def _describe_extents(results: Results) -> str:
-    told = [
+    texts = [
         f"{results[f'spans {room}']['scan'][0]:.1f} x {results[f'spans {room}']['scan'][1]:.1f} m moved, "
         f"{results[f'spans {room}']['reference'][0]:.0f} x {results[f'spans {room}']['reference'][1]:.0f} m aligned"
         for room in ROOMS
     ]
-    return f"Extents of the cloud (the paper: 14 x 14 before, 10 x 10 after): {told[0]}; second room: {told[1]}."
+    return f"Extents of the cloud (the paper: 14 x 14 before, 10 x 10 after): {texts[0]}; second room: {texts[1]}."
 
 
 def _figure_blocks(fit: Fit) -> list[Block]:
@@ -255,11 +255,11 @@ def _residual_figure(fit: Fit) -> Figure:
         {f"mean {near.mean():.4f} m": float(near.mean())},
     )  # fmt: skip
     everyone = fit.residuals[np.isfinite(fit.residuals)]
-    told = (
+    text = (
         f"{len(near)} pairs after the last step. Over all seeds: median {np.median(everyone):.4f} m, "
         f"95 % below {np.quantile(everyone, 0.95):.3f} m."
     )
-    return Figure(body, "Figure 7: residuals", told)
+    return Figure(body, "Figure 7: residuals", text)
 
 
 def _overlay_figure(fit: Fit, when: str) -> Figure:
@@ -271,8 +271,8 @@ def _overlay_figure(fit: Fit, when: str) -> Figure:
         Points("scan", moved, ORANGE if when == "before" else BLUE, 2.0),
     )
     left = pose.inverse() @ APPLIED
-    told = f"Scan {np.hypot(left.x, left.y):.3f} m and {abs(np.degrees(left.theta)):.2f} deg from the applied motion."
-    return Figure(charts.scatter(layers, Axis("x [m]"), Axis("y [m]")), f"Figure 8: {when}", told)
+    text = f"Scan {np.hypot(left.x, left.y):.3f} m and {abs(np.degrees(left.theta)):.2f} deg from the applied motion."
+    return Figure(charts.scatter(layers, Axis("x [m]"), Axis("y [m]")), f"Figure 8: {when}", text)
 
 
 def _estimated_pose(fit: Fit) -> Pose:

@@ -53,8 +53,8 @@ def judge_correction(printed: float, corrected: float, correction: str) -> Judge
     """A formula of which the shares of successes are known, as printed and corrected: all must succeed."""
     if printed == 1.0:
         return Judgement("reproduced", "as printed it succeeds every time")
-    told = f"it succeeds in {100 * printed:.0f} % of the cases as printed, in {100 * corrected:.0f} % corrected"
-    return judge(corrected == 1.0, told, told, correction)
+    text = f"it succeeds in {100 * printed:.0f} % of the cases as printed, in {100 * corrected:.0f} % corrected"
+    return judge(corrected == 1.0, text, text, correction)
 
 
 def judge_subsets(pairs: float, targets: float) -> Judgement:
@@ -69,9 +69,9 @@ def judge_error(printed_sigmas: float, mean_sigmas: float) -> Judgement:
     """Equation 5 against the last error of Table 1: deviations of the mean square and of the mean distance."""
     if printed_sigmas <= MAX_SIGMAS:
         return Judgement("reproduced", "the mean square gives the last error of Table 1")
-    told = f"the mean square misses the last error of Table 1 by {printed_sigmas:.0f} sigma, the mean distance by "
-    told += f"{mean_sigmas:.1f}"
-    return judge(mean_sigmas <= MAX_SIGMAS, told, told, "mean distance (m) instead of mean squared distance")
+    text = f"the mean square misses the last error of Table 1 by {printed_sigmas:.0f} sigma, the mean distance by "
+    text += f"{mean_sigmas:.1f}"
+    return judge(mean_sigmas <= MAX_SIGMAS, text, text, "mean distance (m) instead of mean squared distance")
 
 
 def judge_error_time(after_sigmas: float, before_sigmas: float) -> Judgement:
@@ -85,8 +85,8 @@ def judge_error_time(after_sigmas: float, before_sigmas: float) -> Judgement:
 
 def judge_free_space(wrong: float) -> Judgement:
     """Equation 10 as printed: share of truly free cells that the map marks as occupied."""
-    told = f"{100 * wrong:.1f} % of the truly free cells are marked occupied"
-    return judge(wrong <= 0.05, f"added as printed, l_free clears free space: {told}", told)
+    text = f"{100 * wrong:.1f} % of the truly free cells are marked occupied"
+    return judge(wrong <= 0.05, f"added as printed, l_free clears free space: {text}", text)
 
 
 # --- figures 2 to 8 and Table 1
@@ -103,14 +103,14 @@ def judge_stages(ran: Sequence[str], wanted: Sequence[str]) -> Judgement:
 
 def judge_number(sigmas: float, correction: str = "") -> Judgement:
     """A printed number that deviates from the mean over the seeds by so many standard deviations."""
-    told = f"{sigmas:.1f} standard deviations off, beyond its rounding"
-    return judge(sigmas <= MAX_SIGMAS, told, told, correction)
+    text = f"{sigmas:.1f} standard deviations off, beyond its rounding"
+    return judge(sigmas <= MAX_SIGMAS, text, text, correction)
 
 
 def judge_convergence(converged: float, sigmas: float, correction: str) -> Judgement:
     """Figure 6: share of seeds that converge, and deviation of its first and last error."""
-    told = f"{100 * converged:.0f} % of the seeds converge; its ends are at most {sigmas:.1f} standard deviations off"
-    return judge(converged == 1.0 and sigmas <= MAX_SIGMAS, told, told, correction)
+    text = f"{100 * converged:.0f} % of the seeds converge; its ends are at most {sigmas:.1f} standard deviations off"
+    return judge(converged == 1.0 and sigmas <= MAX_SIGMAS, text, text, correction)
 
 
 def judge_extents(before_m: float, after_m: float) -> Judgement:
@@ -136,8 +136,8 @@ def judge_overlap(
 def judge_initial_guess(faster: float, fewer_misled: float) -> Judgement:
     """A better guess against a worse one: p-values of fewer iterations and of fewer wrong minima."""
     failed = [word for word, p in (("iterations", faster), ("wrong minima", fewer_misled)) if not p < 0.05]
-    told = f"fewer iterations with p = {faster:.1g}, fewer wrong minima with p = {fewer_misled:.1g}"
-    return judge(not failed, told, f"not significantly: {told}")
+    text = f"fewer iterations with p = {faster:.1g}, fewer wrong minima with p = {fewer_misled:.1g}"
+    return judge(not failed, text, f"not significantly: {text}")
 
 
 # --- the two stages, Figures 9 and 10
@@ -164,20 +164,20 @@ def judge_steady(ranges_m: Mapping[str, tuple[float, float]], correction: str) -
 
 def judge_low(ratio: float) -> Judgement:
     """S2M "remains low during steady motion": its steady median as a share of that of S2S, the largest of all rates."""
-    told = f"its steady median is at most {ratio:.2f} of that of S2S"
-    return judge(ratio < 1.0, told, told)
+    text = f"its steady median is at most {ratio:.2f} of that of S2S"
+    return judge(ratio < 1.0, text, text)
 
 
 def judge_spikes(hit: int, turns: int, longest_s: float, calm: int) -> Judgement:
     """S2M "short-lived spikes during turning phases": turns with a spike, the longest, and spikes in calm motion."""
-    told = f"{hit} of {turns} turns, back after at most {longest_s:.1f} s, {calm} spikes in steady motion"
-    return judge(hit > 0 and longest_s <= SHORT_S and calm == 0, told, told)
+    text = f"{hit} of {turns} turns, back after at most {longest_s:.1f} s, {calm} spikes in steady motion"
+    return judge(hit > 0 and longest_s <= SHORT_S and calm == 0, text, text)
 
 
 def judge_map(shares: Mapping[str, float], f1: float) -> Judgement:
     """Figure 10: shares of ghost cells along "paper" and "odometry", and F1 of the paper's map."""
-    told = f"{100 * shares['paper']:.1f} % ghost cells, {100 * shares['odometry']:.1f} % along odometry, F1 {f1:.2f}"
-    return judge(shares["paper"] < shares["odometry"] and f1 >= WALLS_F1, told, told)
+    text = f"{100 * shares['paper']:.1f} % ghost cells, {100 * shares['odometry']:.1f} % along odometry, F1 {f1:.2f}"
+    return judge(shares["paper"] < shares["odometry"] and f1 >= WALLS_F1, text, text)
 
 
 # --- claims
@@ -185,29 +185,29 @@ def judge_map(shares: Mapping[str, float], f1: float) -> Judgement:
 
 def judge_difference(differences: Sequence[float], what: str) -> Judgement:
     """A claim that a value is larger: paired differences over the repetitions, by a one-sided t-test at 5 %."""
-    told = f"{what}: by {np.mean(differences):.2g} on average, in {sum(d > 0.0 for d in differences)} of "
-    told += f"{len(differences)} repetitions"
+    text = f"{what}: by {np.mean(differences):.2g} on average, in {sum(d > 0.0 for d in differences)} of "
+    text += f"{len(differences)} repetitions"
     if len(differences) < 3 or np.ptp(differences) == 0.0:
         p = 0.0 if len(differences) >= 3 and differences[0] > 0.0 else 1.0
     else:
         p = float(ttest_1samp(differences, 0.0, alternative="greater").pvalue)
-    return judge(p < 0.05, f"{told} (p = {p:.1g})", f"{told} (p = {p:.1g}), not beyond their spread")
+    return judge(p < 0.05, f"{text} (p = {p:.1g})", f"{text} (p = {p:.1g}), not beyond their spread")
 
 
 def judge_loops(printed_percent: float, reading_percent: float, correction: str) -> Judgement:
     """Limited drift: the largest error after one lap in percent of the path, as printed and as Table 1 implies."""
-    told = f"limited is read as at most {LIMITED_PERCENT:g} % of one lap in every repetition; without loop closure the "
-    told += "drift keeps growing"
+    text = f"limited is read as at most {LIMITED_PERCENT:g} % of one lap in every repetition; without loop closure the "
+    text += "drift keeps growing"
     if printed_percent <= LIMITED_PERCENT:
-        return Judgement("reproduced", told)
-    return judge(reading_percent <= LIMITED_PERCENT, told, told, correction)
+        return Judgement("reproduced", text)
+    return judge(reading_percent <= LIMITED_PERCENT, text, text, correction)
 
 
 def judge_light(update_ms: float, period_ms: float) -> Judgement:
     """Contribution 2: time of a map update against the time between two scans."""
-    told = f"{100 * update_ms / period_ms:.2g} % of the time between two scans; light is read as at most "
-    told += f"{100 * LIGHT_SHARE:g} %"
-    return judge(update_ms <= LIGHT_SHARE * period_ms, told, told)
+    text = f"{100 * update_ms / period_ms:.2g} % of the time between two scans; light is read as at most "
+    text += f"{100 * LIGHT_SHARE:g} %"
+    return judge(update_ms <= LIGHT_SHARE * period_ms, text, text)
 
 
 def judge_study(significant: int, factors: int) -> Judgement:
@@ -230,14 +230,14 @@ def judge_open_choices(f1: Mapping[str, tuple[float, float]]) -> Judgement:
 
 def judge_slow(inside: Sequence[bool]) -> Judgement:
     """Consistent maps at low to medium speed: whether the slowest drives of each configuration stay in the limit."""
-    told = f"the slowest drives stay within the limit in {sum(inside)} of {len(inside)} configurations"
-    return judge(bool(inside) and all(inside), told, told)
+    text = f"the slowest drives stay within the limit in {sum(inside)} of {len(inside)} configurations"
+    return judge(bool(inside) and all(inside), text, text)
 
 
 def judge_fast(outside: Sequence[bool]) -> Judgement:
     """Fast motion is a limit: whether the fastest drives of each configuration leave the limit."""
-    told = f"faster drives leave the limit in {sum(outside)} of {len(outside)} configurations"
-    return judge(any(outside), told, "no drive is too fast at the speeds tried")
+    text = f"faster drives leave the limit in {sum(outside)} of {len(outside)} configurations"
+    return judge(any(outside), text, "no drive is too fast at the speeds tried")
 
 
 def judge_real_time(headroom: float) -> Judgement:

@@ -77,7 +77,7 @@ def _read_ply(content: bytes) -> Floats:
     if match is None or not content.startswith(b"ply"):
         raise ValueError("no header from 'ply' to 'end_header'")
     lines = [line.split() for line in content[: match.start()].decode("latin-1").splitlines()]
-    form = [words[1] for words in lines if words[:1] == ["format"]][0]  # noqa: RUF015 - an IndexError is told
+    form = [words[1] for words in lines if words[:1] == ["format"]][0]  # noqa: RUF015 - an IndexError becomes a message
     elements = [at for at, words in enumerate(lines) if words[:1] == ["element"]]
     if not elements or lines[elements[0]][1] != "vertex":
         raise ValueError("its first element is not 'vertex'")

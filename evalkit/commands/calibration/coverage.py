@@ -23,7 +23,7 @@ DIFFERENCES = (0.1, 0.2, 0.5)
 WORLDS = "simulated worlds"
 
 
-LEAST_COVERAGE, MOST_COVERAGE, MOST_FALSE = 0.90, 0.97, 0.05
+MIN_COVERAGE, MAX_COVERAGE, MAX_FALSE = 0.90, 0.97, 0.05
 """Limits of the means over methods and metrics, of all worlds together and of each recording alone, from three runs up;
 the last for any number of runs."""
 
@@ -145,10 +145,10 @@ def find_failures(coverage: Sequence[Coverage], verdicts: Sequence[Verdicts], re
             found = [one for one in coverage if one.runs == runs and one.sequence in labels]
             held = [one.over_median for one in found if one.over_median is not None]
             excess = max((expected_coverage(runs, one.population) - CONFIDENCE for one in found), default=0.0)
-            if held and not LEAST_COVERAGE <= (share := float(np.mean(held))) <= MOST_COVERAGE + excess:
+            if held and not MIN_COVERAGE <= (share := float(np.mean(held))) <= MAX_COVERAGE + excess:
                 failures.append(f"{name}, {runs} runs: intervals hold the median in {100 * share:.1f} %")
             false = [one.false_over for one in verdicts if one.runs == runs and one.sequence in labels]
-            if false and (share := float(np.mean(false))) > MOST_FALSE:
+            if false and (share := float(np.mean(false))) > MAX_FALSE:
                 failures.append(f"{name}, {runs} runs: equal methods get a verdict in {100 * share:.1f} %")
     return failures
 

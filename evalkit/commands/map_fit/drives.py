@@ -35,7 +35,7 @@ DriveChange = Callable[["KnownDrive", np.random.Generator], "KnownDrive"]
 
 @dataclass(frozen=True)
 class KnownDrive:
-    """A drive with its true poses (N, 3) and grid in one frame, and the start that the tracker is told.
+    """A drive with its true poses (N, 3) and grid in one frame, and the start that the tracker is given.
 
     It is a Sequence.
     """

@@ -18,7 +18,7 @@ from evalkit.io.output_files import write_texts
 from evalkit.results import descriptions
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Collect, Jobs, Json, err, out
+from evalkit.terminal.options import Collect, Jobs, Json, Out, err, out
 
 if TYPE_CHECKING:
     from evalkit.commands.tune.plan import Tuning
@@ -43,9 +43,7 @@ def tune(
         int | None, typer.Option(min=2, help="Parameter points tried for each back end.", show_default=str(BUDGET))
     ] = None,
     setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for every data set.")] = None,
-    folder: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="./evalkit-results")
-    ] = None,
+    folder: Out = None,
     jobs: Jobs = None,
     collect: Collect = False,
     as_json: Json = False,

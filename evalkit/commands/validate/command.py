@@ -22,7 +22,7 @@ from evalkit.plugins import defaults, registry
 from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.specs import DatasetSpec
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Jobs, Json, err
+from evalkit.terminal.options import Jobs, Json, Out, err
 
 if TYPE_CHECKING:
     from evalkit.commands.validate.acceptance import AcceptanceReport, Claim
@@ -129,9 +129,7 @@ def validate(
         int, typer.Option(min=2, help="Threads of libraries, beside one.", rich_help_panel=DETERMINISM)
     ] = 2,
     repetitions: Annotated[int, typer.Option(min=2, help="Runs of each.", rich_help_panel=DETERMINISM)] = 2,
-    folder: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="./evalkit-results")
-    ] = None,
+    folder: Out = None,
     jobs: Jobs = None,
     as_json: Json = False,
 ) -> None:

@@ -122,12 +122,12 @@ def _build_metrics(metrics: Sequence[Metric]) -> list[Block]:
         blocks.append(Heading(capitalise(group), f"group-{number}"))
         if group == "map consistency":
             found = load_validation()
-            told = (
+            text = (
                 f"Spearman's rank correlation of each metric with the true error, over {found.map_count} maps from "
                 f"perturbed trajectories ({', '.join(found.worlds)}; {found.mapper}): 1 same order, 0 no relation, "
                 f"below 0 reverse order. Measured {found.created} with {found.command}."
             )
-            blocks += [Heading("Rank agreement", "rank-agreement", 4), Text(told, "note")]
+            blocks += [Heading("Rank agreement", "rank-agreement", 4), Text(text, "note")]
             blocks.append(appendix_tables.agreement_table(found, members))
         headline = [_metric_card(metric) for metric in members if metric.headline]
         others = [_metric_card(metric) for metric in members if not metric.headline]

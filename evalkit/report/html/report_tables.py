@@ -166,11 +166,11 @@ def numbers_table(analysis: Analysis, strokes: Strokes) -> Table:
     for _, sequence in shown:
         found = sequence.deciding.metric if sequence.deciding else None
         column = metric_column(found) if found else Column("", "", True)
-        told = f"{found.label}, {found.unit}" if found and column.unit else found.label if found else ""
-        columns.append(Column(sequence.label, told, True, column.tip, column.better))
+        text = f"{found.label}, {found.unit}" if found and column.unit else found.label if found else ""
+        columns.append(Column(sequence.label, text, True, column.tip, column.better))
         if sequence.final is not None:
             columns.append(
-                Column(f"{sequence.label}, corrected", told, True, sequence.final.metric.definition, "lower")
+                Column(f"{sequence.label}, corrected", text, True, sequence.final.metric.definition, "lower")
             )
     columns.append(Column("CPU a scan", "ms", True, "median over the sequences", "lower"))
     rows = []

@@ -6,7 +6,7 @@
 #define WIDER EK_R(1.2) /* first search: as wide as the last point's neighbours, and this much wider, */
 #define NARROW EK_R(0.25) /* but not narrower than this (cells) */
 #define BLOCK 32u      /* points compared at once, at most EK_MAX_NEIGHBOURS */
-#define LEAST_WALL 3u  /* points within the radius that define a wall */
+#define MIN_WALL 3u    /* points within the radius that define a wall */
 
 /* The nearest points found so far, nearest first. */
 typedef struct {
@@ -198,7 +198,7 @@ static void compute_one(const ek_index *index, uint32_t slot, ek_real *first, ek
     const ek_real widest = cell * (EK_R(1.0) + (ek_real)found->wanted / EK_R(3.0)); /* 3 points per cell */
     *first = WIDER * farthest < widest ? WIDER * farthest : widest;
     *first = *first > NARROW * cell ? *first : NARROW * cell;
-    if (radius < EK_FAR && (found->count < LEAST_WALL || !(farthest > EK_R(0.0)))) {
+    if (radius < EK_FAR && (found->count < MIN_WALL || !(farthest > EK_R(0.0)))) {
         normal[0] = normal[1] = EK_R(0.0);
     } else {
         normal_of(index, found, x, y, normal);

@@ -97,13 +97,13 @@ def format_subtitle(
 
 
 def _format_losses(losses: Sequence[Loss]) -> str:
-    told = [
+    texts = [
         f"{loss.sequence} ({format_amount(loss.metric, loss.own)} against {format_amount(loss.metric, loss.best)})"
         for loss in losses
     ]
-    if len(told) == 1:
-        return f"It loses only {told[0]}."
-    return f"It loses {join_words(told)}." if len(told) == 2 else f"It loses {len(told)}, most of all {told[0]}."
+    if len(texts) == 1:
+        return f"It loses only {texts[0]}."
+    return f"It loses {join_words(texts)}." if len(texts) == 2 else f"It loses {len(texts)}, most of all {texts[0]}."
 
 
 def _format_cheapest(cheapest: Standing, winners: Sequence[Standing], contests: Sequence[Contest]) -> str:
