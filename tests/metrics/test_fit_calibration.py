@@ -2,7 +2,9 @@
 
 import json
 import math
+import re
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -102,3 +104,22 @@ def test_the_shipped_steps_are_those_of_the_counts_beside_them():
     expected = pool_adjacent_violators((np.array(wrongs) + 1.0) / counts, counts)
     assert [row["probability"] for row in rows] == pytest.approx(expected)
     assert [row["below_m"] for row in rows] == [*LIMITS_M, None]
+
+
+def test_the_documentation_converts_a_probability_to_another_share_of_wrong_positions():
+    """Bayes' rule: a likelihood ratio is what the odds after the fit are of those before it."""
+    page = Path(__file__).parents[2] / "docs" / "pages" / "known-map.md"
+    if not page.exists():
+        pytest.skip("the documentation is not part of a wheel")
+    text = " ".join(page.read_text(encoding="utf-8").split())
+    becomes = r"(\d+) % becomes ([\d.]+) %"
+    found = re.search(rf"multiplied by `([\d.]+) s .*?With `s` = (\d+) %, {becomes}, and {becomes}", text)
+    assert found is not None
+    factor, *percents = map(float, found.groups())
+    known = load_calibration().check["wrong_share"]
+    assert factor == pytest.approx((1 - known) / known, abs=0.05)
+    share, *pairs = (percent / 100 for percent in percents)
+    for before, after in (pairs[:2], pairs[2:]):
+        ratio = before / (1 - before) / (known / (1 - known))
+        right, wrong = (1 - share) / (1 + ratio), share * ratio / (1 + ratio)
+        assert after == pytest.approx(wrong / (wrong + right), rel=0.5 if after < 0.01 else 0.02)
