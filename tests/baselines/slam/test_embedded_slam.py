@@ -20,6 +20,8 @@ RING, STEP_NS = shared["RING"], shared["STEP_NS"]
 errors_m, make_frames, ring_drive = shared["errors_m"], shared["make_frames"], shared["ring_drive"]
 
 LAPS, DRIFT = 1.25, 2e-4
+FULL = 4
+"""Flag of an update of the core: no memory for another keyframe."""
 SMALL = {
     "beams": 400, "keyframes": 400, "keyframe_points": 100_000, "loops": 16, "records": 64, "voxels": 8192,
     "map_points": 8192, "loop_points": 16384, "score_cells": 1 << 17, "loop_path_m": 10.0,
@@ -87,28 +89,56 @@ def test_slices_close_the_same_loops_later_and_end_within_5_mm(work):
     assert errors_m(slam.trajectory().poses, ring_drive(LAPS)).max() < 0.05
 
 
-def test_a_slice_of_work_ends_soon_after_its_operations_are_used_up():
-    limit, slam = 50_000, embedded_slam.make(work=50_000, **SMALL)
-    used = []
-    update = slam._slam.update
+def watch(slam):
+    """Return a list that every update appends flags, last keyframe and operations of the core to."""
+    inner, seen = slam._slam, []
 
-    class Counting:
-        """The core's SLAM, with its operations noted."""
+    class Watched:
+        """The core's SLAM."""
 
         def __getattr__(self, name):
             return getattr(inner, name)
 
         def update(self, **scan):
-            answer = update(**scan)
-            used.append(answer[-1])
+            answer = inner.update(**scan)
+            seen.append(answer[4:])
             return answer
 
-    inner, slam._slam = slam._slam, Counting()
+    slam._slam = Watched()
+    return seen
+
+
+def test_a_slice_of_work_ends_soon_after_its_operations_are_used_up():
+    limit, slam = 50_000, embedded_slam.make(work=50_000, **SMALL)
+    seen = watch(slam)
     for frame in drive():
         slam.update(frame)
+    used = [operations for *_, operations in seen]
     # the largest part: the normals of a loop's target, 160 operations a point
     assert limit < max(used) < limit + 160 * 4000
     assert sorted(used)[len(used) // 2] <= limit
+
+
+@pytest.mark.parametrize("scans", [1_000, pytest.param(100_000, marks=pytest.mark.thorough)])
+def test_a_drive_that_wants_far_more_keyframes_than_there_is_room_for_goes_on_without_growing(scans):
+    """Every scan is a keyframe, of one lap again and again, with every fourth beam."""
+    room, lap, true = 200, list(make_frames(RING, ring_drive(1.0))), ring_drive(1.0)
+    changed = {"keyframes": room, "keyframe_distance_m": 0.1, "keyframe_angle_deg": 1.0, "work": 200_000}
+    slam = embedded_slam.make(**SMALL | changed)
+    seen, memory = watch(slam), slam.memory_bytes
+    for number in range(scans):
+        frame = lap[number % len(lap)]
+        scan = replace(
+            frame.scan, stamp_ns=number * STEP_NS, ranges=frame.scan.ranges[::4], angles=frame.scan.angles[::4]
+        )
+        slam.update(replace(frame, scan=scan))
+    flags, keyframe, operations = np.array(seen).T
+    assert (flags & FULL).astype(bool).tolist() == [number >= room for number in range(scans)]
+    assert keyframe.max() == room - 1
+    assert slam.memory_bytes == memory
+    assert operations[room:].max() < 30_000  # registrations alone; before, closing a loop took 400,000
+    assert operations[:room].max() > 200_000
+    assert errors_m(slam.trajectory().poses, true[np.arange(scans) % len(lap)]).max() < 0.05
 
 
 def test_single_precision_closes_the_loop():
