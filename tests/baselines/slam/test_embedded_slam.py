@@ -9,8 +9,16 @@ import numpy as np
 import pytest
 
 from evalkit.core import se2
+from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Frame, Scan
+from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.loop_closures import judge_closures
+from evalkit.metrics.metric import Evidence
+from evalkit.metrics.recovery import add_recovery
+from evalkit.metrics.track import find_lost_track
+from evalkit.metrics.trajectory import match_trajectories
 from evalkit_baselines.slam import embedded_slam, paper_slam
 
 pytest.importorskip("evalkit_baselines.embedded._core64")
@@ -165,6 +173,29 @@ def test_a_kidnapped_robot_is_reported_and_found_again():
     # of several rivals of an ambiguous place either may name another one
     one, other = ([(*row[:3], row[3].split(" has ")[0]) for row in decisions(each)] for each in (slam, expected))
     assert one == other
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_found_again_counts_as_recovered_where_the_truth_agrees(measured):
+    """20 scans are missing. The wheels know nothing of it, and the SLAM finds a place that looks the same instead."""
+    poses, kept = ring_drive(2.5), np.r_[:170, 190 : len(ring_drive(2.5))]
+    complete = list(make_frames(RING, poses))
+    frames = [complete[index] for index in kept]
+    stands = frames[169].odom_from_base @ frames[170].odom_from_base.inverse()
+    for index, frame in enumerate(frames):
+        odom = frame.odom_from_base if index < 170 else stands @ frame.odom_from_base
+        frames[index] = replace(frame, odom_from_base=odom if measured else None)
+    slam, estimates = run(embedded_slam.make, frames, work=0, **SMALL)
+    (found,) = (loop for loop in slam.loop_closures() if "lost track" in loop.reason)
+    steps = np.zeros(len(frames), dtype=STEP)
+    steps["stamp_ns"] = stamps = np.array([frame.scan.stamp_ns for frame in frames])
+    steps["x"], steps["y"], steps["theta"] = rows(estimates).T
+    truth, answers = Truth("exact", Trajectory(stamps, poses[kept])), RunResult(steps, len(steps))
+    evidence = Evidence(answers, truth, match_trajectories(answers.estimate, truth.trajectory))
+    lost = add_recovery(evidence, find_lost_track(evidence, lambda: frames))
+    assert lost.at_s == pytest.approx(38.0)
+    assert judge_closures([found], truth.trajectory).right.tolist() == [not measured]
+    assert lost.recovered_at_s == (None if measured else pytest.approx(1e-9 * found.stamp_ns))
 
 
 @pytest.mark.parametrize(("measured", "scans", "within"), [(True, 9, 1e-7), (True, 13, 1e-5), (False, 2, 1e-7)])
