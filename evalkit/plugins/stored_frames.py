@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import os
+import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,21 +17,15 @@ import numpy as np
 from evalkit.core.errors import BadData
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
-from evalkit.core.se2 import Floats
 from evalkit.io.output_files import write_bytes
 from evalkit.plugins.kept_sequence import MAX_BYTES
 from evalkit.plugins.protocols import Sequence
 
-_FRAME = np.dtype(
-    [
-        ("stamp_ns", "<i8"), ("beams", "<i8"), ("angles", "<i8"), ("time_increment_ns", "<i8"),
-        ("range_min_m", "<f8"), ("range_max_m", "<f8"),
-        ("base_from_sensor", "<f8", 3), ("odom_from_base", "<f8", 3), ("start_from_end", "<f8", 3),
-    ]
-)  # fmt: skip
-"""Everything of a frame but its ranges; ``angles``: number of the array of angles; a row of nan: no pose."""
+_FRAME = struct.Struct("<4q11d")
+"""Everything of a frame but its ranges: stamp, beams, number of its array of angles, time increment; range limits,
+``base_from_sensor``, ``odom_from_base`` and ``start_from_end``, where nan is no pose."""
 
-_NO_POSE = (np.nan,) * 3
+_NO_POSE = (math.nan,) * 3
 
 
 @dataclass(frozen=True)
@@ -59,11 +56,12 @@ def write_frames(sequence: Sequence, path: Path, root: Path, max_bytes: int = MA
         ranges.append(own)
         rows.append((
             scan.stamp_ns, len(scan.ranges), numbers.setdefault(angles, len(numbers)), scan.time_increment_ns,
-            scan.range_min_m, scan.range_max_m, *(_NO_POSE if pose is None else tuple(pose.row) for pose in poses),
+            scan.range_min_m, scan.range_max_m,
+            *(value for pose in poses for value in (_NO_POSE if pose is None else (pose.x, pose.y, pose.theta))),
         ))  # fmt: skip
     counts = {"expected": len(sequence), "frames": len(rows), "angles": list(map(len, numbers))}
     header = {**counts, "notes": dict(sequence.notes())}
-    parts = (json.dumps(header).encode() + b"\n", np.array(rows, _FRAME).tobytes(), *numbers, *ranges)
+    parts = (json.dumps(header).encode() + b"\n", b"".join(_FRAME.pack(*row) for row in rows), *numbers, *ranges)
     content = b"".join(parts)
     write_bytes(path, content, root)
     return hashlib.sha256(content).hexdigest()
@@ -84,7 +82,7 @@ class StoredFrames:
         self._file.seek(0)
         header = json.loads(self._file.readline())
         self._expected, self._notes = int(header["expected"]), dict(header["notes"])
-        self._rows = np.frombuffer(self._file.read(_FRAME.itemsize * header["frames"]), _FRAME)
+        self._rows = self._file.read(_FRAME.size * header["frames"])
         self._angles = [np.frombuffer(self._file.read(size)) for size in header["angles"]]
         self._begin = self._file.tell()
 
@@ -93,18 +91,14 @@ class StoredFrames:
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames; equal to the bit to those of the sequence."""
-        at = self._begin
-        for row in self._rows:
-            self._file.seek(at)
-            ranges = np.frombuffer(self._file.read(8 * int(row["beams"])))
-            at += ranges.nbytes
-            scan = Scan(
-                int(row["stamp_ns"]), ranges, self._angles[row["angles"]], float(row["range_min_m"]),
-                float(row["range_max_m"]), int(row["time_increment_ns"]),
-            )  # fmt: skip
-            sensor, odometry, motion = (
-                _pose_or_none(row[name]) for name in ("base_from_sensor", "odom_from_base", "start_from_end")
-            )
+        at, file = self._begin, self._file.fileno()
+        for stamp_ns, beams, angles, time_increment_ns, low_m, high_m, *poses in _FRAME.iter_unpack(self._rows):
+            content = os.pread(file, 8 * beams, at)
+            if len(content) != 8 * beams:
+                raise BadData(self._file.name, f"byte {at + len(content)}", "it ends there", "run it again")
+            ranges, at = np.frombuffer(content), at + len(content)
+            scan = Scan.of_checked(stamp_ns, ranges, self._angles[angles], low_m, high_m, time_increment_ns)
+            sensor, odometry, motion = (_pose_or_none(*poses[of : of + 3]) for of in (0, 3, 6))
             yield Frame(scan, Pose() if sensor is None else sensor, odometry, motion)
 
     def notes(self) -> Mapping[str, int]:
@@ -112,5 +106,5 @@ class StoredFrames:
         return self._notes
 
 
-def _pose_or_none(row: Floats) -> Pose | None:
-    return None if np.isnan(row).any() else Pose.of(row)
+def _pose_or_none(x: float, y: float, theta: float) -> Pose | None:
+    return None if math.isnan(x) else Pose(x, y, theta)

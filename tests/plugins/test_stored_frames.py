@@ -97,6 +97,16 @@ def test_a_changed_file_is_refused(tmp_path):
         StoredFrames(file)
 
 
+def test_a_file_cut_off_while_it_is_read_is_named(tmp_path):
+    file = store(Listed(frames_of(*SCANS)), tmp_path)
+    frames = StoredFrames(file).frames()
+    next(frames)
+    with Path(file.path).open("r+b") as stream:
+        stream.truncate(Path(file.path).stat().st_size - 8 * len(SCANS[-1].ranges) - 8)  # the second scan loses a beam
+    with pytest.raises(BadData, match="frames.*it ends there"):
+        next(frames)
+
+
 def test_frames_stay_readable_after_the_file_is_replaced(tmp_path):
     sequence = Listed(frames_of(*SCANS))
     stored = StoredFrames(store(sequence, tmp_path))
