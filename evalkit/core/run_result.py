@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.core.arrays import freeze
-from evalkit.core.grid import OccupancyGrid
 from evalkit.core.loop_closure import LoopClosure
-from evalkit.core.map_start import MapStart
 from evalkit.core.pose import Pose
 from evalkit.core.run_status import Cause, RunStatus
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from evalkit.core.grid import OccupancyGrid
+    from evalkit.core.map_start import MapStart
 
 STEP = np.dtype(
     [

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -30,7 +29,7 @@ def write_bytes(path: Path, content: bytes, root: Path | None = None) -> None:
     link. Without it, the folder must exist. Raises StoreError.
     """
     with as_store_error(path), _open_folder(path.parent, root) as folder:
-        part = f"{path.name[:100]}.{uuid.uuid4().hex}.part"
+        part = f"{path.name[:100]}.{os.urandom(16).hex()}.part"
         file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK, 0o666, dir_fd=folder)
         try:
             with open(file, "wb") as stream:  # noqa: PTH123 - a descriptor

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
+from typing import TYPE_CHECKING
 
-from evalkit.core.ground_truth import Truth
 from evalkit.core.scan import Frame
 from evalkit.plugins.protocols import Seekable, Sequence
+
+if TYPE_CHECKING:
+    from evalkit.core.ground_truth import Truth
 
 
 class ChangedSequence:

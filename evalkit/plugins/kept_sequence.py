@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
-from evalkit.core.ground_truth import Truth
 from evalkit.core.scan import Frame
 from evalkit.plugins.protocols import Sequence
+
+if TYPE_CHECKING:
+    from evalkit.core.ground_truth import Truth
 
 MAX_BYTES = 64 * 2**20
 """Sequences with more ranges and angles are read again every time."""

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from evalkit.core.grid import OccupancyGrid
-from evalkit.core.ground_truth import Truth
 from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.match import Match
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.core.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from evalkit.core.grid import OccupancyGrid
+    from evalkit.core.ground_truth import Truth
 
 
 class Registration(Protocol):

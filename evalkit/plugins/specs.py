@@ -123,14 +123,12 @@ class SlamSpec(OdometrySpec):
     kind: ClassVar[BackendKind] = "slam"
 
 
-@dataclass(frozen=True)
 class RecordedOdometrySpec(OdometrySpec):
     """An odometry that returns poses computed elsewhere."""
 
     recorded: ClassVar[bool] = True
 
 
-@dataclass(frozen=True)
 class RecordedSlamSpec(SlamSpec):
     """A SLAM that returns poses computed elsewhere."""
 
