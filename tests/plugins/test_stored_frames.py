@@ -103,7 +103,7 @@ def test_a_file_cut_off_while_it_is_read_is_named(tmp_path):
     next(frames)
     with Path(file.path).open("r+b") as stream:
         stream.truncate(Path(file.path).stat().st_size - 8 * len(SCANS[-1].ranges) - 8)  # the second scan loses a beam
-    with pytest.raises(BadData, match="frames.*it ends there"):
+    with pytest.raises(BadData, match=r"frames.*it ends there"):
         next(frames)
 
 
