@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from evalkit import metrics
 from evalkit.core import se2
@@ -173,7 +174,7 @@ def test_all_accepted_closures_come_first_and_rejected_ones_by_reason(record):
     run = closed(corrected(record("slam", "room", {"ate_rmse_m": 0.1}), 0.01))
     stamps, accepted = run.result.steps["stamp_ns"], run.result.loop_closures[0]
     low = [
-        LoopClosure(int(stamps[at]), int(stamps[0]), Pose(), False, f"score 0.{at} < 0.55") for at in range(2, 42)
+        LoopClosure(int(stamps[at]), int(stamps[0]), Pose(), False, f"score 0.{at:02d} < 0.55") for at in range(2, 42)
     ]  # fmt: skip
     other = LoopClosure(int(stamps[1]), int(stamps[0]), Pose(), False, "overlap 0.6 < 0.7")
     (fold,) = list_closures([replace(run, result=replace(run.result, loop_closures=(*low, other, accepted)))], "s")
@@ -181,10 +182,30 @@ def test_all_accepted_closures_come_first_and_rejected_ones_by_reason(record):
     first, second, *_ = fold.blocks
     assert [row[2] for row in first.rows] == [accepted.reason]
     assert [row[:2] for row in cells(second)] == [
-        ["score 0.2 < 0.55", "40"], ["score 0.3 < 0.55", ""], ["score 0.4 < 0.55", ""], ["overlap 0.6 < 0.7", "1"],
+        ["score 0.02 < 0.55", "40 (0.02, 0.215, 0.41)"], ["score 0.03 < 0.55", ""], ["score 0.04 < 0.55", ""],
+        ["overlap 0.6 < 0.7", "1"],
     ]  # fmt: skip
     (alone,) = list_closures([replace(run, result=replace(run.result, loop_closures=(accepted,)))], "s")
     assert alone.title == "Loop closures of slam: 1 candidate, 1 accepted"
+
+
+@pytest.mark.parametrize(
+    ("reasons", "shown"),
+    [
+        (["overlap 0.5 < 0.7", "overlap 0.2 < 0.7", "overlap 0.6 < 0.7"], "3 (0.2, 0.5, 0.6)"),
+        (["score below 0.55", "score below 0.55"], "2"),
+        (["lost", "lost"], "2"),
+        (["chi2 1e3, high", "chi2 20, high"], "2 (20, 510, 1e+03)"),
+        (["part 1.2.3", "part 1.2.4"], "2"),
+        (["1,000 points", "2,000 points"], "2"),
+    ],
+)
+def test_a_kind_of_rejection_states_the_range_of_its_first_number(record, reasons, shown):
+    run = closed(corrected(record("slam", "room", {"ate_rmse_m": 0.1}), 0.01))
+    stamps = run.result.steps["stamp_ns"]
+    low = [LoopClosure(int(stamps[at]), int(stamps[0]), Pose(), False, reason) for at, reason in enumerate(reasons, 1)]
+    (fold,) = list_closures([replace(run, result=replace(run.result, loop_closures=tuple(low)))], "s")
+    assert cells(fold.blocks[0])[0][:2] == [reasons[0], shown]
 
 
 def test_loop_closures_are_shown_where_no_error_has_a_counterpart_of_corrected_poses(record, build):

@@ -134,12 +134,16 @@ def _tabulate_rejected(
     rows: list[list[Cell | str]] = []
     ordered = sorted(kinds.values(), key=lambda kind: -len(kind))
     for kind in ordered[:MAX_REASONS]:
+        of_all = f"{len(kind)}{_describe_values([one.reason for one, _ in kind])}"
         for place, (one, error) in enumerate(kind[:MAX_EXAMPLES]):
-            count = Cell(str(len(kind))) if place == 0 else Cell("")
+            count = Cell(of_all if place == 0 else "")
             rows.append([one.reason, count, *_cells_of_times(record, stamps, one, anchor), _cell_of_error(error)])
     left = sum(map(len, ordered[MAX_REASONS:]))
     columns = [
-        Column("Rejected"), Column("Candidates", "", True, "rejected for this reason, whatever its numbers"),
+        Column("Rejected"),
+        Column("Candidates", "", True,
+               "rejected for this reason, whatever its numbers; in brackets the first of them, where it differs: "
+               "lowest, median, highest"),
         Column("At", "s", True), Column("Back to", "s", True),
         Column("Its guess, from the true motion", "", True,
                "The motion of the candidate against the truth. A method that rejects a candidate before it measures a "
@@ -153,8 +157,21 @@ def _without_last_column(table: Table) -> Table:
     return replace(table, columns=table.columns[:-1], rows=[row[:-1] for row in table.rows])
 
 
+_NUMBER = re.compile(r"(?<!\w)\d+(?:[.,]\d+)*(?:e[-+]?\d+)?")
+"""A number in a reason; the 2 of "chi2" is none."""
+
+
 def _without_numbers(reason: str) -> str:
-    return re.sub(r"\d[\d.,]*(?:e[-+]?\d+)?", "#", reason)
+    return _NUMBER.sub("#", reason)
+
+
+def _describe_values(reasons: Sequence[str]) -> str:
+    """Return the lowest, median and highest first number of reasons in brackets; "" where they agree or have none."""
+    found = [number.group() for reason in reasons if (number := _NUMBER.search(reason))]
+    if len(set(found)) < 2 or any("," in number or number.count(".") > 1 for number in found):
+        return ""
+    values = np.array(found, dtype=np.float64)
+    return f" ({values.min():.3g}, {np.median(values):.3g}, {values.max():.3g})"
 
 
 def _cells_of_times(record: RunRecord, stamps: Stamps, one: LoopClosure, anchor: str) -> tuple[Cell, Cell]:
