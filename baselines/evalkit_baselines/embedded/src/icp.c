@@ -11,6 +11,7 @@
 #define MAX_COUNT ((size_t)1 << 30)
 #define FIRST_LOOK EK_R(0.75) /* cells: half width of the first search without a known neighbour */
 #define BEYOND EK_R(0.25)     /* cells: searched beyond the last neighbour; saves later searches */
+#define ALONE EK_R(1.0)       /* cells: searched beyond the limit where no neighbour is within it; likewise */
 #define ROUNDED_DOWN (EK_R(1.0) - EK_R(8.0) * EK_EPSILON)
 #define SHARE EK_R(2.0) /* of the squares around each place that the one around a group may have */
 #define DENSE 12u /* target points for each source point from which places are searched one by one */
@@ -282,12 +283,6 @@ static ek_real first_look(const ek_icp *icp, const ek_index *target, uint32_t i,
     return icp->distance[i] < limit ? known : FIRST_LOOK * target->cells.cell;
 }
 
-/* Search the neighbour of a point in the index. */
-static ek_neighbour search_index(const ek_icp *icp, const ek_index *target, uint32_t i, ek_real limit)
-{
-    return ek_index_nearest(target, icp->mx[i], icp->my[i], limit, first_look(icp, target, i, limit));
-}
-
 /* Search the neighbour of every point whose neighbour may have changed; returns the number of searches. */
 static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t padded,
                                   ek_real limit)
@@ -296,7 +291,8 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_
     ek_real first = target->cells.cell;
     for (uint32_t k = 0; k < searches; k++) {
         const uint32_t i = icp->stale[k];
-        const ek_neighbour answer = search_index(icp, target, i, limit);
+        const ek_real look = first_look(icp, target, i, limit);
+        const ek_neighbour answer = ek_index_nearest(target, icp->mx[i], icp->my[i], limit, look);
         const int found = answer.slot != EK_NONE;
         icp->tx[i] = found ? target->xy[2u * answer.slot] : EK_FAR;
         icp->ty[i] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
@@ -331,10 +327,10 @@ static inline void load_block(ek_icp *icp, const ek_block *block, uint32_t i)
     icp->others[i] = block->others;
 }
 
-/* Take the neighbour that the index finds as the only candidate of a point. */
-static void load_neighbour(ek_icp *icp, const ek_index *target, uint32_t i, ek_real limit)
+/* Take the neighbour that the index finds as the only candidate of a point; `look`: half width (m) of the first look. */
+static void load_neighbour(ek_icp *icp, const ek_index *target, uint32_t i, ek_real limit, ek_real look)
 {
-    const ek_neighbour answer = search_index(icp, target, i, limit);
+    const ek_neighbour answer = ek_index_nearest(target, icp->mx[i], icp->my[i], limit, look);
     const int found = answer.slot != EK_NONE;
     ek_block only;
     for (size_t k = 0; k < EK_BLOCK; k++) {
@@ -367,7 +363,7 @@ static uint32_t load_candidates(ek_icp *icp, const ek_index *target, size_t padd
         if (block) {
             load_block(icp, block, i);
         } else {
-            load_neighbour(icp, target, i, limit);
+            load_neighbour(icp, target, i, limit, first_look(icp, target, i, limit));
         }
     }
     return searches;
@@ -434,10 +430,14 @@ static uint32_t load_group(ek_icp *icp, const ek_index *target, const uint32_t *
     gather_group(icp, target, points, count, limit, &places);
     const int near = ek_index_nearby(target, places.x, places.y, places.radius, icp->wide, &found);
     for (uint32_t lane = 0; lane < places.size; lane++) {
-        if (near && (found.nearest[lane] < limit ? found.nearest[lane] : limit) < found.others[lane]) {
-            load_nearby(icp, target, &found, lane, points[lane]);
-        } else {
-            load_neighbour(icp, target, points[lane], limit);
+        const uint32_t i = points[lane];
+        const int some = near && found.nearest[lane] < limit;
+        const ek_real within = some ? found.nearest[lane] : limit;
+        if (near && within < found.others[lane]) {
+            load_nearby(icp, target, &found, lane, i);
+        } else { /* one look that suffices: smaller ones would find what the group has found */
+            const ek_real enough = within + (some ? BEYOND : ALONE) * target->cells.cell;
+            load_neighbour(icp, target, i, limit, near ? enough : first_look(icp, target, i, limit));
         }
     }
     return places.size;
