@@ -71,6 +71,23 @@ def test_the_quickest_tests_of_the_core_pass(core_programs, part):
     run_tool(str(core_programs / f"test_{part}"))
 
 
+@needs_tools
+@pytest.mark.parametrize("source", sorted((FOLDER / "fuzz").glob("*.c")), ids=lambda source: source.stem)
+def test_every_fuzzer_compiles(source):
+    folders = (f"-I{FOLDER / name}" for name in ("include", "src", "."))
+    run_tool(
+        "cc",
+        "-std=c99",
+        "-D_POSIX_C_SOURCE=200809L",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-fsyntax-only",
+        *folders,
+        str(source),
+    )
+
+
 @pytest.mark.slow(40)
 @pytest.mark.thorough
 @needs_tools

@@ -11,14 +11,15 @@
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
     static session s;
-    static char lines[1u << 16];
+    static char lines[1u << 16], log_path[] = "log", poses_path[] = "poses";
+    char *const paths[] = {log_path, poses_path}; /* in messages only */
     memset(&s, 0, sizeof s);
     FILE *const input = size ? fmemopen((void *)(uintptr_t)bytes, size, "rb") : NULL;
     FILE *const poses = fmemopen(lines, sizeof lines, "w");
     HOLDS(poses != NULL);
     if (input && ek_scanlog_open(input, &s.log) == EK_OK && s.log.max_beams <= MAX_BEAMS &&
-        !(s.log.range_max > LONGEST) && start(&s) == EK_OK) {
-        run(&s, input, poses);
+        !(s.log.range_max > LONGEST) && start(&s, log_path) == 0) {
+        run(&s, input, poses, paths);
         HOLDS(ftell(poses) >= 0);
     }
     if (input) {
