@@ -13,7 +13,7 @@ from evalkit.plugins import registry
 REPORTS = Path(__file__).parents[3] / "reports"
 
 
-@pytest.mark.parametrize(("file", "label"), [("default.toml", "lab, once around"), ("quick.toml", "wheelchair")])
+@pytest.mark.parametrize(("file", "label"), [("default.toml", "lab lap"), ("quick.toml", "wheelchair")])
 def test_a_slam_closes_a_loop_on_data_that_it_was_not_tuned_on(file, label):
     (run,) = load_experiment(REPORTS / file).select([label], ["embedded-slam"], []).runs()
     assert run.sequence.dataset not in run.method.tuned_on
