@@ -490,6 +490,16 @@ def test_nothing_is_wider_than_the_window(open_page, width):
         assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+def test_a_long_remark_beside_a_method_fits_a_phone(open_page):
+    page = open_page("#explore", width=390)
+    chips = page.locator("#explore table.wrapping th .method")
+    assert chips.count() > 0
+    chips.evaluate_all("""all => all.forEach(one => one.insertAdjacentHTML("beforeend",
+        '<span class="chip bad">lost at 32 s; 4 of 6 runs lost, 0 found again</span>'))""")
+    page.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
 @pytest.mark.parametrize(
     ("scheme", "tabs"),
     [
