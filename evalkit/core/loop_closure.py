@@ -19,6 +19,7 @@ class LoopClosure:
     candidate that was rejected before it was measured, the pose that the method expected.
     ``accepted``: whether the method uses the motion now; a closure that was accepted and later withdrawn is rejected.
     ``reason``: why it was accepted or rejected, in a few words ("chi2 3.1 < 11.3", "score 0.41 < 0.55").
+    ``found_again``: whether the method had lost its track and found its place again by this motion; None: not reported.
     """
 
     stamp_ns: int
@@ -26,6 +27,7 @@ class LoopClosure:
     other_from_base: Pose
     accepted: bool
     reason: str
+    found_again: bool | None = None
 
     def __post_init__(self) -> None:
         if self.other_stamp_ns >= self.stamp_ns:

@@ -101,6 +101,7 @@ _OPTIONAL: dict[str, tuple[object, list[object]]] = {
     "evalkit_parameters": (c_char_p, []),
     "evalkit_last_error": (c_char_p, [c_void_p]),
     "evalkit_loop_closures": (c_size_t, [c_void_p, POINTER(LoopClosureStruct), c_size_t]),
+    "evalkit_found_again": (c_int32, [c_void_p, c_size_t]),
     "evalkit_corrected": (c_int32, [c_void_p]),
     "evalkit_pairs": (POINTER(c_int32), [c_void_p, POINTER(c_size_t)]),
 }

@@ -112,6 +112,10 @@ EVALKIT_EXPORT int32_t evalkit_trajectory(void *self, evalkit_pose *poses, size_
  * the number of all, at most 100000.  Called with room 0 and NULL first.  It must not change a later answer. */
 EVALKIT_EXPORT size_t evalkit_loop_closures(void *self, evalkit_loop_closure *closures, size_t room);
 
+/* Optional, kind SLAM: 1 if the track was lost and this motion found the place again, else 0; `closure`: its index among
+ * those of evalkit_loop_closures, after which it is called.  It must not change a later answer. */
+EVALKIT_EXPORT int32_t evalkit_found_again(void *self, size_t closure);
+
 /* Optional, kind SLAM: 1 if the last evalkit_update moved the pose of an earlier frame by more than 1 cm or 0.5 deg, else 0. */
 EVALKIT_EXPORT int32_t evalkit_corrected(void *self);
 

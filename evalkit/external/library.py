@@ -170,9 +170,14 @@ class LibrarySlam(LibraryOdometry):
         rows = (abi.LoopClosureStruct * count)()
         written = self._instance.ask("evalkit_loop_closures", rows, count) if count else 0
         try:
-            return tuple(_from_abi_closure(row) for row in rows[: min(written or 0, count)])
+            found = tuple(_from_abi_closure(row) for row in rows[: min(written or 0, count)])
         except ValueError as error:
             raise BackendFailed(self._name, f"evalkit_loop_closures: {error}", "correct the loop closure") from None
+        again = [self._instance.ask("evalkit_found_again", index) for index in range(len(found))]
+        return tuple(
+            closure if each is None else replace(closure, found_again=bool(each))
+            for closure, each in zip(found, again, strict=True)
+        )
 
 
 _MADE: dict[type[BackendSpec], Callable[..., LibraryRegistration | LibraryOdometry]] = {

@@ -238,13 +238,15 @@ class ProgramSession:
         if not isinstance(entry, dict):
             raise self.program.malformed("loop_closures", entry, expected)
         later, earlier = entry.get("stamp_ns"), entry.get("other_stamp_ns")
-        accepted, reason = entry.get("accepted"), entry.get("reason")
+        accepted, reason, found_again = entry.get("accepted"), entry.get("reason"), entry.get("found_again")
         if not isinstance(later, int) or not isinstance(earlier, int) or max(abs(later), abs(earlier)) >= 2**63:
             raise self.program.malformed("loop_closures", entry, expected)
         if not isinstance(accepted, bool) or not isinstance(reason, str):
             raise self.program.malformed("loop_closures", entry, expected)
+        if found_again is not None and not isinstance(found_again, bool):
+            raise self.program.malformed("found_again", found_again, "true or false")
         try:
-            return LoopClosure(later, earlier, self.pose(entry), accepted, reason)
+            return LoopClosure(later, earlier, self.pose(entry), accepted, reason, found_again=found_again)
         except ValueError as error:
             raise self.program.malformed("loop_closures", entry, str(error)) from None
 

@@ -152,6 +152,13 @@ def _score_recall(evidence: Evidence) -> Score:
     return make_score(100.0 * closed.mean(), len(closed))
 
 
+def _count_recoveries(evidence: Evidence) -> Score:
+    found = evidence.run.loop_closures
+    if all(one.found_again is None for one in found):
+        return Score(None, len(evidence.run.steps), _NO_RECOVERIES)
+    return make_score(sum(one.accepted and one.found_again is True for one in found), len(evidence.run.steps))
+
+
 def _score_corrections(evidence: Evidence) -> Score:
     corrected = find_corrections(evidence.run)
     if corrected is None:
@@ -182,6 +189,7 @@ def _score_final_ms(evidence: Evidence) -> Score:
 _NONE_JUDGED = "no loop closure was accepted between frames with true poses"
 _NOT_REPORTED = "the back end reports neither corrections nor loop closures"
 _NO_CORRECTION = "no update moved earlier poses"
+_NO_RECOVERIES = "no loop closure reports whether it found a lost track again"
 
 METRICS = make_metrics(
     "loop_closures",
@@ -192,6 +200,7 @@ METRICS = make_metrics(
         "closures_wrong": _of_judged(lambda judged: float((~judged.right).sum())),
         "closure_precision_percent": _of_judged(lambda judged: 100.0 * float(judged.right.mean())),
         "closure_recall_percent": _of_slam(_score_recall),
+        "recoveries_own": _of_slam(_count_recoveries),
         "corrections": _of_slam(_score_corrections),
         "correction_median_ms": _make_correction_ms(np.median),
         "correction_max_ms": _make_correction_ms(np.max),

@@ -44,12 +44,17 @@ def _as_dict(closure: LoopClosure) -> dict[str, Any]:
     return {
         "stamp_ns": int(closure.stamp_ns), "other_stamp_ns": int(closure.other_stamp_ns),
         "other_from_base": closure.other_from_base.row.tolist(), "accepted": bool(closure.accepted),
-        "reason": closure.reason,
+        "reason": closure.reason, "found_again": None if closure.found_again is None else bool(closure.found_again),
     }  # fmt: skip
 
 
 def _from_dict(content: Mapping[str, Any]) -> LoopClosure:
     stamps = content["stamp_ns"], content["other_stamp_ns"]
-    if not all(type(stamp) is int for stamp in stamps) or type(content["accepted"]) is not bool:
+    accepted, found_again = content["accepted"], content.get("found_again")  # not in files of earlier versions
+    if not all(type(stamp) is int for stamp in stamps) or type(accepted) is not bool:
         raise ValueError("expected whole stamps, and true or false")
-    return LoopClosure(*stamps, Pose.of(content["other_from_base"]), content["accepted"], str(content["reason"]))
+    if found_again is not None and type(found_again) is not bool:
+        raise ValueError("found_again: expected true, false or null")
+    return LoopClosure(
+        *stamps, Pose.of(content["other_from_base"]), accepted, str(content["reason"]), found_again=found_again
+    )

@@ -14,7 +14,7 @@ from evalkit.config.limits import Limits
 from evalkit.core.errors import BackendFailed, BadParameter, UnknownName
 from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
-from evalkit.core.scan import Cloud
+from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.execution import run_process
 from evalkit.execution.one_run import Request
 from evalkit.external import INCLUDE, elf, library
@@ -386,6 +386,18 @@ def test_a_library_corrects_its_poses_and_reports_its_loop_closures(build_slam, 
     assert final.poses[1:, 1] == pytest.approx(steps["y"][1:] + 0.01, abs=1e-12)
     stamps = steps["stamp_ns"].tolist()
     assert closures == (LoopClosure(stamps[5], stamps[1], Pose(0.1, 0.2, 0.3), True, "score 0.9"),)
+
+
+@pytest.mark.parametrize("again", ["closure != 0", "closure == 0"])
+def test_a_library_says_of_each_closure_whether_it_found_a_lost_track_again(build_slam, again):
+    function = f"int32_t evalkit_found_again(void *self, size_t closure) {{ return {again}; }}\n"
+    spec = registry.backend(build_slam("int32_t evalkit_corrected", f"{function}int32_t evalkit_corrected"))
+    slam = spec.make()
+    for number in range(6):
+        frame = Frame(Scan(number, np.ones(1), np.zeros(1), 0.1, 9.0), odom_from_base=Pose(0.1 * number))
+        slam.update(frame)
+    (found,) = slam.loop_closures()
+    assert found.found_again is (again == "closure == 0")
 
 
 @pytest.mark.parametrize(

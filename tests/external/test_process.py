@@ -394,6 +394,12 @@ def test_loop_closures_of_a_program_are_read_as_they_are():
     assert found == [LoopClosure(5, 3, Pose(1.0, 2.0, 0.1), True, "near")]
 
 
+@pytest.mark.parametrize("found_again", [True, False, None])
+def test_a_program_says_of_a_closure_whether_it_found_a_lost_track_again(found_again):
+    (found,) = session(Answers(loop_closures=[CLOSURE | {"found_again": found_again}])).ask_closures(0)
+    assert found.found_again is found_again
+
+
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
@@ -402,6 +408,7 @@ def test_loop_closures_of_a_program_are_read_as_they_are():
         ({"loop_closures": [CLOSURE | {"stamp_ns": 2**63}]}, "expected objects with stamp_ns"),
         ({"loop_closures": [CLOSURE | {"other_stamp_ns": 0.5}]}, "expected objects with stamp_ns"),
         ({"loop_closures": [CLOSURE | {"accepted": 1}]}, "expected objects with stamp_ns"),
+        ({"loop_closures": [CLOSURE | {"found_again": 1}]}, "'found_again': 1, expected true or false"),
         ({"loop_closures": [CLOSURE] * 100_000}, "100000 entries, expected at most"),
     ],
 )

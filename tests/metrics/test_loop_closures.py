@@ -64,6 +64,16 @@ def test_candidates_are_counted_and_only_accepted_ones_are_judged():
     assert found["closure_precision_percent"] == Score(100.0 * (2 / 3), 3)
 
 
+def test_recoveries_are_the_accepted_closures_that_say_so_and_unknown_where_none_says_anything():
+    silent, declared = closure(42, 2), replace(closure(45, 5), found_again=True)
+    withdrawn, other = replace(declared, accepted=False), replace(silent, found_again=False)
+    assert values(run([silent, declared, withdrawn, other, declared]))["recoveries_own"] == Score(2.0, FRAMES)
+    assert values(run([silent, other]))["recoveries_own"] == Score(0.0, FRAMES)
+    for unknown in ([silent, silent], []):
+        assert values(run(unknown))["recoveries_own"].reason.startswith("no loop closure reports")
+    assert values(run([declared], final=False))["recoveries_own"].reason == NO_FINAL
+
+
 @pytest.mark.parametrize(
     ("error", "right"),
     [((0.19, 0.0, 0.0), True), ((0.0, 0.21, 0.0), False), ((0.0, 0.0, 4.9), True), ((0.0, 0.0, -5.1), False)],

@@ -110,11 +110,11 @@ def test_corrected_poses_have_columns_of_their_own_beside_the_answers(record, bu
 
 
 def test_loop_closures_are_in_a_table_of_the_methods_that_correct_poses(record, build):
-    names = (*NAMES, "closure_candidates", "closures_accepted", "closure_precision_percent")
+    names = (*NAMES, "closure_candidates", "closures_accepted", "closure_precision_percent", "recoveries_own")
     runs = [
         replace(run, scores=replace(run.scores, by_metric={
             **run.scores.by_metric,
-            **{name: Score(value, 60) for name, value in zip(names[2:], (9.0, 7.0, 100.0), strict=True)},
+            **{name: Score(value, 60) for name, value in zip(names[2:], (9.0, 7.0, 100.0, 2.0), strict=True)},
         })) if run.method == "slam" else run
         for run in records(record)
     ]  # fmt: skip
@@ -123,8 +123,10 @@ def test_loop_closures_are_in_a_table_of_the_methods_that_correct_poses(record, 
     (sequence,) = analysis.sequences
     _, found, note, *_ = build_corrected(analysis, sequence, 1, assign_strokes(("slam", "other", "odometry"), ()), "s")
     assert cells(found) == [
-        ["slam", "81\u00a0mm", "10\u00a0mm", "9", "7", "100.0"], ["other", "61\u00a0mm", "30\u00a0mm", "–", "–", "–"],
-    ]  # fmt: skip
+        ["slam", "81\u00a0mm", "10\u00a0mm", "9", "7", "100.0", "2"],
+        ["other", "61\u00a0mm", "30\u00a0mm", *["–"] * 4],
+    ]
+    assert found.columns[-1].label == "Recoveries (own)"
     assert "Recall" in note.body
     plain = analyse(build([record("odometry", "room", {"ate_rmse_m": 0.05})]))
     assert build_corrected(plain, plain.sequences[0], 1, {}, "s") == []

@@ -155,7 +155,14 @@ def test_corrected_poses_of_another_type_are_damaged():
     np.save(body, np.zeros((2, 3), dtype=np.float32))
     with pytest.raises(ValueError, match="is damaged: an array of float32, expected float64"):
         parse_final({**sound, FINAL: body.getvalue()}, stamps)
-    for key, value in (("stamp_ns", 1.5), ("accepted", 1)):
+    for key, value in (("stamp_ns", 1.5), ("accepted", 1), ("found_again", 1)):
         entry = {**json.loads(sound[CLOSURES])[0], key: value}
-        with pytest.raises(ValueError, match="is damaged: expected whole stamps, and true or false"):
+        with pytest.raises(ValueError, match=r"is damaged: .*expected (whole stamps, and )?true(,| or) false"):
             parse_final({**sound, CLOSURES: json.dumps([entry]).encode()}, stamps)
+
+
+def test_loop_closures_of_earlier_versions_do_not_say_whether_they_found_a_lost_track_again():
+    entry = {"stamp_ns": 1, "other_stamp_ns": 0, "other_from_base": [1.0, 0.0, 0.0], "accepted": True, "reason": "near"}
+    stamps = np.arange(2, dtype=np.int64)
+    files = {**format_final(Trajectory(stamps, np.zeros((2, 3))), ()), CLOSURES: json.dumps([entry]).encode()}
+    assert parse_final(files, stamps)[1] == (LoopClosure(1, 0, Pose(1.0, 0.0, 0.0), True, "near", found_again=None),)

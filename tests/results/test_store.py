@@ -87,11 +87,12 @@ def test_a_stored_result_is_loaded_to_the_bit(store, ended):
     assert (record["method"], record["sequence"], record["status"]) == ("icp", "room <1>", kept.status)
 
 
-def test_corrected_poses_and_loop_closures_are_loaded_to_the_bit(store):
+@pytest.mark.parametrize("found_again", [None, False, True])
+def test_corrected_poses_and_loop_closures_are_loaded_to_the_bit(store, found_again):
     kept = saved_run(store)
     poses = np.random.default_rng(5).uniform(-3.0, 3.0, (5, 3))
     closure = LoopClosure(
-        int(kept.steps["stamp_ns"][4]), int(kept.steps["stamp_ns"][0]), Pose(0.1, 1 / 3), False, "far"
+        int(kept.steps["stamp_ns"][4]), int(kept.steps["stamp_ns"][0]), Pose(0.1, 1 / 3), False, "far", found_again
     )
     final = Trajectory(kept.steps["stamp_ns"], poses, "start", "base")
     store.save_result(SPEC, replace(kept, final=final, loop_closures=(closure,), final_cpu_ns=7))

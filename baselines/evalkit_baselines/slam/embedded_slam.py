@@ -171,6 +171,7 @@ class EmbeddedSlam:
                 Pose(*motion),
                 bool(_Flag(flags) & _Flag.ACCEPTED),
                 self._reason(_Outcome(outcome), numbers, _Flag(flags), section),
+                found_again=bool(_Flag(flags) & _Flag.FOUND_AGAIN),
             )
             for later, earlier, motion, outcome, *numbers, flags, section in self._slam.records()
         )

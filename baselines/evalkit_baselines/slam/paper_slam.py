@@ -228,7 +228,7 @@ class PaperSlam:
             self._keyframes.join(edge, contradicts=not candidate.known)
             self._corrected = True
         lost = f"found again after a lost track (part {sections[edge.second]}): " if found_again else ""
-        self._record(edge, True, lost + candidate.reason)
+        self._record(edge, True, lost + candidate.reason, found_again)
         self._optimise()
         return True
 
@@ -247,9 +247,9 @@ class PaperSlam:
         gap = one.inverse() @ two
         return math.hypot(gap.x, gap.y) <= _AGREE_M and abs(gap.theta) <= _AGREE_RAD
 
-    def _record(self, edge: Edge, accepted: bool, reason: str) -> None:
-        stamps = self._keyframes.stamps_ns
-        closure = LoopClosure(stamps[edge.second], stamps[edge.first], edge.first_from_second, accepted, reason)
+    def _record(self, edge: Edge, accepted: bool, reason: str, found_again: bool = False) -> None:
+        later, earlier = (self._keyframes.stamps_ns[index] for index in (edge.second, edge.first))
+        closure = LoopClosure(later, earlier, edge.first_from_second, accepted, reason, found_again=found_again)
         self._candidates.append(_Recorded(closure, edge if accepted else None))
         if accepted:
             self._keyframes.loops.append(edge)

@@ -31,7 +31,7 @@ from evalkit.results.run_record import RunRecord
 
 COUNTS = (
     "closure_candidates", "closures_accepted", "closures_rejected", "closure_precision_percent",
-    "closure_recall_percent", "corrections", "correction_max_ms", "cpu_p99_ms", "cpu_max_ms",
+    "closure_recall_percent", "recoveries_own", "corrections", "correction_max_ms", "cpu_p99_ms", "cpu_max_ms",
 )  # fmt: skip
 """Metrics of the table, in order; those without a value are left out."""
 

@@ -70,7 +70,7 @@ def run(drive: Sequence[Taken], true: Trajectory, method: str, changed: dict[str
     spec = registry.backend(method)
     slam = spec.make(**{each.name: each.default for each in spec.parameters} | changed)
     lost_ns = [one.frame.scan.stamp_ns for one in drive if slam.update(one.frame).accepted is False]
-    again = [loop.stamp_ns for loop in slam.loop_closures() if loop.accepted and "lost track" in loop.reason]
+    again = [loop.stamp_ns for loop in slam.loop_closures() if loop.accepted and loop.found_again]
     found = bool(lost_ns) and max(again, default=0) > lost_ns[-1]
     return len(lost_ns), found, ate(slam.trajectory().poses, true.at([one.stamp_ns for one in drive]))
 

@@ -144,8 +144,8 @@ def test_a_kidnapped_robot_is_reported_and_found_again_by_a_loop_closure():
     assert [estimate.accepted is False for estimate in estimates] == [
         *aside[: len(drive) + 10], True, *aside[len(drive) + 11 :]
     ]  # fmt: skip
-    found = [loop for loop in slam.loop_closures() if loop.accepted and "lost track" in loop.reason]
-    assert found
+    assert any(loop.accepted and loop.found_again for loop in slam.loop_closures())
+    assert all(loop.found_again is ("lost track" in loop.reason) for loop in slam.loop_closures())
     assert errors_m(slam.trajectory().poses, true)[~aside].max() < 0.1
 
 
@@ -202,6 +202,7 @@ def test_of_two_loops_that_contradict_each_other_one_is_withdrawn_and_says_so():
     assert close(1, 41, 40.05)
     assert close(0, 42, 38.0)  # 4 m short of what the other two say
     first, second, third = slam.loop_closures()
+    assert {one.found_again for one in (first, second, third)} == {False}
     assert (first.accepted, second.accepted, third.accepted) == (True, True, False)
     assert third.reason.startswith("withdrawn, contradicts other loops: measured 38.0 m")
     assert slam._keyframes.poses[41, 0] == pytest.approx(41.05, abs=0.1)
