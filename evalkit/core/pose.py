@@ -31,6 +31,15 @@ class Pose:
         x, y, theta = np.asarray(row, dtype=np.float64)
         return cls(float(x), float(y), float(theta))
 
+    @classmethod
+    def of_checked(cls, x: float, y: float, theta: float) -> Pose:
+        """Return the pose of values that were those of a pose before: neither checked nor wrapped."""
+        pose, put = object.__new__(cls), object.__setattr__
+        put(pose, "x", x)
+        put(pose, "y", y)
+        put(pose, "theta", theta)
+        return pose
+
     @property
     def row(self) -> Floats:
         """x, y, theta as an array (3,)."""

@@ -98,8 +98,9 @@ class StoredFrames:
                 raise BadData(self._file.name, f"byte {at + len(content)}", "it ends there", "run it again")
             ranges, at = np.frombuffer(content), at + len(content)
             scan = Scan.of_checked(stamp_ns, ranges, self._angles[angles], low_m, high_m, time_increment_ns)
-            sensor, odometry, motion = (_pose_or_none(*poses[of : of + 3]) for of in (0, 3, 6))
-            yield Frame(scan, Pose() if sensor is None else sensor, odometry, motion)
+            yield Frame(
+                scan, _pose_or_none(*poses[:3]) or Pose(), _pose_or_none(*poses[3:6]), _pose_or_none(*poses[6:])
+            )
 
     def notes(self) -> Mapping[str, int]:
         """Return the notes of the sequence."""
@@ -107,4 +108,4 @@ class StoredFrames:
 
 
 def _pose_or_none(x: float, y: float, theta: float) -> Pose | None:
-    return None if math.isnan(x) else Pose(x, y, theta)
+    return None if math.isnan(x) else Pose.of_checked(x, y, theta)

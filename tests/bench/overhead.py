@@ -92,14 +92,18 @@ def execute_run(backend: str, **changes: Value) -> tuple[RunResult, float]:
     return run, end.ru_utime + end.ru_stime - begin.ru_utime - begin.ru_stime
 
 
-def time_around(megabytes: int) -> list[float]:
-    """Return the microseconds around each call of an idle method, over the stored frames of the lab."""
+def time_around(rounds: int) -> dict[int, list[float]]:
+    """Return the microseconds around each call of idle methods over the stored frames of the lab, in turns, by the
+    megabytes that they sweep."""
+    around: dict[int, list[float]] = {0: [], SWEPT_MB: []}
     with tempfile.TemporaryDirectory() as folder:
         frames, path = StoredFrames(store_frames(open_lab()[0], Path(folder))), Path(folder) / "steps.bin"
-        with path.open("ab", buffering=0) as file:
-            record_run(IdleMethod(megabytes), frames, Request("idle", {}, "lab", {}), file)
-        harness: list[float] = (np.fromfile(path, STEP)["harness_ns"][1:] / 1e3).tolist()
-    return harness
+        for _ in range(rounds):
+            for megabytes, found in around.items():
+                with path.open("wb", buffering=0) as file:
+                    record_run(IdleMethod(megabytes), frames, Request("idle", {}, "lab", {}), file)
+                found.extend((np.fromfile(path, STEP)["harness_ns"][1:] / 1e3).tolist())
+    return around
 
 
 def children_s() -> float:
@@ -173,7 +177,7 @@ def main() -> int:
         row = f"{middle:12.1f} {np.percentile(around, 99):8.1f} {own:14.1f} {100 * middle / own:7.2f}%"
         print(f"{name:16} {row}")
         series.append(BenchmarkSeries(f"around a scan of {name}", "us", tuple(around.tolist())))
-    idle, swept = ([value for _ in range(rounds) for value in time_around(megabytes)] for megabytes in (0, SWEPT_MB))
+    idle, swept = time_around(rounds).values()
     series += [
         BenchmarkSeries("around an idle method", "us", tuple(idle)),
         BenchmarkSeries(f"around an idle method that sweeps {SWEPT_MB} MB", "us", tuple(swept)),
