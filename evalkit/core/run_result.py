@@ -100,7 +100,8 @@ class RunResult:
     ``conditions``: what else the machine did meanwhile; None if the run was not executed. ``final``: the corrected
     ``start_from_base`` of all answered frames at the end, at the stamps of the steps, of a SLAM whose run is
     complete; ``loop_closures``: its candidates; ``final_cpu_ns``: CPU time of asking for both after the last scan.
-    ``start``: where the first answer lies in the known map; None without a map.
+    ``start``: where the first answer lies in the known map; None without a map. ``remarks``: what limited the answers,
+    as the back end reports it.
     """
 
     steps: NDArray[np.void]
@@ -117,6 +118,7 @@ class RunResult:
     loop_closures: tuple[LoopClosure, ...] = ()
     final_cpu_ns: int = 0
     start: MapStart | None = None
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "steps", self.steps, (None,), STEP)

@@ -33,7 +33,7 @@ from evalkit.execution.conditions import WaitingMeter, measure_own_threads
 from evalkit.execution.parent import end_with_parent
 from evalkit.io.output_files import write_bytes, write_text
 from evalkit.odometry import frontend
-from evalkit.odometry.corrections import read_corrections
+from evalkit.odometry.corrections import read_corrections, read_remarks
 from evalkit.odometry.run_odometry import run_odometry
 from evalkit.plugins import registry
 from evalkit.plugins.nuisance import perturb_parameters
@@ -118,6 +118,7 @@ def execute_request(request: Request, folder: Path) -> RunResult:
     every = 1
     cause, reason = Cause.COMPLETED, ""
     conditions = None
+    remarks: tuple[str, ...] = ()
     try:
         spec = registry.backend(request.backend, request.plug_in)
         if why := spec.missing():
@@ -148,13 +149,14 @@ def execute_request(request: Request, folder: Path) -> RunResult:
             record_run(odometry, sequence, request, file)
         if isinstance(spec, SlamSpec):
             final_cpu_ns = record_final(odometry, folder)
+        remarks = read_remarks(odometry)
         conditions = measure_own_threads(waiting.percent())
         notes = dict(sequence.notes())
     except Exception as error:  # noqa: BLE001 - an exception of a third party's code is a result to report
         cause, reason = cause_of(error)
     return RunResult(
         NO_STEPS, expected, cause, plain(reason), _peak_memory_bytes(), warm, notes, every, conditions=conditions,
-        final_cpu_ns=final_cpu_ns,
+        final_cpu_ns=final_cpu_ns, remarks=remarks,
     )  # fmt: skip
 
 

@@ -21,13 +21,15 @@ from evalkit.execution.subprocesses import OUTPUT, ChildProcess
 from evalkit.execution.usage import Usage
 from evalkit.io import untrusted_io
 from evalkit.io.output_files import as_store_error, write_text
+from evalkit.odometry.corrections import MAX_REMARKS
 from evalkit.results.final_files import CLOSURES, FINAL, parse_final
 from evalkit.results.store import STEPS, count_sound, whole_records
 
 REQUEST, STARTED, OUTCOME = "request.json", "started.json", "outcome.json"
 
 KNOWN = {"cause": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
-         "every": int, "reading": bool, "conditions": dict, "final_cpu_ns": int, "start": dict}  # fmt: skip
+         "every": int, "reading": bool, "conditions": dict, "final_cpu_ns": int, "start": dict,
+         "remarks": list}  # fmt: skip
 """Keys and types accepted from ``STARTED`` and ``OUTCOME``, because a back end can write to the folder of its run."""
 
 COUNTS = {"expected": (0, 2**31), "peak_memory_bytes": (0, 2**50), "warm_up_scans": (0, 2**31), "every": (1, 2**31),
@@ -122,6 +124,7 @@ class _Supervision:
         values: dict[str, Any] = {"expected": 0, "peak_memory_bytes": 0}
         values |= _read(self._folder / STARTED) | _read(self._folder / OUTCOME) | self._started_for_good()
         values.pop("reading", None)
+        values["remarks"] = tuple(values.get("remarks", ()))
         self._answers.seek(0)  # a file that something else has made huge is not read whole
         most = 2 * (values["expected"] + 1) * STEP.itemsize if values["expected"] else untrusted_io.MAX_BYTES
         steps = whole_records(self._answers.read(min(most, untrusted_io.MAX_BYTES)))
@@ -186,6 +189,8 @@ def _is_sound(name: str, value: object) -> bool:
         return low <= value < above
     if name == "notes" and isinstance(value, dict):
         return all(key.isprintable() and type(count) is int for key, count in value.items())
+    if name == "remarks" and isinstance(value, list):
+        return len(value) <= MAX_REMARKS and all(isinstance(one, str) and one.isprintable() for one in value)
     return True
 
 

@@ -1,4 +1,4 @@
-"""Read what a SLAM has at the end of a sequence, and check it: corrected poses and loop closures."""
+"""Read what a method has at the end of a sequence, and check it: remarks, corrected poses, loop closures."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ from typing import cast
 
 import numpy as np
 
+from evalkit.core.errors import plain
 from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.se2 import Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.plugins.protocols import Odometry, Slam
+from evalkit.plugins.protocols import Odometry, Remarking, Slam
 
 MAX_CLOSURES = 100_000
 """Most loop closures, candidates included, that a run may report."""
+
+MAX_REMARKS = 10
+"""Most remarks of a method on a run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,3 +81,16 @@ def read_loop_closures(slam: Slam, stamps_ns: Stamps) -> tuple[LoopClosure, ...]
                 raise ValueError(f"loop_closures() refers at index {index} to {stamp} ns, where no frame was answered")
         closures.append(one)
     return tuple(closures)
+
+
+def read_remarks(odometry: Odometry) -> tuple[str, ...]:
+    """Return the remarks of an odometry on its answers, each as one printable line; () of one without ``remarks``.
+
+    Raises TypeError or ValueError where it returns something else or more than ``MAX_REMARKS``, and whatever it raises.
+    """
+    found: object = odometry.remarks() if isinstance(odometry, Remarking) else ()
+    if not isinstance(found, tuple) or not all(isinstance(one, str) and one for one in found):
+        raise TypeError(f"remarks() returned {found!r}, expected a tuple of texts")
+    if len(found) > MAX_REMARKS:
+        raise ValueError(f"remarks() returned {len(found)} texts, at most {MAX_REMARKS} are stored")
+    return tuple(plain(one) for one in found)

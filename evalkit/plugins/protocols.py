@@ -56,6 +56,15 @@ class Slam(Odometry, Protocol):
         ...
 
 
+@runtime_checkable
+class Remarking(Protocol):
+    """What an odometry may have as well: a word on what limited its answers, for the report."""
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return what limited the answers so far: a clause each, with its numbers and what to change; or ()."""
+        ...
+
+
 class NoAnswer(Exception):
     """Raised by ``Odometry.update`` for a scan without an estimate; the text is the reason.
 

@@ -119,6 +119,7 @@ def _run(run: RunRecord, metrics: Collection[str]) -> dict[str, Any]:
         "warm_up_scans": result.warm_up_scans,
         "peak_memory_bytes": result.peak_memory_bytes,
         "notes": {name: int(count) for name, count in result.notes.items()},
+        "remarks": list(result.remarks),
         "scores": {
             name: {"value": score.value, "support": int(score.support), "reason": score.reason}
             for name, score in run.scores.by_metric.items()

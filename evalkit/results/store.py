@@ -176,7 +176,9 @@ class Store:
         """
         folder = self.run_folder(key)
         record = read_sealed(folder / RESULT)
+        record = {"remarks": (), **record}  # not in results of earlier versions
         values: dict[str, Any] = {name: record[name] for name in _RESULT_FIELDS}
+        values["remarks"] = tuple(map(str, values["remarks"]))
         values["cause"] = Cause(record["cause"])
         if (conditions := values["conditions"]) is not None:
             values["conditions"] = RunConditions(**{k: v for k, v in conditions.items() if k != DISTURBED})

@@ -12,6 +12,7 @@ from rich.text import Text
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.statements.warnings import list_remarks
 from evalkit.report.formatting import format_amount, format_milliseconds
 from evalkit.terminal.map_fit import describe_map_fit
 from evalkit.terminal.options import table_width
@@ -74,6 +75,9 @@ def print_answer(console: Console, analysis: Analysis) -> None:
         _print(console, text)
     for text in describe_notes(analysis):
         _print(console, text, "yellow")
+    for sequence in analysis.sequences:
+        for text in list_remarks(sequence):
+            _print(console, f"{sequence.label}: {text}", "yellow")
     for pill in answer.pills:
         if pill.tone == "warn":
             _print(console, pill.text, "yellow")

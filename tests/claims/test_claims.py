@@ -41,6 +41,10 @@ def _perturbed(records, scans=0):
     ]  # fmt: skip
 
 
+def _remarked(run, *remarks):
+    return replace(run, result=replace(run.result, remarks=remarks))
+
+
 def _lost(records, at_s, found_s=None):
     lost = LostTrack(at_s, "a jump of 4 m", found_s)
     return [replace(one, scores=replace(one.scores, lost=lost)) for one in records]
@@ -79,6 +83,15 @@ def _cases(record, build):
     yield pair([0.05], [0.08], *_seeds(record, "paper", [0.02]))
     yield pair([0.05, 0.06], [None, 0.08])
     yield pair(*clear, guess_kept_percent=60.0)
+    yield build(
+        [
+            _remarked(one, "no room for 7 voxels: raise voxels (256).", "no room for 2 loops: raise loops (1)")
+            if one.seed
+            else one
+            for one in _seeds(record, "a", clear[0])
+        ]
+        + [_remarked(record("b", "room", {"ate_rmse_m": 0.2}), "no odometry in 3 scans")]
+    )
     yield build([*_lost(_seeds(record, "a", [1.0, 2.0, 2.1]), 12.0), *_seeds(record, "b", [1.0, 1.2, 1.1])])
     yield build(_lost([*_seeds(record, "a", [1.0, 2.0, 2.1]), *_seeds(record, "b", [1.0, 1.2, 1.1])], 7.0))
     cards = {"room": replace(winner.sequences["room"], degenerate="A corridor without ends.")}

@@ -150,6 +150,18 @@ def cost(facts: Facts, where: str, **said: str) -> Iterator[str]:
     yield from check_amount(said["other"], said["most"], found[said["other"]].median)
 
 
+@kind(
+    IN_VERDICTS,
+    r"Remark of (?P<name>.+?)(?: in (?P<count>\d+) of (?P<every>\d+) runs, for example)?: "
+    r"(?P<text>.+?)\.(?= Remark of |$)",
+)
+def remark(facts: Facts, where: str, name: str, count: str | None, every: str | None, text: str) -> Iterator[str]:
+    own = facts.runs[where][name]
+    found = [run["remarks"] for run in own if run["remarks"]]
+    yield from same("runs with remarks", (int(count or 1), int(every or 1)), (len(found), len(own)))
+    yield from same("remarks", text, "; ".join(one.rstrip(".") for one in found[0]))
+
+
 @kind(IN_VERDICTS, r"Times were measured on different processors and cannot be compared: .+")
 def processors(facts: Facts, where: str) -> Iterator[str]:
     yield from same("more than one method ran", len(facts.runs[where]) > 1, True)

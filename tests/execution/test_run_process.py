@@ -94,6 +94,7 @@ def test_a_slam_that_hangs_at_its_end_ends_at_the_limit_and_one_that_ends_has_co
     assert (result.status, len(result.steps), len(result.loop_closures)) == ("complete", SCANS, 2)
     assert result.final.poses[1:, 1].tolist() == [0.01] * (SCANS - 1)
     assert result.final_cpu_ns > 0
+    assert result.remarks == (f"no room after {SCANS} scans",)
 
 
 FAULTS = tuple(fault for fault, _, _ in EXPECTED)
@@ -178,7 +179,7 @@ def find_processes(folder):
 
 def test_numbers_that_a_back_end_writes_as_its_outcome_do_not_replace_those_of_the_run(strangers, tmp_path):
     run = execute_run(tmp_path / "run", request("claim-numbers"))
-    assert (run.expected, run.every, dict(run.notes)) == (SCANS, 1, {})
+    assert (run.expected, run.every, dict(run.notes), run.remarks) == (SCANS, 1, {}, ())
     assert run.peak_memory_bytes > 0
     assert len(run.steps) == AT
 

@@ -11,7 +11,7 @@ from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.pose import Pose
 from evalkit.core.trajectory import Trajectory
 from evalkit.odometry import corrections
-from evalkit.odometry.corrections import read_loop_closures, read_trajectory
+from evalkit.odometry.corrections import read_loop_closures, read_remarks, read_trajectory
 from evalkit.results.final_files import format_final, parse_final
 
 STAMPS = np.array([10, 20, 30])
@@ -77,3 +77,19 @@ def test_a_hundred_thousand_keyframes_are_read_stored_and_parsed_in_bounded_memo
     tracemalloc.stop()
     assert (len(again), loops) == (count, tuple(closures))
     assert peak < 40 * 2**20  # 2.4 MB of poses, in a few copies, and the set of stamps
+
+
+@pytest.mark.parametrize(
+    ("remarks", "error", "said"),
+    [
+        (["full"], TypeError, "expected a tuple of texts"),
+        (("full", 3), TypeError, "expected a tuple of texts"),
+        (("",), TypeError, "expected a tuple of texts"),
+        (("full",) * 11, ValueError, "11 texts, at most 10"),
+    ],
+)
+def test_remarks_are_a_few_texts(remarks, error, said):
+    assert read_remarks(SimpleNamespace(update=None)) == ()
+    assert read_remarks(SimpleNamespace(remarks=lambda: ("one\n\x1b", "two"))) == ("one\\n\\x1b", "two")
+    with pytest.raises(error, match=said):
+        read_remarks(SimpleNamespace(remarks=lambda: remarks))

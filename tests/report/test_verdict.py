@@ -367,6 +367,16 @@ def test_a_method_that_kept_most_guesses_is_named_and_not_ranked(record, build):
     assert "c on" not in said
 
 
+def test_a_method_is_quoted_on_what_limited_it(record, build):
+    runs = [record("a", "room", {"ate_rmse_m": 0.1}, seed=seed) for seed in range(3)]
+    noted = [("no room for 7 voxels: raise voxels (256).", "no loop closed"), (), ("no room for 9 voxels",)]
+    full = [replace(run, result=replace(run.result, remarks=one)) for run, one in zip(runs, noted, strict=True)]
+    said = "Remark of a in 2 of 3 runs, for example: no room for 7 voxels: raise voxels (256); no loop closed."
+    assert said in _verdict_text(build([*full, record("b", "room", {"ate_rmse_m": 0.2})]))
+    assert "Remark of a: no room for 9 voxels." in _verdict_text(build(full[2:]))
+    assert "Remark" not in _verdict_text(build(runs))
+
+
 def test_damaged_data_are_reported_above_one_percent(record, build):
     def make_noted(notes):
         made = record("a", "room", {"ate_rmse_m": 0.1})

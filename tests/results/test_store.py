@@ -19,6 +19,7 @@ from evalkit.core.run_status import Cause
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import map_server
 from evalkit.io.tum import format_tum, read_tum
+from evalkit.results.seal import seal
 from evalkit.results.store import Store, read_steps
 
 KEY = "room-s0-icp-0123456789"
@@ -42,7 +43,7 @@ SPEC = RunSpec(KEY, Method("icp", "icp", {}), SequenceSpec("room <1>", "room", {
 
 def saved_run(store, cause=Cause.COMPLETED, reason=""):
     provenance = {"executed_at": "2024-05-01T12:00:00+00:00"}
-    run = RunResult(steps(), 9, cause, reason, 123, 5, {"invalid ranges": 2}, 2, provenance)
+    run = RunResult(steps(), 9, cause, reason, 123, 5, {"invalid ranges": 2}, 2, provenance, remarks=("full",))
     (store.create_run_folder(KEY) / "steps.bin").write_bytes(run.steps.tobytes())
     store.save_result(SPEC, run)
     return run
@@ -83,8 +84,12 @@ def test_a_stored_result_is_loaded_to_the_bit(store, ended):
     for field in fields(RunResult):
         if field.name != "steps":  # without corrected poses here
             assert getattr(again, field.name) == getattr(kept, field.name)
-    record = json.loads((store.run_folder(KEY) / "result.json").read_text())
+    path = store.run_folder(KEY) / "result.json"
+    record = json.loads(path.read_text())
     assert (record["method"], record["sequence"], record["status"]) == ("icp", "room <1>", kept.status)
+    earlier = {key: value for key, value in record.items() if key not in ("remarks", "sha256", "files")}
+    path.write_text(seal(earlier, {"steps.bin": kept.steps.tobytes()}))
+    assert Store(store.folder).load_result(KEY).remarks == ()
 
 
 @pytest.mark.parametrize("found_again", [None, False, True])

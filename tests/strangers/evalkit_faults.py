@@ -148,8 +148,8 @@ def _claim_interruption() -> None:
 
 def _claim_numbers() -> None:
     """Say that more was done, in numbers out of range, and end."""
-    forged = '{"cause": "completed", "expected": -5, "every": -1, "peak_memory_bytes": -7, "notes": {"a": [1]}}'
-    (Path(sys.argv[-1]) / "outcome.json").write_text(forged)
+    forged = '{"cause": "completed", "expected": -5, "every": -1, "peak_memory_bytes": -7, "notes": {"a": [1]}'
+    (Path(sys.argv[-1]) / "outcome.json").write_text(forged + ', "remarks": [1]}')
     os._exit(0)
 
 

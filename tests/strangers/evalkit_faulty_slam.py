@@ -67,6 +67,10 @@ class FaultySlam:
             LoopClosure(last, other, Pose((len(self._stamps) - 1) * STEP_M, 0.0, 0.0), True, "score 0.9"),
         )
 
+    def remarks(self) -> tuple[str, ...]:
+        """Return one."""
+        return (f"no room after {len(self._stamps)} scans",)
+
 
 SPEC = SlamSpec(
     make=FaultySlam,

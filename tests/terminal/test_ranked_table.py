@@ -103,7 +103,7 @@ def test_every_line_of_the_table_fits_80_columns_and_the_title_is_the_one_of_the
     assert max(map(len, table)) <= 80
 
 
-def test_what_the_reader_noted_of_a_recording_is_printed(record, build):
+def test_what_the_reader_and_a_method_noted_of_a_recording_is_printed(record, build):
     """Of a log whose time goes back, once for all methods; not the beams without return that every lidar has."""
     notes = {"scans out of order": 1, "odometry out of order": 0, "beams without return": 5, "invalid ranges": 7}
     runs = [record(name, sequence, {"ate_rmse_m": 0.1}) for name in ("a", "b") for sequence in ("back.clf", "room")]
@@ -111,7 +111,9 @@ def test_what_the_reader_noted_of_a_recording_is_printed(record, build):
         replace(run, result=replace(run.result, notes=notes if run.sequence == "back.clf" else {})) for run in runs
     ]  # fmt: skip
     printed = io.StringIO()
+    noted[0] = replace(noted[0], result=replace(noted[0].result, remarks=("no room for 3 loops: raise loops (1)",)))
     print_answer(Console(file=printed, soft_wrap=True), analyse(build(noted)))
+    assert "back.clf: Remark of a: no room for 3 loops: raise loops (1)." in printed.getvalue().splitlines()
     assert [line for line in printed.getvalue().splitlines() if "as read" in line] == [
         "back.clf as read: scans out of order: 1"
     ]

@@ -180,5 +180,8 @@ class Slam:
     def dropped_cells(self) -> int:
         """Cells of scans for which the lasting map had no room."""
     @property
+    def unrecorded(self) -> int:
+        """Candidates for which there was no room; they close no loop."""
+    @property
     def busy(self) -> bool:
         """Whether a loop, an optimisation or the map is in work."""

@@ -83,7 +83,7 @@ class _Flag(IntFlag):
     ACCEPTED, UNCONFIRMED, FOUND_AGAIN, WITHDRAWN, NO_ROOM = 1, 2, 4, 8, 16
 
 
-_UNMATCHED, _CORRECTED = 1, 2
+_UNMATCHED, _CORRECTED, _FULL = 1, 2, 4
 
 
 class EmbeddedSlam:
@@ -109,6 +109,7 @@ class EmbeddedSlam:
         self._keyframe_of: list[int] = []
         self._odom_from_base: list[tuple[float, float, float]] = []
         self._keyframe_stamps_ns: list[int] = []
+        self._full_since: int | None = None
 
     @property
     def memory_bytes(self) -> int:
@@ -144,6 +145,8 @@ class EmbeddedSlam:
             self._odom_from_base.append(odom)
             if self._slam.keyframes > len(self._keyframe_stamps_ns):
                 self._keyframe_stamps_ns.append(frame.scan.stamp_ns)
+            if self._full_since is None and flags & _FULL:
+                self._full_since = len(self._stamps_ns)
             answers: dict[Stage, tuple[int, bool, int, float, int]] = {"s2s": scan_to_scan, "s2m": scan_to_map}
             stages: dict[Stage, StageEstimate] = {
                 name: make_stage_estimate(*answer) for name, answer in answers.items() if answer[0] != NOT_RUN
@@ -175,6 +178,26 @@ class EmbeddedSlam:
             )
             for later, earlier, motion, outcome, *numbers, flags, section in self._slam.records()
         )
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return which memory was used up, with the parameter to raise."""
+        settings, core = self._settings, self._slam
+        remarks = []
+        if self._full_since is not None:
+            name = "keyframes" if core.keyframes >= settings.keyframes else "keyframe_points"
+            where = f"from scan {self._full_since:,} of {len(self._stamps_ns):,} on"
+            remarks.append(
+                f"no room for keyframes, and no loop closed, {where}: raise {name} ({getattr(settings, name)})"
+            )
+        closures = sum(bool(_Flag(flags) & _Flag.NO_ROOM) for *_, flags, _ in core.records())
+        for name, count, what in (
+            ("voxels", core.dropped_cells, "voxels of scans in the map"),
+            ("loops", closures, "loops"),
+            ("records", core.unrecorded, "candidates, which close no loop"),
+        ):
+            if count:
+                remarks.append(f"no room for {count:,} {what}: raise {name} ({getattr(settings, name)})")
+        return tuple(remarks)
 
     def _reason(self, outcome: _Outcome, numbers: list[float], flags: _Flag, section: int) -> str:
         settings, (first, second) = self._settings, numbers

@@ -1,5 +1,6 @@
 """``embedded-slam`` against ``paper-slam``: the same scans, the same loops, the same poses."""
 
+import re
 import runpy
 from dataclasses import replace
 from functools import cache
@@ -150,6 +151,33 @@ def test_a_drive_that_wants_far_more_keyframes_than_there_is_room_for_goes_on_wi
     assert operations[room:].max() < 30_000  # registrations alone; before, closing a loop took 400,000
     assert operations[:room].max() > 200_000
     assert errors_m(slam.trajectory().poses, true[np.arange(scans) % len(lap)]).max() < 0.05
+
+
+def remark_on(scans, **memory):
+    """Return the remarks on the first scans of the drive, every one of which is a keyframe."""
+    slam, _ = run(embedded_slam.make, drive()[:scans], **SMALL | {"keyframe_distance_m": 0.05} | memory)
+    return slam.remarks()
+
+
+def test_used_up_memory_is_remarked_with_the_parameter_to_raise():
+    assert remark_on(30) == ()
+    at_20 = "no room for keyframes, and no loop closed, from scan 21 of 30 on"
+    assert remark_on(30, keyframes=20) == (f"{at_20}: raise keyframes (20)",)
+    (points,) = remark_on(30, keyframe_points=2000)
+    assert points.endswith("of 30 on: raise keyframe_points (2000)")
+    (voxels,) = remark_on(30, voxels=256)
+    assert re.fullmatch(r"no room for [1-9][\d,]* voxels of scans in the map: raise voxels \(256\)", voxels)
+
+
+def test_loops_and_candidates_without_room_are_remarked():
+    slam, _ = run(embedded_slam.make, drive(), **SMALL | {"loops": 1})
+    left = sum("no room" in loop.reason for loop in slam.loop_closures())
+    assert left > 0
+    assert slam.remarks() == (f"no room for {left} loops: raise loops (1)",)
+    slam, _ = run(embedded_slam.make, drive(), **SMALL | {"records": 1})
+    assert len(slam.loop_closures()) == 1
+    (remark,) = slam.remarks()
+    assert re.fullmatch(r"no room for [1-9]\d* candidates, which close no loop: raise records \(1\)", remark)
 
 
 def test_single_precision_closes_the_loop():

@@ -65,5 +65,6 @@ NB_MODULE(CORE, module)
         .def_prop_ro("memory_bytes", &Slam::bytes)
         .def_prop_ro("keyframes", &Slam::keyframes)
         .def_prop_ro("dropped_cells", &Slam::dropped)
+        .def_prop_ro("unrecorded", &Slam::unrecorded)
         .def_prop_ro("busy", &Slam::busy);
 }

@@ -108,6 +108,7 @@ public:
     std::size_t bytes() const { return bytes_; }
     std::size_t keyframes() const { return slam_.keyframes.count; }
     uint64_t dropped() const { return slam_.maps[0].dropped + slam_.maps[1].dropped; }
+    uint64_t unrecorded() const { return slam_.unrecorded; }
     bool busy() const { return slam_.task != EK_TASK_IDLE; }
 
 private:

@@ -58,7 +58,7 @@ class SequenceVerdict:
 
 
 def compute_verdict(comparison: Comparison, sequence: SequenceAnalysis) -> SequenceVerdict:
-    """Return the verdict: success, leader, reference method, baseline, warnings, cost."""
+    """Return the verdict: success, leader, reference method, baseline, warnings, cost, remarks."""
     ranking, degenerate, runs = sequence.deciding, sequence.card.degenerate, sequence.all_runs
     outcome = _find_outcome(sequence)
     sentences = [describe_success(runs), warnings.warn_of_data(runs)]
@@ -75,7 +75,7 @@ def compute_verdict(comparison: Comparison, sequence: SequenceAnalysis) -> Seque
             _describe_baseline(sequence, ranking),
             *warnings.warn_of_evidence(ranking, runs[0].spec.sequence.excerpt_scans),
         ]
-    sentences += [_describe_cost(sequence), warnings.warn_of_processors(runs)]
+    sentences += [_describe_cost(sequence), warnings.warn_of_processors(runs), *warnings.list_remarks(sequence)]
     leads = ranking is not None and outcome in LED
     return SequenceVerdict(
         sequence.label,

@@ -95,3 +95,14 @@ def warn_of_guesses(sequence: SequenceAnalysis) -> str:
     sentence = f"Methods that kept the initial guess: {listed}."
     unranked = [method for method, share in named.items() if share > MAX_GUESSED]
     return f"{sentence} Not ranked, because of too few registrations: {join_words(unranked)}." if unranked else sentence
+
+
+def list_remarks(sequence: SequenceAnalysis) -> list[str]:
+    """Return a sentence for each method with remarks: those of its first run with any, and how many runs have some."""
+    sentences = []
+    for method, own in sequence.runs.items():
+        remarked = [run.result.remarks for run in own if run.result.remarks]
+        if remarked:
+            count = f" in {len(remarked)} of {len(own)} runs, for example" if len(own) > 1 else ""
+            sentences.append(f"Remark of {method}{count}: {'; '.join(map(strip_full_stop, remarked[0]))}.")
+    return sentences
