@@ -124,6 +124,18 @@ class LocalMap(Protocol):
         ...
 
 
+class Matched(NamedTuple):
+    """A matched scan: the answer, and the points that were registered with their pose ``start_from_points``.
+
+    The answer's pose is that of the base at the first beam. It differs where the motion within the scan was not
+    measured: see ``Motion``.
+    """
+
+    estimate: OdometryEstimate
+    source: Cloud
+    start_from_points: Pose
+
+
 class _StageAnswer(NamedTuple):
     """Pose after a stage (the guess where its answer is not accepted), its estimate and its cost."""
 
@@ -146,50 +158,52 @@ class FrontEnd:
         self._registrations: dict[Stage, Registration] = {"s2s": scan_to_scan, "s2m": scan_to_map}
         self._settings = settings
         self._local_map = _make_local_map(settings) if local_map is None else local_map
-        self._motion = Motion(settings.prior)
+        self._motion = Motion(settings.prior, settings.deskew)
         self._last: Cloud | None = None
         self._start_from_keyframe = Pose()
 
     def update(self, frame: Frame) -> OdometryEstimate:
         """Register a scan with the previous one, then with the local map; the settings can switch off either stage."""
-        estimate, source = self.match(frame)
-        self.keep(frame, source, estimate.pose)
-        return estimate
+        matched = self.match(frame)
+        self.keep(frame, matched)
+        return matched.estimate
 
-    def match(self, frame: Frame) -> tuple[OdometryEstimate, Cloud]:
-        """Return what ``update`` returns and the points that were registered; nothing is kept."""
+    def match(self, frame: Frame) -> Matched:
+        """Return what ``update`` returns, with the points that were registered; nothing is kept."""
         start_from_last, last_from_base = self._motion.predict(frame)
         source = self._source(frame)
         stages: dict[Stage, _StageAnswer] = {}
-        start_from_base = Pose()
+        start_from_points = Pose()
         if self._last is not None:
             if self._settings.scan_to_scan and (
                 self._settings.scan_to_scan_with_odometry or not self._motion.is_measured(frame)
             ):
                 stages["s2s"] = self._register("s2s", self._last, source, last_from_base)
                 last_from_base = stages["s2s"].pose
-            start_from_base = start_from_last @ last_from_base
+            start_from_points = start_from_last @ last_from_base
             if self._settings.scan_to_map:
-                local_map = self._local_map.cloud(start_from_base)
-                stages["s2m"] = self._register("s2m", local_map, source, start_from_base)
-                start_from_base = stages["s2m"].pose
+                local_map = self._local_map.cloud(start_from_points)
+                stages["s2m"] = self._register("s2m", local_map, source, start_from_points)
+                start_from_points = stages["s2m"].pose
         estimates: dict[Stage, StageEstimate] = {name: stage.estimate for name, stage in stages.items()}
         accepted = any(stage.accepted for stage in estimates.values()) if estimates else None
         cost = sum((stage.cost for stage in stages.values()), NO_COST)
-        return OdometryEstimate(start_from_base, estimates, accepted, cost), source
+        start_from_base = self._motion.find_first_beam(frame, start_from_points)
+        return Matched(OdometryEstimate(start_from_base, estimates, accepted, cost), source, start_from_points)
 
-    def keep(self, frame: Frame, source: Cloud, start_from_base: Pose) -> None:
-        """Go on from a scan at a pose: the next one is matched with it, and a keyframe enters the local map."""
-        if self._last is None or self._is_keyframe(start_from_base):
-            self._local_map.add(source.points, start_from_base, frame.base_from_sensor)
-            self._start_from_keyframe = start_from_base
-        self._last = source
-        self._motion.store(frame, start_from_base)
+    def keep(self, frame: Frame, matched: Matched) -> None:
+        """Go on from a scan: the next one is matched with it, and a keyframe enters the local map."""
+        pose = matched.start_from_points
+        if self._last is None or self._is_keyframe(pose):
+            self._local_map.add(matched.source.points, pose, frame.base_from_sensor)
+            self._start_from_keyframe = pose
+        self._last = matched.source
+        self._motion.store(frame, pose)
 
     def set_aside(self, frame: Frame, start_from_base: Pose) -> None:
-        """Go on from the pose of a scan alone: nothing is matched with its points."""
+        """Go on from the pose at the first beam alone: nothing is matched with the points of this scan."""
         self._last = Cloud(np.zeros((0, 2)), "base")
-        self._motion.store(frame, start_from_base)
+        self._motion.store(frame, start_from_base, matched=False)
 
     def predict(self, frame: Frame) -> Pose:
         """Return the pose ``start_from_base`` that the motion prior predicts for the next scan."""
@@ -243,50 +257,86 @@ class _Step(NamedTuple):
     duration_ns: int
 
 
+class _Time(NamedTuple):
+    """A pose of the base and its time."""
+
+    start_from_base: Pose
+    stamp_ns: int
+
+
 class Motion:
     """Motion prior: the motion of the base since the previous scan, and within the current one.
 
     It comes from wheel odometry or, without it, from a constant velocity; ``prior`` as in ``FrontEndSettings``.
+
+    A scan that is deskewed at a wrong velocity is bent, but half of its beams are displaced to one side and half to the
+    other: where it is matched, the base is right in the middle of the sweep. So where the motion within the scan is not
+    measured, the velocity is that from the middle of the last sweep to the middle of this one, and going back from the
+    middle at that velocity gives the pose at the first beam.
     """
 
-    def __init__(self, prior: str) -> None:
-        self._prior = prior
-        self._start_from_base = Pose()
+    def __init__(self, prior: str, deskew: bool = True) -> None:
+        self._prior, self._deskew = prior, deskew
         self._step = _Step(Pose(), 0)
-        self._two_steps = _Step(Pose(), 0)
-        self._stamp_ns: int | None = None
+        self._last: _Time | None = None  # at the first beam
+        self._last_middle = _Time(Pose(), 0)  # of the last sweep; at its first beam where its motion was measured
+        self._start_from_points = Pose()
+        self._points_from_base: Pose | None = None  # at the first beam of the last scan; None: the identity
         self._odom_from_base: Pose | None = None
 
     def predict(self, frame: Frame) -> tuple[Pose, Pose]:
-        """Return ``start_from_last`` and the guess ``last_from_base``."""
+        """Return the pose of the last scan's points, ``start_from_last``, and the guess ``last_from_base``."""
         step = self._wheel_step(frame)
-        if step is not None:
-            return self._start_from_base, step
-        elapsed = 0 if self._stamp_ns is None else frame.scan.stamp_ns - self._stamp_ns
-        return self._start_from_base, self._constant_velocity(self._step, elapsed)
+        if step is None:
+            elapsed = 0 if self._last is None else frame.scan.stamp_ns - self._last.stamp_ns
+            step = self._constant_velocity(self._step, elapsed)
+        return self._start_from_points, step if self._points_from_base is None else self._points_from_base @ step
 
     def is_measured(self, frame: Frame) -> bool:
         """Return whether wheel odometry measured the motion since the previous scan."""
         return self._wheel_step(frame) is not None
 
     def within_scan(self, frame: Frame) -> Pose | None:
-        """Return ``start_from_end``, the base's motion from this scan's first beam to its last.
-
-        At constant velocity it is that of the last two steps: half of an error in it is the error of this scan's pose,
-        and enters the next step with the opposite sign, so that the velocity of one step oscillates.
-        """
-        if self._prior == "odometry" and frame.start_from_end is not None:
+        """Return ``start_from_end``, the base's motion from this scan's first beam to its last."""
+        if self._is_measured_within(frame):
             return frame.start_from_end
-        return self._constant_velocity(self._two_steps, frame.scan.duration_ns)
+        return self._constant_velocity(self._step, frame.scan.duration_ns)
 
-    def store(self, frame: Frame, start_from_base: Pose) -> None:
-        """Store the estimated pose of this scan."""
-        if self._stamp_ns is not None:
-            before = self._step
-            self._step = _Step(self._start_from_base.inverse() @ start_from_base, frame.scan.stamp_ns - self._stamp_ns)
-            self._two_steps = _Step(before.motion @ self._step.motion, before.duration_ns + self._step.duration_ns)
-        self._stamp_ns, self._start_from_base = frame.scan.stamp_ns, start_from_base
+    def find_first_beam(self, frame: Frame, start_from_points: Pose) -> Pose:
+        """Return the pose at the first beam of a scan whose points, deskewed, were matched at a pose."""
+        half_ns = self._half_ns(frame)
+        if not half_ns:
+            return start_from_points
+        middle = self._find_middle(frame, start_from_points)
+        return middle.start_from_base @ self._constant_velocity(self._step_to(middle), half_ns).inverse()
+
+    def store(self, frame: Frame, pose: Pose, matched: bool = True) -> None:
+        """Store the pose of this scan: that of its points, or where they were not ``matched``, at the first beam."""
+        first = self.find_first_beam(frame, pose) if matched else pose
+        middle = self._find_middle(frame, pose) if matched else _Time(pose, frame.scan.stamp_ns)
+        self._step = self._step_to(middle)
+        self._last, self._last_middle = _Time(first, frame.scan.stamp_ns), middle
+        self._start_from_points, self._points_from_base = pose, None if first is pose else pose.inverse() @ first
         self._odom_from_base = frame.odom_from_base
+
+    def _is_measured_within(self, frame: Frame) -> bool:
+        return self._prior == "odometry" and frame.start_from_end is not None
+
+    def _half_ns(self, frame: Frame) -> int:
+        """Return the time from the first beam to the middle of the sweep; 0 where the scan was not bent by a guess."""
+        bent = self._deskew and self._prior != "none" and not self._is_measured_within(frame)
+        return frame.scan.duration_ns // 2 if bent else 0
+
+    def _find_middle(self, frame: Frame, start_from_points: Pose) -> _Time:
+        half_ns = self._half_ns(frame)
+        half = self._constant_velocity(self._step, half_ns) if half_ns else None
+        return _Time(start_from_points if half is None else start_from_points @ half, frame.scan.stamp_ns + half_ns)
+
+    def _step_to(self, middle: _Time) -> _Step:
+        if self._last is None:
+            return self._step
+        before = self._last_middle
+        return _Step(before.start_from_base.inverse() @ middle.start_from_base, middle.stamp_ns - before.stamp_ns)
 
     def _wheel_step(self, frame: Frame) -> Pose | None:
         if self._prior != "odometry" or frame.odom_from_base is None or self._odom_from_base is None:
@@ -294,7 +344,7 @@ class Motion:
         return self._odom_from_base.inverse() @ frame.odom_from_base
 
     def _constant_velocity(self, step: _Step, elapsed_ns: int) -> Pose:
-        if self._prior == "none" or step.duration_ns == 0:
+        if self._prior == "none" or step.duration_ns <= 0:
             return Pose()
         share = min(elapsed_ns / step.duration_ns, 2.0)  # after a long gap the last speed has no meaning
         return Pose.of(se2.fraction(step.motion.row, np.array([share]))[0])

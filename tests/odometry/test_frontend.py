@@ -177,16 +177,37 @@ def test_constant_velocity_predicts_the_last_step_scaled_by_time_up_to_twice(ela
     np.testing.assert_allclose(rows(registration.guesses), [[0, 0, 0], [expected, 0, 0]], atol=1e-9)
 
 
-def test_the_motion_within_a_scan_is_that_of_the_last_two_steps_at_constant_velocity():
+def test_the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two_sweeps():
     motion = frontend.Motion("constant-velocity")
-    sweep = frame(Pose(), 4)
-    sweep = replace(sweep, scan=replace(sweep.scan, time_increment_ns=STEP_NS // 100))
-    share = sweep.scan.duration_ns / STEP_NS
-    found = [motion.within_scan(sweep)]
-    for at, x in enumerate([0.0, 0.3, 0.4]):  # steps of 0.3 m and 0.1 m
-        motion.store(frame(Pose(), at), Pose(x, 0.0, 0.0))
-        found.append(motion.within_scan(sweep))
-    np.testing.assert_allclose([pose.x for pose in found], share * np.array([0.0, 0.0, 0.3, 0.2]), atol=1e-12)
+    found = []
+    for at, matched in enumerate([0.0, 0.3, 0.5]):  # deskewed at 0, 0 and 0.3 m: the middles are at 0, 0.3 and 0.65 m
+        motion.store(sweep(at), Pose(matched, 0.0, 0.0))
+        points, guess = motion.predict(sweep(at + 1))
+        within = motion.within_scan(sweep(at + 1))
+        assert within is not None
+        found.append([points.x, (points @ guess).x, within.x])
+    # the next first beam is half a step of 0.3 or 0.35 m after the middle
+    np.testing.assert_allclose(found, [[0.0, 0.0, 0.0], [0.3, 0.45, 0.3], [0.5, 0.825, 0.35]], atol=1e-6)
+    assert motion.find_first_beam(sweep(3), Pose(1.0, 0.0, 0.0)).x == pytest.approx(1.175 - 0.2625)
+    wheels = replace(sweep(3), start_from_end=Pose(0.4, 0.0, 0.0))
+    measured = frontend.Motion("odometry")
+    assert measured.find_first_beam(wheels, Pose(1.0, 0.0, 0.0)) == Pose(1.0, 0.0, 0.0)
+
+
+def sweep(at: int) -> Frame:
+    """Return a frame whose last beam is fired when the next one begins."""
+    one = frame(Pose(), at)
+    return replace(one, scan=replace(one.scan, time_increment_ns=STEP_NS // (len(one.scan.ranges) - 1)))
+
+
+def test_a_turn_from_rest_is_known_one_scan_after_it_began():
+    """12 deg a scan: the first bent scan is matched 6 deg on, in the middle of its sweep, and 3 deg are gone back."""
+    begin = np.radians([0.0, 0.0, 0.0, 12.0, 24.0, 36.0, 48.0, 60.0])
+    turns = [Pose(0.0, 0.0, turn) for turn in np.diff(begin)]
+    frames = [frame(Pose(0.0, 0.0, begin[at]), at, moved=turn) for at, turn in enumerate(turns)]
+    whole = [replace(one, scan=replace(one.scan, time_increment_ns=STEP_NS // len(LANDMARKS))) for one in frames]
+    headings = run_poses(build_odometry(RegistrationByIndex()), whole)[:, 2]
+    np.testing.assert_allclose(np.degrees(headings), [0.0, 0.0, 3.0, 12.0, 24.0, 36.0, 48.0], atol=1.0)
 
 
 def test_without_a_prior_the_guess_is_the_identity_motion():

@@ -132,29 +132,29 @@ class PaperSlam:
         step = Pose.of(self._odom_from_base[-1]).inverse() @ predicted if measured else None
         self._gate.begin_scan(step, self._doubt.usual_gap)
         self._tries.begin_scan(self._doubt.usual_m, None if measured else predicted)
-        estimate, source = self._front.match(frame)
+        matched = self._front.match(frame)
+        estimate, points, pose = matched.estimate, matched.source.points, matched.start_from_points
         match = estimate.stages.get("s2m")
-        points = frame.points_in_base(frame.start_from_end)
-        near = self._map.cloud(estimate.pose).points
-        lost = self._is_lost(frame, points, estimate.pose, near)
+        near = self._map.cloud(pose).points
+        lost = self._is_lost(frame, points, pose, near)
         if not lost or self._fitted_ns is None:
             self._fitted_ns = frame.scan.stamp_ns
         if lost and measured and frame.scan.stamp_ns - self._fitted_ns <= PATIENCE_NS:
             self._front.set_aside(frame, predicted)
             return self._answer(frame, replace(estimate, pose=predicted, accepted=False))
-        self._front.keep(frame, source, estimate.pose)
+        self._front.keep(frame, matched)
         self._continuity.keep()
         fits = False
         if match is not None and match.accepted:
             last, hits = Pose.of(self._odom_from_base[-1]), int(frame.scan.hits.sum())
-            fits = self._doubt.observe(last, predicted if measured else None, estimate.pose, match, hits)
-        new = self._map.take() or (NewKeyframe(points, estimate.pose) if lost else None)
+            fits = self._doubt.observe(last, predicted if measured else None, pose, match, hits)
+        new = self._map.take() or (NewKeyframe(points, pose) if lost else None)
         if new is not None:
             new = NewKeyframe(voxel_means(new.points, _STORED_VOXEL_M), new.odom_from_base)
             kind = Step.MATCHED if not lost else Step.MEASURED if measured else Step.UNKNOWN
-            self._insert(frame.scan.stamp_ns, new, wheels, kind, predicted if kind is Step.MEASURED else estimate.pose)
+            self._insert(frame.scan.stamp_ns, new, wheels, kind, predicted if kind is Step.MEASURED else pose)
         elif fits:
-            self._map.add_between(source.points, estimate.pose)
+            self._map.add_between(points, pose)
         return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
 
     def _answer(self, frame: Frame, estimate: OdometryEstimate) -> OdometryEstimate:

@@ -214,7 +214,7 @@ static ek_status run_stages(ek_frontend *frontend, const ek_real *xy, size_t cou
                           &estimate->scan_to_scan, &estimate->scan_to_scan_outcome);
     }
     if (frontend->motion.started) {
-        estimate->start_from_base = ek_se2_compose(frontend->motion.start_from_base, last_from_base);
+        estimate->start_from_base = ek_se2_compose(frontend->motion.start_from_points, last_from_base);
     }
     const ek_index *map = &frontend->local_map;
     if (status == EK_OK && frontend->motion.started && p->use_scan_to_map && is_lasting(frontend)) {
@@ -252,6 +252,7 @@ static ek_status store_scan(ek_frontend *frontend, const ek_real *xy, size_t cou
         status = defer_normals(frontend, &frontend->last, frontend->last_normals);
     }
     ek_motion_store(&frontend->motion, prior, estimate->start_from_base);
+    estimate->start_from_base = frontend->motion.start_from_base;
     return status;
 }
 

@@ -71,7 +71,7 @@ ek_status ek_pipeline_update(ek_pipeline *pipeline, const ek_sweep *sweep, ek_es
     prior.odom_from_base = sweep->odom_from_base;
     status = ek_frontend_update(&pipeline->frontend, pipeline->scan.hits, pipeline->scan.count, &prior, estimate);
     if (status == EK_OK && p->map) {
-        status = ek_grid_add_scan(&pipeline->grid, estimate->start_from_base, p->scan.base_from_sensor.x,
+        status = ek_grid_add_scan(&pipeline->grid, pipeline->frontend.motion.start_from_points, p->scan.base_from_sensor.x,
                              p->scan.base_from_sensor.y, pipeline->scan.hits, pipeline->scan.count,
                              pipeline->scan.ends, p->clear_no_returns ? pipeline->scan.misses : 0u);
     }

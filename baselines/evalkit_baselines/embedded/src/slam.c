@@ -183,11 +183,11 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     const ek_openness open =
         ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
     const int measured = is_measured(slam, prior);
-    slam->gate = ek_slam_gate(slam, measured, last_from_base);
-    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, last_from_base);
+    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_points, last_from_base);
+    slam->gate = ek_slam_gate(slam, measured, ek_se2_between(slam->motion.start_from_base, predicted));
     ek_status status = run_stage(slam, &slam->last, &open, NULL, &last_from_base, &estimate->scan_to_scan,
                                  &estimate->scan_to_scan_accepted);
-    pose = ek_se2_compose(slam->motion.start_from_base, last_from_base);
+    pose = ek_se2_compose(slam->motion.start_from_points, last_from_base);
     if (status == EK_OK) {
         status = take_map(slam, pose, work);
     }
@@ -229,8 +229,8 @@ static int is_near(ek_pose pose)
 
 int64_t ek_slam_allowed_work(const ek_slam *slam)
 {
-    const int64_t work = slam->parameters.work, last = slam->motion.step_ns, before = slam->motion.two_steps_ns - last;
-    const int64_t interval_ms = (last < before ? last : before) / 1000000;
+    const int64_t work = slam->parameters.work, *const interval_ns = slam->motion.interval_ns;
+    const int64_t interval_ms = (interval_ns[0] < interval_ns[1] ? interval_ns[0] : interval_ns[1]) / 1000000;
     const int64_t longest = interval_ms < MAX_PERIOD_MS ? interval_ms : MAX_PERIOD_MS;
     if (work == 0 || work > INT64_MAX / MAX_PERIOD_MS) {
         return INT64_MAX;
@@ -296,6 +296,7 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, c
 static ek_status set_aside(ek_slam *slam, const ek_prior *prior, ek_pose predicted, ek_slam_estimate *estimate, ek_work *task)
 {
     estimate->odom_from_base = predicted;
+    slam->motion.half_ns = 0; /* at the first beam */
     ek_motion_store(&slam->motion, prior, predicted);
     *task = ek_work_make(ek_slam_allowed_work(slam));
     return index_lines(&slam->last, slam->last_normals, slam->scan.hits, 0u);
@@ -327,7 +328,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     estimate->scan_to_scan = estimate->scan_to_map = none;
     slam->corrected = 0;
     status = ek_slam_track(slam, &prior, estimate, &work);
-    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_base, ek_motion_predict(&slam->motion, &prior));
+    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_points, ek_motion_predict(&slam->motion, &prior));
     if (status != EK_OK || !is_near(estimate->odom_from_base) || !is_near(predicted)) {
         return status == EK_OK ? EK_OUT_OF_RANGE : status;
     }
@@ -339,6 +340,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
         status = estimate->set_aside ? set_aside(slam, &prior, predicted, estimate, &task)
                                      : keep(slam, &prior, predicted, estimate, &task);
     }
+    estimate->odom_from_base = slam->motion.start_from_base;
     ek_slam_work(slam, &task);
     estimate->work = task.done;
     estimate->start_from_base = ek_se2_compose(ek_se2_inverse(slam->odom_from_start), estimate->odom_from_base);

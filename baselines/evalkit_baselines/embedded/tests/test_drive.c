@@ -268,8 +268,6 @@ static void constant_velocity_is_extrapolated_for_two_steps_at_most(void)
     CHECK_NEAR(ek_motion_extrapolate(&motion, 100).x, 0.0, 0.0);
     motion.step_ns = 100;
     motion.step = pose_of(0.1, 0.0, 0.0);
-    motion.two_steps_ns = 200;
-    motion.two_steps = pose_of(0.2, 0.0, 0.0);
     for (size_t k = 0; k < 5u; k++) {
         CHECK_NEAR(ek_motion_extrapolate(&motion, elapsed[k]).x, driven[k], TOLERANCE);
     }
@@ -297,10 +295,12 @@ static void constant_velocity_is_extrapolated_for_two_steps_at_most(void)
     CHECK_NEAR(scan.hits[0], 2.0, TOLERANCE);
 }
 
-/* Steps of 0.3 m and 0.1 m: the motion within a sweep is 0.2 m a step. */
-static void the_motion_within_a_sweep_is_that_of_the_last_two_steps(void)
+/* Sweeps of 100 ns without a pause, matched at 0, 0.3 and 0.5 m. Deskewed at 0, 0 and 0.3 m a sweep, their middles are at 0, 0.3
+ * and 0.65 m, and their first beams half a step of 0.3 and 0.35 m before. Points are 0.15 and -0.025 m from there. */
+static void the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two_sweeps(void)
 {
-    static const double x[] = {0.0, 0.3, 0.4}, moved[] = {0.0, 0.3, 0.2};
+    static const double matched[] = {0.0, 0.3, 0.5}, first[] = {0.0, 0.15, 0.475}, within[] = {0.0, 0.3, 0.35};
+    static const double predicted[] = {0.0, 0.15, 0.325};
     ek_real ranges[2] = {EK_R(2.0), EK_R(2.0)}, angles[2] = {EK_R(0.0), EK_R(0.0)};
     const ek_scan_parameters parameters = {ORIGIN, EK_R(0.1), EK_R(10.0), EK_R(0.0)};
     ek_motion motion;
@@ -312,11 +312,26 @@ static void the_motion_within_a_sweep_is_that_of_the_last_two_steps(void)
     sweep.beams = 2u;
     sweep.time_increment_ns = 100;
     for (size_t k = 0; k < 3u; k++) {
-        const ek_prior prior = {(int64_t)(100u * k), 0, ORIGIN};
-        ek_motion_store(&motion, &prior, pose_of(x[k], 0.0, 0.0));
+        const ek_prior prior = {(int64_t)(100u * k), 0, ORIGIN}, next = {(int64_t)(100u * k + 100u), 0, ORIGIN};
         CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OK);
-        CHECK_NEAR(scan.hits[2], 2.0 + moved[k], TOLERANCE);
+        ek_motion_store(&motion, &prior, pose_of(matched[k], 0.0, 0.0));
+        CHECK_NEAR(motion.start_from_base.x, first[k], TOLERANCE);
+        CHECK_NEAR(motion.start_from_points.x, matched[k], TOLERANCE);
+        CHECK_NEAR(ek_motion_predict(&motion, &next).x, predicted[k], TOLERANCE);
+        CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OK);
+        CHECK_NEAR(scan.hits[2], 2.0 + within[k], TOLERANCE);
     }
+    const ek_prior before = {300, 1, pose_of(7.0, 0.0, 0.0)}, driven = {400, 1, pose_of(7.2, 0.0, 0.0)};
+    ek_motion_store(&motion, &before, pose_of(1.0, 0.0, 0.0)); /* within it 0.35 m: the middle 0.525 m after the last one */
+    CHECK_NEAR(motion.start_from_base.x, 1.175 - 0.2625, TOLERANCE);
+    CHECK_NEAR(ek_motion_predict(&motion, &driven).x, 0.2 - 0.0875, TOLERANCE); /* wheels measure from the first beam */
+    sweep.has_motion = 1;
+    sweep.start_from_end = pose_of(0.4, 0.0, 0.0);
+    CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OK);
+    CHECK_NEAR(scan.hits[2], 2.4, TOLERANCE);
+    ek_motion_store(&motion, &driven, pose_of(1.2, 0.0, 0.0)); /* measured within: as matched */
+    CHECK_NEAR(motion.start_from_base.x, 1.2, TOLERANCE);
+    CHECK(motion.step_ns == 50);
 }
 
 static void a_full_map_drops_new_voxels_and_a_full_voxel_new_points(void)
@@ -362,7 +377,7 @@ int main(void)
     the_odometry_across_a_lost_track_is_doubted();
     what_does_not_fit_is_refused_and_changes_nothing();
     constant_velocity_is_extrapolated_for_two_steps_at_most();
-    the_motion_within_a_sweep_is_that_of_the_last_two_steps();
+    the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two_sweeps();
     a_full_map_drops_new_voxels_and_a_full_voxel_new_points();
     free(arena.memory);
     return verdict();

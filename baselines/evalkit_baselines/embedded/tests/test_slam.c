@@ -145,8 +145,8 @@ static void work_is_in_proportion_to_the_time_between_scans(void)
     };
     for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
         slam.parameters.work = cases[k].work;
-        slam.motion.step_ns = cases[k].last_ms * 1000000;
-        slam.motion.two_steps_ns = slam.motion.step_ns + cases[k].before_ms * 1000000;
+        slam.motion.interval_ns[0] = cases[k].last_ms * 1000000;
+        slam.motion.interval_ns[1] = cases[k].before_ms * 1000000;
         CHECK(ek_slam_allowed_work(&slam) == cases[k].allowed);
     }
 }

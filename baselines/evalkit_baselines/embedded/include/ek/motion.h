@@ -1,4 +1,10 @@
-/* motion.h - motion prior: the motion of the base since the last scan, from wheel odometry or at constant velocity. */
+/* motion.h - motion prior: the motion of the base since the last scan, from wheel odometry or at constant velocity.
+ *
+ * A scan that is deskewed at a wrong velocity is bent, but half of its beams are displaced to one side and half to the other:
+ * where it is matched, the base is right in the middle of the sweep. So where the motion within the sweep is not measured, the
+ * velocity is that from the middle of the last sweep to the middle of this one, and going back from the middle at that velocity
+ * gives the pose at the first beam. As Motion in evalkit/odometry/frontend.py.
+ */
 #ifndef EK_MOTION_H
 #define EK_MOTION_H
 
@@ -18,8 +24,14 @@ typedef struct {
 /* The last scan; zeroed: there is none. */
 typedef struct {
     int32_t started, has_last_odometry;
-    ek_pose start_from_base, odom_from_base, step, two_steps;
-    int64_t stamp_ns, step_ns, two_steps_ns;
+    int32_t settled;           /* 1: the next two differ */
+    ek_pose start_from_base;   /* at the first beam */
+    ek_pose start_from_points; /* as matched */
+    ek_pose odom_from_base;
+    ek_pose start_from_middle, step; /* the step is that between the middles of the last two sweeps */
+    int64_t stamp_ns, middle_ns, step_ns;
+    int64_t interval_ns[2]; /* between the first beams of the last scans, the latest first */
+    int64_t half_ns;        /* of the sweep that was projected: from its first beam to its middle; 0: its motion was measured */
 } ek_motion;
 
 #define ek_motion_extrapolate EK_NAME(motion_extrapolate)
@@ -30,17 +42,18 @@ typedef struct {
 /* Predict the base's motion over `elapsed_ns` at constant velocity from the last two scans; the identity before. */
 ek_pose ek_motion_extrapolate(const ek_motion *motion, int64_t elapsed_ns);
 
-/* Predict last_from_base: from wheel odometry if this scan and the last one have it, otherwise at constant velocity. */
+/* Predict last_from_base, the motion from the last scan's points (start_from_points): from wheel odometry if this scan and
+ * the last one have it, otherwise at constant velocity. */
 ek_pose ek_motion_predict(const ek_motion *motion, const ek_prior *prior);
 
-/* Compute the points of a sweep, deskewed by its own motion within the scan or else at the velocity of the last two
- * steps: half of an error in it is the error of this scan's pose, and enters the next step with the opposite sign, so that the
- * velocity of one step oscillates. Returns what ek_scan_project returns; EK_OUT_OF_RANGE: a time between beams that is negative or overflows. */
-ek_status ek_motion_project(const ek_motion *motion, ek_scan *scan, const ek_sweep *sweep,
+/* Compute the points of a sweep, deskewed by its own motion within the scan or else at the velocity of the last step; the
+ * next ek_motion_store is for this sweep. Returns what ek_scan_project returns; EK_OUT_OF_RANGE: a time between beams that is
+ * negative or overflows. */
+ek_status ek_motion_project(ek_motion *motion, ek_scan *scan, const ek_sweep *sweep,
                             const ek_scan_parameters *parameters, int deskew);
 
-/* Store the pose of a scan. */
-void ek_motion_store(ek_motion *motion, const ek_prior *prior, ek_pose start_from_base);
+/* Store the pose of a scan, as its points were matched; motion->start_from_base is then that at its first beam. */
+void ek_motion_store(ek_motion *motion, const ek_prior *prior, ek_pose start_from_points);
 
 #ifdef __cplusplus
 }
