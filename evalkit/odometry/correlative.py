@@ -153,18 +153,30 @@ def branch_and_bound(
     number. The motions form a lattice around the window's centre, one cell and one angle apart. The best score is that
     of an exhaustive search of the lattice; of motions with equal scores the same one is always returned.
     """
+    return bounded_search(grid, points, window, min_score, prior)[0]
+
+
+def bounded_search(
+    grid: ScoreGrid, points: Floats, window: Window, min_score: float = 0.0, prior: Prior | None = None
+) -> tuple[SearchResult | None, float]:
+    """Return as ``branch_and_bound``, and an upper bound (0 to 1) on the score of every motion of the window.
+
+    Where a motion is found that is its score; else the highest bound of a block that was not divided.
+    """
     if not len(points):
-        return None
+        return None, 0.0
     lattice = _Lattice.of(grid, points, window)
     weigh = prior or _no_prior
     level = lattice.first_level()
     blocks = lattice.roots(1 << level)
     evaluated = len(blocks)
-    best, score = None, min_score
+    best, score, left_out = None, min_score, 0.0
     waiting = [(level, *_best_first(blocks, lattice.scores(blocks, level, weigh)))]
     while waiting:
         level, blocks, bounds = waiting.pop()
         promising = int(np.searchsorted(-bounds, -score))  # the rest can be no better
+        if promising < len(bounds):
+            left_out = max(left_out, float(bounds[promising]))
         if not promising:
             continue
         if level == 0:
@@ -175,7 +187,7 @@ def branch_and_bound(
         children = lattice.divide(blocks[: min(NODES, promising)], 1 << (level - 1))
         evaluated += len(children)
         waiting.append((level - 1, *_best_first(children, lattice.scores(children, level - 1, weigh))))
-    return None if best is None else SearchResult(lattice.motion(best), score, evaluated)
+    return (None, left_out) if best is None else (SearchResult(lattice.motion(best), score, evaluated), score)
 
 
 def other_headings(best: Pose) -> Window:

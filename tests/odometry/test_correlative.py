@@ -12,6 +12,7 @@ from evalkit.odometry.correlative import (
     PEAK_RAD,
     ScoreGrid,
     Window,
+    bounded_search,
     branch_and_bound,
     other_headings,
     windows_around,
@@ -92,6 +93,12 @@ def test_no_motion_is_returned_where_none_reaches_the_minimum_score():
     best = branch_and_bound(grid, circle, window)
     assert best is not None
     assert branch_and_bound(grid, circle, window, min_score=best.score) is None
+    assert bounded_search(grid, circle, window) == (best, best.score)
+    for least in (best.score, best.score + 0.1, 1.0):
+        none, bound = bounded_search(grid, circle, window, least)
+        assert none is None
+        assert best.score <= bound <= least
+    assert bounded_search(grid, circle, Window(Pose(50.0), 1.0, 1.0, 0.1)) == (None, 0.0)
     again = branch_and_bound(grid, circle, window, min_score=best.score - 1e-6)
     assert again is not None
     assert again.score == best.score

@@ -195,7 +195,7 @@ def test_all_accepted_closures_come_first_and_rejected_ones_by_reason(record):
     ("reasons", "shown"),
     [
         (["overlap 0.5 < 0.7", "overlap 0.2 < 0.7", "overlap 0.6 < 0.7"], "3 (0.2, 0.5, 0.6)"),
-        (["score below 0.55", "score below 0.55"], "2"),
+        (["score at most 0.549, below 0.55"] * 2, "2"),
         (["lost", "lost"], "2"),
         (["chi2 1e3, high", "chi2 20, high"], "2 (20, 510, 1e+03)"),
         (["part 1.2.3", "part 1.2.4"], "2"),

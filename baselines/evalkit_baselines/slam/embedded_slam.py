@@ -25,7 +25,7 @@ from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded.compiled import compiled_missing, load_core, to_real
 from evalkit_baselines.embedded.pipeline import NOT_RUN, make_stage_estimate, read_beams, to_row
 from evalkit_baselines.embedded.registration import make_icp
-from evalkit_baselines.slam.loop_closure import LoopSettings
+from evalkit_baselines.slam.loop_closure import LoopSettings, describe_low_score
 from evalkit_baselines.slam.paper_slam import SPEC as REFERENCE
 
 FINE_CORRESPONDENCE_M = 0.3
@@ -204,7 +204,7 @@ class EmbeddedSlam:
         text = {
             _Outcome.PASSED: f"chi2 {first:.1f}, overlap {second:.2f}",
             _Outcome.FEW_POINTS: f"{first:.0f} points, fewer than 50",
-            _Outcome.SCORE: f"score below {settings.loop_score:.2f}",
+            _Outcome.SCORE: describe_low_score(first, settings.loop_score),
             _Outcome.AMBIGUOUS: f"ambiguous: another motion has {first:.2f} of the score {second:.2f}",
             _Outcome.OVERLAP: f"overlap {first:.2f} < {settings.loop_overlap:.2f}",
             _Outcome.DEGENERATE: f"degenerate: position known to {first:.2f} m",

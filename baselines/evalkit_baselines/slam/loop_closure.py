@@ -28,6 +28,7 @@ from evalkit.odometry.correlative import (
     Prior,
     ScoreGrid,
     Window,
+    bounded_search,
     branch_and_bound,
     other_headings,
     windows_around,
@@ -242,10 +243,11 @@ class LoopFinder:
         grid = ScoreGrid.from_points(target, cell_m, cell_m, 5)
         thinned = source[:: max(len(source) // _SOURCE_POINTS, 1)]
         window = Window(motion, float(half[0]), float(half[1]), half_rad)
-        best = branch_and_bound(grid, thinned, window, settings.loop_score, _weight(half / _SIGMAS, half_rad / _SIGMAS))
+        weight = _weight(half / _SIGMAS, half_rad / _SIGMAS)
+        best, bound = bounded_search(grid, thinned, window, settings.loop_score, weight)
         is_local = bool(half.max() <= 0.75)
         if best is None:
-            return None, f"score below {settings.loop_score:.2f}", is_local
+            return None, describe_low_score(bound, settings.loop_score), is_local
         bound = settings.loop_ambiguity * best.score
         turned = [] if predicted.known else [other_headings(best.target_from_source)]
         if not predicted.known:  # another place that fits may be farther away than where this one was sought
@@ -288,6 +290,11 @@ class LoopFinder:
         if not chi <= settings.loop_gate:
             return Candidate(edge, False, f"chi2 {chi:.1f} > {settings.loop_gate:.1f}", chi, is_local)
         return Candidate(edge, True, f"chi2 {chi:.1f}, overlap {overlap:.2f}", chi, is_local, predicted.known)
+
+
+def describe_low_score(bound: float, least: float) -> str:
+    """Return the reason of a candidate where no motion scores more than ``bound``, which is rounded upwards."""
+    return f"score at most {math.ceil(1000.0 * bound) / 1000.0:.3f}, below {least:.2f}"
 
 
 def _chi_square(motion: Pose, predicted: Pose, covariance: Floats) -> float:

@@ -189,7 +189,7 @@ static void search(ek_loop_finder *finder, ek_work *work)
         return;
     }
     if (!finder->search.found) {
-        judge_early(finder, EK_LOOP_SCORE, EK_R(0.0), EK_R(0.0));
+        judge_early(finder, EK_LOOP_SCORE, finder->search.left_out, EK_R(0.0));
         return;
     }
     finder->best = finder->search.best;

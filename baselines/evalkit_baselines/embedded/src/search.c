@@ -82,6 +82,7 @@ ek_status ek_search_begin(ek_search *search, const ek_score_grid *grid, const ek
     search->waiting = 0u;
     search->found = 0;
     search->score = min_score;
+    search->left_out = EK_R(0.0);
     search->evaluated = 0u;
     fit_angles(search);
     return EK_OK;
@@ -157,6 +158,7 @@ static void push(ek_search *search, size_t from, int32_t x, int32_t y, uint32_t 
 {
     const ek_search_block block = {x, y, level, bound_of(search, x, y, level)};
     if (!(block.bound > search->score)) {
+        search->left_out = block.bound > search->left_out ? block.bound : search->left_out;
         return;
     }
     size_t at = search->waiting++;

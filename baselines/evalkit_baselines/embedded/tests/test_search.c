@@ -153,11 +153,19 @@ static void the_best_score_is_that_of_an_exhaustive_search(uint64_t *seed)
         CHECK(search.found);
         CHECK_NEAR(search.score, exhaustive(&search), TOLERANCE);
         CHECK(k >= 6 || EK_FABS(ek_se2_between(search.best, there).theta) < EK_R(0.06));
+        const ek_real best = search.score;
+        ek_work all = ek_work_make(INT64_MAX);
+        for (int step = 0; step < 2; step++) { /* the bound is tight where the least score is the best one */
+            const ek_real least = best + EK_R(0.2 * step);
+            CHECK(ek_search_begin(&search, &grid, source, search.count, &window, priors + k % 2, least) == EK_OK);
+            CHECK(ek_search_work(&search, &all) && !search.found);
+            CHECK(search.left_out >= best && search.left_out <= least);
+        }
     }
     const ek_search_window far = {{EK_R(100.0), EK_R(0.0), EK_R(0.0)}, EK_R(0.5), EK_R(0.5), EK_R(0.1)};
     ek_work all = ek_work_make(INT64_MAX);
     CHECK(ek_search_begin(&search, &grid, source, count, &far, priors, EK_R(0.1)) == EK_OK);
-    CHECK(ek_search_work(&search, &all) && !search.found);
+    CHECK(ek_search_work(&search, &all) && !search.found && !(search.left_out > EK_R(0.0)));
 }
 
 /* Angles from the middle to both sides, one more on the lower side of an even number; the nearest motion of a block; cells

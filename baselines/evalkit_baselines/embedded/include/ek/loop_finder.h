@@ -33,7 +33,7 @@ typedef struct {
 typedef enum {
     EK_LOOP_PASSED = 0, /* numbers: chi-square, overlap */
     EK_LOOP_FEW_POINTS, /* points */
-    EK_LOOP_SCORE,      /* none */
+    EK_LOOP_SCORE,      /* upper bound on the score of every motion */
     EK_LOOP_AMBIGUOUS,  /* share of the best score, best score */
     EK_LOOP_OVERLAP,    /* overlap */
     EK_LOOP_DEGENERATE, /* m */

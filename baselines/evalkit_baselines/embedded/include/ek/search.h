@@ -54,6 +54,7 @@ typedef struct {
     size_t waiting;
     int32_t found;
     ek_real score; /* best so far, or the smallest that counts */
+    ek_real left_out; /* where no motion was found: upper bound on the score of every one */
     ek_pose best;
     uint64_t evaluated; /* blocks and motions */
 } ek_search;
