@@ -119,7 +119,7 @@ def test_parameters_out_of_bounds_are_refused():
 
 
 def test_karto_finds_the_same_motion():
-    karto = pytest.importorskip("karto_scanmatcher", reason="not installed: karto-scanmatcher, an independent oracle")
+    karto = pytest.importorskip("karto_scanmatcher", reason="not installed: karto-scanmatcher; .ci/oracles installs it")
     simulated = drive(16, sweeping=False)
     first, *later = simulated.frames
     angles = first.scan.angles

@@ -24,7 +24,9 @@ MRPT = Path("/usr/include/mrpt")
 
 
 def needs(module):
-    return pytest.mark.skipif(importlib.util.find_spec(module) is None, reason=f"not installed: {module}")
+    return pytest.mark.skipif(
+        importlib.util.find_spec(module) is None, reason=f"not installed: {module}; .ci/oracles installs it"
+    )
 
 
 def end_error_m(name, simulated, **parameters):

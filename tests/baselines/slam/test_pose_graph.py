@@ -224,7 +224,7 @@ def test_an_empty_graph_and_a_single_pose_are_their_own_optimum():
 
 
 def test_gtsam_finds_the_same_optimum():
-    gtsam = pytest.importorskip("gtsam")
+    gtsam = pytest.importorskip("gtsam", reason="not installed: gtsam; .ci/oracles installs it")
     graph, _ = square_drive(3, noise=0.05)
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for i, j, motion, information in zip(
@@ -245,7 +245,7 @@ def test_gtsam_finds_the_same_optimum():
 
 
 def test_g2o_reads_the_written_file_and_has_the_same_chi_square(tmp_path):
-    g2o = pytest.importorskip("g2opy")
+    g2o = pytest.importorskip("g2opy", reason="not installed: g2opy; .ci/oracles installs it")
     graph, _ = square_drive(2, noise=0.05)
     skewed = np.array([[90.0, 5.0, -7.0], [5.0, 120.0, 11.0], [-7.0, 11.0, 300.0]])  # finds a wrong order
     graph = PoseGraph(
