@@ -15,7 +15,6 @@
 #define MIN_POINTS 50u
 #define NEIGHBOURS 8u
 #define NORMAL_WORK 160u
-#define MATCH_WORK 12u
 #define RIVALS 5u
 #define COARSE EK_R(2.0) /* after a lost track the cells have so many times the side */
 
@@ -233,7 +232,7 @@ static void match(ek_loop_finder *finder, ek_work *work)
                     coarse ? &finder->coarse : &finder->fine, NULL, NULL, &found);
     finder->match = found.target_from_source;
     finder->match_error = found.error;
-    ek_work_spend(work, MATCH_WORK * ((uint64_t)found.iterations + 1u) * finder->source_count);
+    ek_work_spend(work, EK_MATCH_WORK * ((uint64_t)found.iterations + 1u) * finder->source_count);
     finder->phase = coarse ? EK_FINDER_FINE : EK_FINDER_JUDGE;
 }
 

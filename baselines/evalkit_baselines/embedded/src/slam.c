@@ -10,6 +10,7 @@
 #define RECENTRE EK_R(0.1)      /* share of the map's radius that the robot moves before its part is taken again */
 #define PERIOD_MS 100           /* of the scans that `work` is meant for: a slower lidar leaves more time for loops */
 #define MAX_PERIOD_MS 2000
+#define SPARE 3                 /* times `work`: for the search while the track is lost, less the work of matching */
 #define PATIENCE_NS 2000000000u /* scans that lie nowhere are set aside until so long after the last one that did */
 #define NEAR_LIMIT (EK_R(0.25) * EK_MAX_COORDINATE)
 
@@ -180,6 +181,7 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
         return EK_OK;
     }
     slam->tried = 0;
+    slam->matching = 0u;
     const ek_openness open =
         ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
     const int measured = is_measured(slam, prior);
@@ -236,6 +238,13 @@ int64_t ek_slam_allowed_work(const ek_slam *slam)
         return INT64_MAX;
     }
     return longest > PERIOD_MS ? work * longest / PERIOD_MS : work;
+}
+
+int64_t ek_slam_spare_work(const ek_slam *slam, int64_t allowed)
+{
+    const uint64_t matching = EK_MATCH_WORK * slam->matching;
+    const int64_t most = allowed < INT64_MAX / SPARE ? SPARE * allowed : INT64_MAX;
+    return matching < (uint64_t)most ? most - (int64_t)matching : 0;
 }
 
 /* Whether the scan is set aside, or the track is lost. */
@@ -342,6 +351,10 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     }
     estimate->odom_from_base = slam->motion.start_from_base;
     ek_slam_work(slam, &task);
+    if (slam->task == EK_TASK_FIND && slam->finder.apart) {
+        task.left += ek_slam_spare_work(slam, ek_slam_allowed_work(slam));
+        ek_slam_work(slam, &task);
+    }
     estimate->work = task.done;
     estimate->start_from_base = ek_se2_compose(ek_se2_inverse(slam->odom_from_start), estimate->odom_from_base);
     estimate->corrected = slam->corrected;

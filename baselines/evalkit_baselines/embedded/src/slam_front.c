@@ -131,6 +131,15 @@ static void limit_iterations(ek_icp_parameters *parameters, int32_t most)
     parameters->max_iterations = parameters->max_iterations < most ? parameters->max_iterations : most;
 }
 
+/* Match points with a target, and note the work. */
+static ek_status match_points(ek_slam *slam, const ek_index *target, const ek_real *xy, size_t count, ek_pose guess,
+                              const ek_icp_parameters *parameters, ek_match *match)
+{
+    const ek_status status = ek_icp_register(&slam->icp, target, xy, count, guess, parameters, NULL, NULL, match);
+    slam->matching += status == EK_OK ? ((uint64_t)match->iterations + 1u) * count : 0u;
+    return status;
+}
+
 /* Match a part of a large scan, then all of it with near pairs: points beyond the end of the map have none. */
 static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_pose guess,
                                       const ek_icp_parameters *parameters, ek_match *match)
@@ -141,12 +150,11 @@ static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_
     if (large) {
         limit_iterations(&coarse, PART_ITERATIONS);
     }
-    ek_status status = ek_icp_register(&slam->icp, target, slam->moved, count, guess, &coarse, NULL, NULL, match);
+    ek_status status = match_points(slam, target, slam->moved, count, guess, &coarse, match);
     if (status == EK_OK && large) {
         limit_iterations(&fine, FINE_ITERATIONS);
         fine.max_correspondence = slam->parameters.fine_correspondence;
-        status = ek_icp_register(&slam->icp, target, slam->scan.hits, slam->scan.count, match->target_from_source, &fine,
-                                 NULL, NULL, match);
+        status = match_points(slam, target, slam->scan.hits, slam->scan.count, match->target_from_source, &fine, match);
     }
     return status;
 }
@@ -164,8 +172,8 @@ static ek_pose try_starts(ek_slam *slam, const ek_index *target, ek_pose centre,
         const ek_pose turn = {EK_R(0.0), EK_R(0.0), k < turns ? TURNS[k] * EK_PI / EK_R(180.0) : EK_R(0.0)};
         const ek_pose start = k < turns ? ek_se2_compose(centre, turn) : *also;
         ek_match match;
-        ek_icp_register(&slam->icp, target, slam->moved, count, start, &parameters, NULL, NULL,
-                        &match); /* of the same points at the same place as before: no error */
+        match_points(slam, target, slam->moved, count, start, &parameters,
+                     &match); /* of the same points at the same place as before: no error */
         const ek_real on = rate(target, slam->moved, count, match.target_from_source, closely);
         if (on > most && is_close(centre, match.target_from_source)) {
             best = match.target_from_source;

@@ -16,6 +16,7 @@
 #define ek_slam_draw EK_NAME(slam_draw)
 #define ek_slam_redraw EK_NAME(slam_redraw)
 #define ek_slam_allowed_work EK_NAME(slam_allowed_work)
+#define ek_slam_spare_work EK_NAME(slam_spare_work)
 #define ek_slam_insert EK_NAME(slam_insert)
 #define ek_slam_solve EK_NAME(slam_solve)
 #define ek_slam_next_run EK_NAME(slam_next_run)
@@ -62,6 +63,10 @@ void ek_slam_redraw(ek_slam *slam);
 
 /* Operations of the newest scan, in proportion to the shorter of the last two intervals: one gap does not delay a scan. */
 int64_t ek_slam_allowed_work(const ek_slam *slam);
+
+/* Further operations while a lost part of the drive is searched for: three times those allowed, less the work of matching, so
+ * that a scan that was hard to match has none. */
+int64_t ek_slam_spare_work(const ek_slam *slam, int64_t allowed);
 
 /* Make the projected scan a keyframe; `graph_pose`: where the graph has it, in the same frame, which after a lost track is
  * not where it matched. */

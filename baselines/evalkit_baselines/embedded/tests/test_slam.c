@@ -151,6 +151,18 @@ static void work_is_in_proportion_to_the_time_between_scans(void)
     }
 }
 
+/* Three times 200,000 operations are left while the track is lost, less 12 for each point and iteration. */
+static void a_scan_that_is_hard_to_match_leaves_no_work_for_the_search(void)
+{
+    static const uint64_t matching[] = {0u, 10000u, 50000u, 60000u};
+    static const int64_t spare[] = {600000, 480000, 0, 0};
+    for (size_t k = 0; k < 4u; k++) {
+        slam.matching = matching[k];
+        CHECK(ek_slam_spare_work(&slam, 200000) == spare[k]);
+    }
+    CHECK(ek_slam_spare_work(&slam, INT64_MAX) == INT64_MAX - 720000);
+}
+
 static void refused_scans_change_nothing(void)
 {
     const ek_slam_parameters parameters = parameters_of(0);
@@ -1102,6 +1114,7 @@ int main(void)
     sweeps_beyond_the_world_are_refused();
     drive(0, 0.03);
     work_is_in_proportion_to_the_time_between_scans();
+    a_scan_that_is_hard_to_match_leaves_no_work_for_the_search();
     const uint64_t most = drive(100000, 0.03); /* every 0.2 s: twice the work */
     CHECK(most < 200000u + 160u * 4000u); /* the largest part: the normals of a target of less than 4,000 points */
     free(lasting.memory);

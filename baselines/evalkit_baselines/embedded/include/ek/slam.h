@@ -29,7 +29,8 @@ typedef struct {
     ek_drift drift;
     ek_loop_settings loop;
     int64_t work;                /* operations a scan for loops, optimisation and map; 0: no limit. More in proportion
-                                    where both last intervals exceed 0.1 s, up to 20 times at 2 s */
+                                    where both last intervals exceed 0.1 s, up to 20 times at 2 s; while the track is
+                                    lost up to 4 times, less 12 for each point and iteration of matching */
     /* memory */
     size_t points;               /* of a scan */
     size_t keyframes, keyframe_points, loops, records;
@@ -103,6 +104,7 @@ typedef struct {
     uint32_t *counts;
     ek_real centre_x, centre_y; /* of the part of the map around the robot */
     int32_t map_changed, has_keyframe, tried;
+    uint64_t matching;       /* points times iterations of matching this scan */
     ek_pose odom_from_front; /* of the front end's last keyframe */
     ek_keyframes keyframes;
     ek_pose *odom_from_keyframe;

@@ -9,6 +9,8 @@
 
 #include <stdint.h>
 
+#define EK_MATCH_WORK 12u /* operations for a point in an iteration of ICP */
+
 typedef struct {
     int64_t left;  /* operations; not positive: stop */
     uint64_t done; /* operations so far */
