@@ -144,4 +144,7 @@ class Frame:
 
 def _polar(ranges: Floats, angles: Floats) -> Floats:
     """Return the points (N, 2) of ranges (N,) and angles (N,): equation 1 of the paper, x forward."""
-    return np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=-1)
+    points = np.empty((len(ranges), 2))
+    np.multiply(ranges, np.cos(angles), out=points[:, 0])
+    np.multiply(ranges, np.sin(angles), out=points[:, 1])
+    return points

@@ -80,10 +80,13 @@ def transform(a_from_b: ArrayLike, points: ArrayLike) -> Floats:
     """Return points ``(..., N, 2)`` of frame b in frame a; one motion per leading index of ``a_from_b``."""
     a = np.asarray(a_from_b, dtype=np.float64)
     p = np.asarray(points, dtype=np.float64)
-    cos, sin = np.cos(a[..., 2])[..., None], np.sin(a[..., 2])[..., None]
-    x = cos * p[..., 0] - sin * p[..., 1] + a[..., 0][..., None]
-    y = sin * p[..., 0] + cos * p[..., 1] + a[..., 1][..., None]
-    return np.stack([x, y], axis=-1)
+    x, y, cos, sin = a[..., 0], a[..., 1], np.cos(a[..., 2]), np.sin(a[..., 2])
+    if a.ndim > 1:  # else numbers, which NumPy multiplies faster than arrays of one
+        x, y, cos, sin = x[..., None], y[..., None], cos[..., None], sin[..., None]
+    moved_x = cos * p[..., 0] - sin * p[..., 1] + x
+    moved = np.empty((*moved_x.shape, 2))
+    moved[..., 0], moved[..., 1] = moved_x, sin * p[..., 0] + cos * p[..., 1] + y
+    return moved
 
 
 def transform_each(a_from_b: ArrayLike, points: ArrayLike) -> Floats:
