@@ -81,6 +81,10 @@ def test_the_heading_is_applied_where_nothing_states_it(tmp_path):
     lidar = best_lidar(found)[0]
     (stated,) = found.frames.mountings
     assert list(_choose_mounting(found, lidar, Pose(0.0, 0.0, math.radians(stated.theta_deg)))) == []
+    lasers = [replace(laser, angles=-laser.angles) for laser in found.streams.lasers]  # as sent by one upside down
+    frames = replace(found.frames, mountings=(replace(stated, mirrored=True),))
+    upside_down = replace(found, frames=frames, streams=replace(found.streams, lasers=lasers))
+    assert list(_choose_mounting(upside_down, lidar, Pose(0.0, 0.0, math.radians(stated.theta_deg)))) == []
     (choice,) = _choose_mounting(replace(found, frames=FrameTree((), (), (), ())), lidar, Pose())
     x, y, theta = map(float, str(choice.value).split())
     assert (choice.name, x, y) == ("base_from_sensor", 0.0, 0.0)

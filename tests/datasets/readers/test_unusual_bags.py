@@ -182,8 +182,8 @@ def test_millimetres_beyond_a_maximum_in_metres_are_noticed(tmp_path):
     )
 
 
-def test_mirrored_angles_are_noticed_against_the_odometry_and_the_advice_mends_them(tmp_path):
-    """A lidar turns on the spot in a room; its driver writes clockwise angles as if they were counter-clockwise."""
+def mirrored_turn():
+    """A lidar turns on the spot in a room, with clockwise angles written as if they were counter-clockwise."""
     bag = Bag("mcap")
     directions = np.linspace(-1.5, 1.5, 301)
     for k in range(40):
@@ -191,12 +191,26 @@ def test_mirrored_angles_are_noticed_against_the_odometry_and_the_advice_mends_t
         room = 3.0 + np.cos(2 * way) + 0.5 * np.sin(5 * way) + 0.3 * np.cos(11 * way + 1.0)
         bag.scan(T0 + k * PERIOD, room, angle_min=-1.5, angle_max=1.5, angle_increment=0.01, time_increment=0.0)
         bag.odom(T0 + k * PERIOD, 0.0, yaw=math.radians(4.0) * k)
+    return bag, directions
+
+
+def test_mirrored_angles_are_noticed_against_the_odometry_and_the_advice_mends_them(tmp_path):
+    bag, directions = mirrored_turn()
     path = bag.write(tmp_path)
     (found,) = [one for one in inspect_recording(path).findings if one.level == "problem"]
     assert found.what.startswith("the scans rotate -1.0")
     assert "the lidar's angles are mirrored" in found.what
     scan = next(RosBag(str(path), fields=found.advice.split("'")[1].removeprefix("fields=")).frames()).scan
     np.testing.assert_allclose(scan.angles, -directions, atol=1e-6)
+
+
+def test_angles_that_the_mounting_of_a_lidar_upside_down_mirrors_are_no_problem(tmp_path):
+    bag, directions = mirrored_turn()
+    path = bag.tf(T0, "base_link", "laser", quaternion=(1.0, 0.0, 0.0, 0.0)).write(tmp_path)
+    found = inspect_recording(path)
+    assert [one.what for one in found.findings if one.level == "problem"] == []
+    assert next(iter(found.turns.values())).scale == pytest.approx(1.0, rel=0.03)
+    np.testing.assert_allclose(next(RosBag(str(path)).frames()).scan.angles, -directions, atol=1e-6)
 
 
 # --- damaged indexes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from evalkit_datasets.commands.inspect.streams import LaserStream
 from evalkit_datasets.parsing.transforms import TransformTree
@@ -61,6 +61,12 @@ def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream]) -> Fram
     contested = {child: tuple(dict.fromkeys(own)) for child, own in parents.items() if len(set(own)) > 1}
     mountings = [mounting for laser in lasers if (mounting := _find_mounting(tree, laser)) is not None]
     return FrameTree(names, tuple(name for name in names if name not in parents), links, contested, tuple(mountings))
+
+
+def mirror_if_upside_down(laser: LaserStream, tree: FrameTree) -> LaserStream:
+    """Return the scans of a lidar as seen from above, as the reader gives them: the angles change sign upside down."""
+    upside_down = any(mounting.sensor == laser.frame and mounting.mirrored for mounting in tree.mountings)
+    return replace(laser, angles=-laser.angles) if upside_down else laser
 
 
 def _find_mounting(tree: TransformTree, laser: LaserStream) -> LidarMounting | None:

@@ -11,7 +11,7 @@ from evalkit.config import adhoc_experiment
 from evalkit.plugins.parameters import Value
 from evalkit_datasets.commands.inspect import bag_streams, findings, log_streams
 from evalkit_datasets.commands.inspect.findings import InspectionFinding, LidarStats
-from evalkit_datasets.commands.inspect.frame_tree import FrameTree, build_frame_tree
+from evalkit_datasets.commands.inspect.frame_tree import FrameTree, build_frame_tree, mirror_if_upside_down
 from evalkit_datasets.commands.inspect.odometry_stats import (
     OdometryStats,
     TurnComparison,
@@ -59,12 +59,12 @@ def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] |
     lidars = tuple(_measure_lidar(laser) for laser in streams.lasers)
     odometries = tuple(measure_odometry(wheels) for wheels in streams.wheels)
     best = max(range(len(lidars)), key=lambda at: measured_directions(lidars[at]), default=None)
+    tree = build_frame_tree(streams.tree, streams.lasers)
     turns = {}
     for wheels in streams.wheels if best is not None else ():
-        comparison = compare_turns(wheels, streams.lasers[best or 0])
+        comparison = compare_turns(wheels, mirror_if_upside_down(streams.lasers[best or 0], tree))
         if comparison is not None:
             turns[f"{wheels.topic} {wheels.child}"] = comparison
-    tree = build_frame_tree(streams.tree, streams.lasers)
     inside = _describe_truth_inside(streams)
     return Inspection(
         path, streams.kind, _count_bytes(path), tuple(streams.topics), lidars, odometries, turns, tree,

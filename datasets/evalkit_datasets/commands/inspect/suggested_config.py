@@ -16,6 +16,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import Choice
 from evalkit_datasets.commands.inspect.findings import LidarStats, is_default_code
+from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
 from evalkit_datasets.recordings import catalog, data_sets
@@ -164,7 +165,7 @@ def _measure_mounting(recording: Inspection, lidar: LidarStats) -> MountingAngle
     for wheels, stats in zip(recording.streams.wheels, recording.odometries, strict=True):
         turn = recording.turns.get(f"{wheels.topic} {wheels.child}")
         if laser is not None and stats.like_wheels and (turn is None or turn.scale > 0.0):
-            return estimate_mounting_angle(wheels, laser)
+            return estimate_mounting_angle(wheels, mirror_if_upside_down(laser, recording.frames))
     return None
 
 
