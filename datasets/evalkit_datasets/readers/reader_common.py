@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -23,6 +24,9 @@ HOLD_NS = 50_000_000
 
 GAP_NS = 1_000_000_000
 """Scans between odometry poses further apart than this are counted: their odometry is a straight line."""
+
+JUMP, JUMP_SPEED = (1.0, math.radians(60.0)), (5.0, 2.0 * math.pi)
+"""A step of the odometry that is longer (m, rad) and faster (m/s, rad/s) is no motion of an indoor vehicle."""
 
 SELECTION: tuple[Parameter, ...] = (
     Parameter("start", 0, "scans", "number of scans to skip at the beginning", low=0),
@@ -62,6 +66,25 @@ def odometry_at(odometry: Trajectory, stamps_ns: Stamps) -> Floats:
 def split_rows(count: int, size: int = 4096) -> Iterator[slice]:
     """Yield slices of ``size`` rows that together cover ``count`` rows: bounds the memory of temporaries."""
     return (slice(begin, min(begin + size, count)) for begin in range(0, count, size))
+
+
+def join_jumps(odometry: Trajectory) -> tuple[Trajectory, int]:
+    """Return odometry whose jumps are taken out, and their number.
+
+    The poses after a jump, such as that of a driver that begins again at the origin, go on from the pose before it, as
+    if the base had stood meanwhile. The same object where nothing jumps.
+    """
+    steps = se2.between(odometry.poses[:-1], odometry.poses[1:])
+    seconds = 1e-9 * np.diff(odometry.stamps_ns)
+    moved = np.stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])], axis=1)
+    jumps = np.flatnonzero(((moved > JUMP) & (moved > np.outer(seconds, JUMP_SPEED))).any(axis=1)) + 1
+    if not len(jumps):
+        return odometry, 0
+    poses = odometry.poses.copy()
+    for begin, end in zip(jumps, [*jumps[1:], len(poses)], strict=True):
+        correction = se2.compose(poses[begin - 1], se2.inverse(odometry.poses[begin]))
+        poses[begin:end] = se2.compose(correction, odometry.poses[begin:end])
+    return Trajectory(odometry.stamps_ns, poses, odometry.parent, odometry.child), len(jumps)
 
 
 def count_odometry_gaps(odometry: Trajectory, stamps_ns: Stamps) -> dict[str, int]:

@@ -40,7 +40,8 @@ class RosBag:
     """The Sequence of one laser topic of a bag.
 
     Odometry "auto" is the nav_msgs/Odometry topic, supplemented by tf between the same two frames; without such a
-    topic, tf from "odom" to the base; else none. It is interpolated at the first and the last beam of each scan.
+    topic, tf from "odom" to the base; else none. Jumps that no vehicle makes are taken out; the rest is interpolated at
+    the first and the last beam of each scan.
     """
 
     def __init__(
@@ -213,6 +214,8 @@ class RosBag:
         unknown = np.full((len(self), 3), np.nan)
         if self._odometry is None:
             return unknown, unknown
+        self._odometry, jumps = reader_common.join_jumps(self._odometry)
+        self._counts["jumps of the odometry over 1 m and 5 m/s or 60 deg and 360 deg/s, taken out"] = jumps
         self._counts |= reader_common.count_odometry_gaps(self._odometry, self.stamps_ns)
         ends = self.stamps_ns + self._scans.durations_ns
         poses = reader_common.odometry_at(self._odometry, self.stamps_ns)

@@ -142,11 +142,25 @@ def test_a_scan_is_read_back_exactly(tmp_path, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_odometry_is_interpolated_at_the_first_and_the_last_beam(tmp_path, kind):
-    bag = Bag(kind).odom(T0, 0.0).odom(T0 + 100_000_000, 1.0, 2.0, 0.2).scan(T0 + 50_000_000, [1.0] * 5)
+    bag = Bag(kind).odom(T0, 0.0).odom(T0 + 100_000_000, 0.1, 0.2, 0.2).scan(T0 + 50_000_000, [1.0] * 5)
     frame = frames_of(bag, tmp_path)[0]
-    np.testing.assert_allclose(frame.odom_from_base.row, [0.5, 1.0, 0.1], atol=1e-12)
-    end = Pose(0.9, 1.8, 0.18)  # 4 increments of 10 ms later
+    np.testing.assert_allclose(frame.odom_from_base.row, [0.05, 0.1, 0.1], atol=1e-12)
+    end = Pose(0.09, 0.18, 0.18)  # 4 increments of 10 ms later
     np.testing.assert_allclose((frame.odom_from_base @ frame.start_from_end).row, end.row, atol=1e-12)
+
+
+def test_odometry_goes_on_where_it_was_after_it_began_again_at_the_origin(tmp_path):
+    ahead = [(3.0, 0.0, 0.0), (3.0, 0.0, 0.5 * math.pi), (0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.9, 0.0, 0.0)]
+    bag = Bag("mcap")
+    for at, (x, y, yaw) in enumerate(ahead):
+        bag.odom(T0 + at * 10**9 // 10 * 3, x, y, yaw).scan(T0 + at * 10**9 // 10 * 3, [1.0, 2.0])
+    read = RosBag(str(bag.write(tmp_path)))
+    found = np.array([frame.odom_from_base.row for frame in read.frames()])
+    up = 0.5 * math.pi  # it had turned to the left, and 0.9 m in 0.6 s is no jump
+    expected = [[3.0, 0.0, 0.0], [3.0, 0.0, up], [3.0, 0.0, up], [3.0, 0.2, up], [3.0, 0.9, up]]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    (name,) = [each for each in read.notes() if each.startswith("jumps of the odometry")]
+    assert read.notes()[name] == 1
 
 
 def test_motion_within_a_scan_is_not_extrapolated_beyond_the_odometry(tmp_path):
