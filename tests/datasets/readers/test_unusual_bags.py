@@ -13,7 +13,7 @@ import pytest
 
 from evalkit.core.errors import BadData, BadParameter
 from evalkit_datasets.commands.inspect.inspector import inspect_recording
-from evalkit_datasets.commands.inspect.suggested_config import suggest_config
+from evalkit_datasets.commands.inspect.suggested_config import choose_parameters, suggest_config
 from evalkit_datasets.parsing.cloud_slice import CloudSlice
 from evalkit_datasets.readers.rosbag import RosBag
 
@@ -164,8 +164,8 @@ def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_compariso
     found = [finding for finding in recording.findings if finding.level == "problem"]
     assert [said in finding.what for finding in found] == ([True] if said else [])
     assert all(finding.advice for finding in found)
-    told = [reason for reason in suggest_config(recording).reasons if "problem" in reason]
-    assert len(told) == len(found)
+    told = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "problem" in one.reason]
+    assert told == [f"problem: {one.about}: {one.what}; {one.advice}" for one in found]
     if scale > 1.0:  # the advice mends it
         fields = found[0].advice.split("'")[1].removeprefix("fields=")
         scan = next(RosBag(str(path), fields=fields).frames()).scan
@@ -211,6 +211,40 @@ def test_angles_that_the_mounting_of_a_lidar_upside_down_mirrors_are_no_problem(
     assert [one.what for one in found.findings if one.level == "problem"] == []
     assert next(iter(found.turns.values())).scale == pytest.approx(1.0, rel=0.03)
     np.testing.assert_allclose(next(RosBag(str(path)).frames()).scan.angles, -directions, atol=1e-6)
+
+
+def test_an_odometry_that_restarts_is_said_once_before_a_comparison_that_uses_it(tmp_path):
+    """It drives 0.5 m/s along x, and its driver starts again at the origin after 3 s and 1.5 m."""
+    bag = Bag("mcap")
+    for k in range(60):
+        x = 0.05 * (k % 31)
+        bag.scan(T0 + k * PERIOD, np.linspace(2.0, 4.0 + 0.01 * k, 200), time_increment=0.0)
+        bag.odom(T0 + k * PERIOD, x).tf(T0 + k * PERIOD, "odom", "base_link", x, static=False)
+    path = bag.tf(T0, "base_link", "laser").write(tmp_path)
+    found = inspect_recording(path).findings
+    jumps = [one for one in found if "jump" in one.what]
+    assert {(one.level, one.what) for one in jumps} == {
+        ("problem", "1 jump, such as 1.50 m and 0 deg at 3.1 s: every guess across a jump is wrong")
+    }
+    parameters = {"path": str(path)}
+    told = [one.reason for one in choose_parameters("rosbag", parameters) if "problem" in one.reason]
+    assert told == [f"problem: {jumps[0].about}: {jumps[0].what}; {jumps[0].advice}"]
+    assert not [one for one in choose_parameters("rosbag", parameters | {"odometry": "none"}) if one.name == "problem"]
+    (swept,) = [one.what for one in found if "time_increment" in one.what]
+    assert swept == "time_increment is 0: the motion within the scans, 0.1 s apart, is not corrected"
+
+
+def test_the_time_between_beams_of_one_revolution_a_scan_is_suggested(tmp_path):
+    """360 beams over a full turn, five turns a second: 1 / 1800 s between two beams."""
+    bag, beams = Bag("mcap"), np.full(360, 2.0)
+    for k in range(12):
+        angles = {"angle_min": 0.0, "angle_increment": math.radians(1.0)}
+        bag.scan(T0 + k * 2 * PERIOD, beams, "/zero", time_increment=0.0, **angles)
+        bag.scan(T0 + k * 2 * PERIOD, beams, "/stated", time_increment=1 / 1800, **angles)
+        bag.scan(T0 + k * 6 * PERIOD, beams, "/thinned", time_increment=0.0, **angles)
+    (found,) = [one for one in inspect_recording(bag.write(tmp_path)).findings if "time_increment" in one.what]
+    assert found.about == "/zero"
+    assert "(0.00056 s, if it turns once a scan)" in found.advice
 
 
 # --- damaged indexes

@@ -86,6 +86,9 @@ FIELDS = "fields=ranges=ranges first=angle_min step=angle_increment"
 MIN_RATE_HZ, MAX_RATE_HZ, MIN_RATED = 0.02, 500.0, 10
 """Scans per second beyond which the unit of time is doubted, of at least so many scans."""
 
+MIN_SWEEP_S, MAX_SWEEP_S = 0.04, 0.5
+"""Periods (s) of scans within which a robot moves visibly, and that are a revolution: longer ones leave scans out."""
+
 MIN_STANDING, MAX_STILL_OF_MOVING = 0.99, 0.5
 """An odometry that stands for a larger share of the time contradicts scans of which a smaller share does not change."""
 
@@ -165,6 +168,10 @@ def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
         yield InspectionFinding("warning" if longest.length_s > 1.0 else "note", about, what)
     if found.period_s and found.jitter_s > 0.2 * found.period_s:
         yield _note(about, f"the period of {found.period_s:.3f} s has a jitter of {found.jitter_s:.3f} s")
+    if lidar.kind.endswith("LaserScan") and lidar.sweep_s == 0.0 and MIN_SWEEP_S <= found.period_s <= MAX_SWEEP_S:
+        what = f"time_increment is 0: the motion within the scans, {found.period_s:.2g} s apart, is not corrected"
+        mend = f"{found.period_s * abs(lidar.step_deg) / 360.0:.2g} s, if it turns once a scan"
+        yield _warning(about, what, f"a rotating lidar's driver should state the time between two beams ({mend})")
     if lidar.unstamped:
         yield _warning(about, f"{lidar.unstamped} scans have no stamp; the time of recording is used")
     if lidar.clock is not None:
@@ -304,7 +311,9 @@ def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]
     if one.jump_count:
         first = one.jumps[0]
         example = f"{first.step_m:.2f} m and {first.turn_deg:.0f} deg at {first.at_s:.1f} s"
-        yield _warning(about, f"{format_count(one.jump_count, 'jump')}, such as {example}")
+        advice = "cut the recording there (start, limit), or use odometry = 'none'"
+        what = f"{format_count(one.jump_count, 'jump')}, such as {example}: every guess across a jump is wrong"
+        yield InspectionFinding("problem" if one.like_wheels else "warning", about, what, advice)
     if one.timing.gap_count and one.timing.gaps[0].length_s > 1.0:
         what = f"{format_count(one.timing.gap_count, 'gap')}, the longest {one.timing.gaps[0].length_s:.2f} s"
         yield _note(about, f"{what}; poses in between are interpolated")

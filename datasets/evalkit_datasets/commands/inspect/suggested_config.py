@@ -59,7 +59,7 @@ def suggest_config(recording: Inspection) -> SuggestedConfig | None:
     reader = _find_reader(recording)
     chosen = {one.name: one.value for one in choices if one.value is not None}
     parameters = {"path": str(recording.path)} | {k: v for k, v in chosen.items() if not k.startswith(MAPPER)}
-    reasons = [one.reason for one in choices]
+    reasons = [one.reason for one in choices if one.name != PROBLEM]  # problems are findings already
     dataset, defects = _find_catalogued(recording.path)
     if dataset:
         reasons.append(f'it is a catalogued recording: use = "{dataset}" runs it with its parameters and ground truth')
@@ -79,7 +79,7 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     """Return the choices beside the given parameters, and the result of opening the recording with both."""
     lidar = next((one for one in recording.lidars if one.topic == given.get("topic")), best_lidar(recording)[0])
     choose = {"carmen": _choose_for_log, "rosbag": _choose_for_bag}.get(_find_reader(recording), _choose_for_columns)
-    choices = [*_repeat_problems(recording), *choose(recording), *_find_truth_files(recording, given)]
+    choices = [*_repeat_problems(recording, given), *choose(recording), *_find_truth_files(recording, given)]
     choices += _choose_cells(lidar)
     choices = [one for one in choices if one.name not in given]
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
@@ -179,11 +179,15 @@ def _choose_for_log(recording: Inspection) -> Iterator[Choice]:
         yield Choice("odometry", "none", "odometry none: the motion of its poses is not that of wheels")
 
 
-def _repeat_problems(recording: Inspection) -> Iterator[Choice]:
+def _repeat_problems(recording: Inspection, given: Mapping[str, Value]) -> Iterator[Choice]:
     """Say before a comparison what makes its numbers wrong, such as ranges in another unit."""
-    for finding in recording.findings:
-        if finding.level == "problem":
-            yield Choice(PROBLEM, None, f"problem: {finding.about}: {finding.what} {finding.advice}".rstrip())
+    said: set[str] = set()  # the same odometry may come as messages and as tf
+    for finding in (one for one in recording.findings if one.level == "problem"):
+        unused = finding.about.startswith("odometry ") and given.get("odometry") == "none"
+        if not unused and finding.what not in said:
+            advice = f"; {finding.advice}" if finding.advice else ""
+            yield Choice(PROBLEM, None, f"problem: {finding.about}: {finding.what}{advice}")
+        said.add(finding.what)
 
 
 def _choose_for_columns(_recording: Inspection) -> Iterator[Choice]:
