@@ -1,4 +1,4 @@
-"""The drive of a sequence, measured from its runs: scans, seconds, metres, scan rate, beams."""
+"""The drive of a sequence, measured from its runs: scans, seconds, metres, scan rate."""
 
 from __future__ import annotations
 
@@ -30,11 +30,6 @@ def describe_drive(runs: Mapping[str, Sequence[RunRecord]], paths: Sequence[str]
     rates = [_rate_hz(run) for run in longest if len(run.result.steps) > 1]
     if rates:
         facts.append(("Scan rate", f"{_format_range(rates, 1)} Hz (median)"))
-    beams = dict.fromkeys(
-        str(run.spec.dataset_parameters["beams"]) for run in longest if run.spec.dataset_parameters.get("beams")
-    )
-    if beams:
-        facts.append(("Beams", ", ".join(beams)))
     return tuple(facts)
 
 
