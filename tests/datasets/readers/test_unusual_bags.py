@@ -224,7 +224,7 @@ def test_an_odometry_that_restarts_is_said_once_before_a_comparison_that_uses_it
     found = inspect_recording(path).findings
     jumps = [one for one in found if "jump" in one.what]
     assert {(one.level, one.what) for one in jumps} == {
-        ("problem", "1 jump, such as 1.50 m and 0 deg at 3.1 s: every guess across a jump is wrong")
+        ("problem", "1 jump, such as 1.50 m and 0 deg at 3.1 s: a guess across a jump is wrong")
     }
     parameters = {"path": str(path)}
     told = [one.reason for one in choose_parameters("rosbag", parameters) if "problem" in one.reason]

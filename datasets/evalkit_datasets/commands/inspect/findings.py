@@ -311,8 +311,11 @@ def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]
     if one.jump_count:
         first = one.jumps[0]
         example = f"{first.step_m:.2f} m and {first.turn_deg:.0f} deg at {first.at_s:.1f} s"
-        advice = "cut the recording there (start, limit), or use odometry = 'none'"
-        what = f"{format_count(one.jump_count, 'jump')}, such as {example}: every guess across a jump is wrong"
+        advice = (
+            "cut the recording there (start, limit), or use odometry = 'none'; those of a bag over 1 m and 5 m/s, or "
+            "60 deg and 360 deg/s, are taken out"
+        )
+        what = f"{format_count(one.jump_count, 'jump')}, such as {example}: a guess across a jump is wrong"
         yield InspectionFinding("problem" if one.like_wheels else "warning", about, what, advice)
     if one.timing.gap_count and one.timing.gaps[0].length_s > 1.0:
         what = f"{format_count(one.timing.gap_count, 'gap')}, the longest {one.timing.gaps[0].length_s:.2f} s"
