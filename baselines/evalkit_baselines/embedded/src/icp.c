@@ -225,22 +225,28 @@ EK_LOOP ek_real choose_candidates(size_t padded, ek_real reach, int ties, const 
     return total;
 }
 
-EK_WIDE static ek_real choose_candidates_wide(const ek_icp *p, size_t padded, ek_real reach)
+/* Constant `ties` only: a loop that tests them is not made into vectors. */
+EK_LOOP ek_real choose_of(const ek_icp *p, size_t padded, ek_real reach, int ties)
 {
-    return choose_candidates(padded, reach, 0, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
+    return choose_candidates(padded, reach, ties, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
+}
+
+EK_WIDE static ek_real choose_wide(const ek_icp *p, size_t padded, ek_real reach)
+{
+    return choose_of(p, padded, reach, 0);
 }
 
 EK_WIDE static ek_real choose_tied_wide(const ek_icp *p, size_t padded, ek_real reach)
 {
-    return choose_candidates(padded, reach, 1, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
+    return choose_of(p, padded, reach, 1);
 }
 
 static ek_real choose_neighbours(const ek_icp *p, size_t padded, ek_real reach, int ties)
 {
     if (EK_IF_WIDE(p->wide)) {
-        return ties ? choose_tied_wide(p, padded, reach) : choose_candidates_wide(p, padded, reach);
+        return ties ? choose_tied_wide(p, padded, reach) : choose_wide(p, padded, reach);
     }
-    return choose_candidates(padded, reach, ties, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
+    return ties ? choose_of(p, padded, reach, 1) : choose_of(p, padded, reach, 0);
 }
 
 /* Choose of the candidates of a point that are exactly as near as the chosen one that with the lowest index in the cloud. */
