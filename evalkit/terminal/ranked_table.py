@@ -12,6 +12,7 @@ from rich.text import Text
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.standings import find_cost
 from evalkit.report.analysis.statements.warnings import list_remarks
 from evalkit.report.formatting import format_amount, format_milliseconds
 from evalkit.terminal.map_fit import describe_map_fit
@@ -120,7 +121,7 @@ def _rows_of_sequence(analysis: Analysis, sequence: SequenceAnalysis) -> tuple[s
         rows.append(
             RankedRow(
                 score.method, format_amount(ranking.metric, value), _against(value, base, score.method in baselines),
-                _cost(analysis, score.method), note, value, bounds.low if bounds else None,
+                _cost([sequence], score.method), note, value, bounds.low if bounds else None,
                 bounds.high if bounds else None, _format_corrected(sequence, score.method),
             )
         )  # fmt: skip
@@ -137,7 +138,9 @@ def _rows_of_answer(analysis: Analysis) -> tuple[str, list[RankedRow]]:
         note = f"best or tied on {one.led} of {one.counted}" if one.led else ""
         note += (", cheapest" if note else "cheapest") if answer.cheapest is one else ""
         against = _against(ratio, base, one.method in baselines)
-        rows.append(RankedRow(one.method, f"{ratio:.2f} x", against, _cost(analysis, one.method), note, ratio))
+        rows.append(
+            RankedRow(one.method, f"{ratio:.2f} x", against, _cost(analysis.sequences, one.method), note, ratio)
+        )
     return f"error by the best one's, geometric mean over {len(answer.contests)} data sets", rows
 
 
@@ -159,8 +162,9 @@ def _against(value: float, baseline: float | None, is_baseline: bool) -> str:
     return "baseline" if is_baseline else f"{value / baseline:.2f} x" if baseline else ""
 
 
-def _cost(analysis: Analysis, method: str) -> str:
-    cpu_ms = analysis.answer.standing(method).cpu_ms
+def _cost(sequences: Sequence[SequenceAnalysis], method: str) -> str:
+    """Return the CPU time of a scan on the sequences whose errors the table shows."""
+    cpu_ms = find_cost(sequences, method)
     return "" if cpu_ms is None else format_milliseconds(cpu_ms)
 
 

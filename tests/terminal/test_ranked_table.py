@@ -92,6 +92,17 @@ def test_without_a_verdict_the_methods_are_still_listed(record, build):
     assert (head, [row.method for row in rows]) == ("ATE RMSE, room", ["a", "b"])
 
 
+def test_the_time_beside_an_error_is_that_of_the_same_data_set(record, build):
+    """Two data sets without a verdict: the errors of the first are beside its 5 ms, not the 20 ms of both."""
+    runs = [
+        record(name, where, {"ate_rmse_m": 0.1, "cpu_median_ms": cpu_ms})
+        for name in ("a", "b")
+        for where, cpu_ms in (("room", 5.0), ("hall", 35.0))
+    ]
+    head, rows = build_rows(analyse(build(runs)))
+    assert (head, [row.cost for row in rows]) == ("ATE RMSE, room", ["5.0\u00a0ms"] * 2)
+
+
 def test_every_line_of_the_table_fits_80_columns_and_the_title_is_the_one_of_the_page(demo):
     printed = io.StringIO()
     analysis = analyse(demo)

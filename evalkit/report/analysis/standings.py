@@ -95,7 +95,7 @@ def compute_standings(
             method,
             sum(method in one.leaders for one in contests),
             sum(method not in one.left_out and one.ranking.of(method) is not None for one in contests),
-            _find_cost(sequences, method),
+            find_cost(sequences, method),
             compute_ratio(contests, method),
             tuple(one.sequence for one in contests if method in one.left_out),
         )
@@ -104,7 +104,8 @@ def compute_standings(
     return tuple(sorted(standings, key=lambda one: (-one.led, math.inf if one.ratio is None else one.ratio)))
 
 
-def _find_cost(sequences: Sequence[SequenceAnalysis], method: str) -> float | None:
+def find_cost(sequences: Sequence[SequenceAnalysis], method: str) -> float | None:
+    """Return the CPU time of a scan (ms), the median over sequences; None if it was not measured."""
     scores = [s.rankings[COST].of(method) for s in sequences if COST in s.rankings]
     known = [score.median for score in scores if score is not None and score.median is not None]
     return median(known) if known else None
