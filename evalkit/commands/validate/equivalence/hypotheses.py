@@ -189,7 +189,8 @@ class ObservedStep:
             kept = every[order[: self.count]]
             longest, known = float(length[order[self.count - 1]]), len(self.pairs)
             right = float(np.linalg.norm(moved[self.pairs[:, 0]] - self.target[self.pairs[:, 1]], axis=1).max())
-            what = f"maximum distance: pairs up to {longest:.4g} m are kept instead of {right:.4g} m"
+            longer, shorter = format_apart(longest, right)
+            what = f"maximum distance: pairs up to {longer} m are kept instead of {shorter} m"
             if self.count < known:
                 what = f"the longest {known - self.count} of {known} pairs are dropped, beyond {longest:.4g} m"
             yield "outlier rule", what, kept
@@ -325,3 +326,9 @@ def _weighted_step(source: Floats, target: Floats, weights: Floats) -> Floats:
     cross = (share * (source - p_bar)).T @ (target - q_bar)
     turn = np.array([0.0, 0.0, math.atan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1])])
     return np.array([*(q_bar - se2.transform(turn, p_bar[None])[0]), turn[2]])
+
+
+def format_apart(one: float, other: float) -> tuple[str, str]:
+    """Return two numbers with four digits, or with as many as tell them apart."""
+    digits = next((n for n in range(4, 17) if f"{one:.{n}g}" != f"{other:.{n}g}"), 17)
+    return f"{one:.{digits}g}", f"{other:.{digits}g}"

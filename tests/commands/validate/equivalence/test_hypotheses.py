@@ -115,6 +115,15 @@ def test_dropped_points_near_the_sensor_are_named_with_their_range():
     assert found == ("outlier rule", f"source points farther from the origin than {farthest:.3g} m are dropped")
 
 
+@pytest.mark.parametrize(("beyond_m", "said"), [(0.02, "0.32 m"), (2e-6, "0.300002 m")])
+def test_a_limit_that_is_a_little_too_large_is_named_with_the_digits_that_differ(beyond_m, said):
+    """Five pairs are up to 0.3 m long; a sixth, beyond the limit, is kept."""
+    moved = TARGET + np.outer([0.1, 0.2, 0.1, 0.2, 0.3, 0.3 + beyond_m], [1.0, 0.0])
+    one = replace(step(LEAST_SQUARES, pairs=PAIRS[:5]), count=6)
+    names = [what for _, what, _ in one._by_length(moved, np.arange(6), np.linalg.norm(moved - TARGET, axis=1))]
+    assert names[-1] == f"maximum distance: pairs up to {said} are kept instead of 0.3 m"
+
+
 def test_fewer_pairs_than_a_step_needs_explain_nothing():
     one = replace(step(np.array([0.2, 0.1, 0.1])), count=1)
     assert list(one._by_range(PAIRS)) == []
