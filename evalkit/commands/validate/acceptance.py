@@ -143,6 +143,14 @@ class AcceptanceReport:
         return f"{first}. It {self._failure(*refuting)}"
 
     @property
+    def next_step(self) -> str:
+        """What to ask where nothing fails but the equality of results: the subject may be another method. Else ""."""
+        failed = [check for level in self.levels for check in level.failed(self.claim)]
+        if not failed or any(check.deciding != "equal" for check in failed):
+            return ""
+        return f"another method than {self.reference}? --claim as-good asks whether it is no worse"
+
+    @property
     def _waived(self) -> str:
         names = (one.name for level in self.levels for one in level.checks if one.outcome == "waived")
         return f"; waived: {text}" if (text := ", ".join(dict.fromkeys(names))) else ""

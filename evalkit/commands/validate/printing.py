@@ -41,6 +41,8 @@ def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | 
         if (seed := report.settings.get("seed")) is not None:
             out.print(f"{report.asked} checks, questions drawn with --seed {seed}")
         out.print(str((folder / "index.html").resolve()))
+        if report.next_step:
+            out.print(f"next: {report.next_step}")
     if not report.passed:
         raise typer.Exit(1)
 

@@ -57,6 +57,16 @@ def test_broken_rules_do_not_hide_the_first_difference_of_results():
     assert verdict.endswith("It first differs from paper at level 1 (registrations, room): pair 1: transposed")
 
 
+def test_the_other_claim_is_proposed_where_nothing_but_equality_fails():
+    other, broken = replace(SAME, outcome="failed"), replace(KEPT.checks[0], outcome="failed")
+    proposed = "another method than paper? --claim as-good asks whether it is no worse"
+    assert report(KEPT, level(1, "registrations", other)).next_step == proposed
+    assert report(level(0, "rules", broken), level(1, "registrations", other)).next_step == ""
+    assert report(KEPT, level(1, "registrations", SAME)).next_step == ""
+    worse = replace(GOOD, outcome="failed")
+    assert report(KEPT, level(1, "registrations", other, worse), claim="as-good").next_step == ""
+
+
 def test_each_claim_depends_on_its_own_checks():
     other_method = level(1, "registrations", replace(SAME, outcome="failed"), GOOD)
     assert not report(KEPT, other_method).passed
