@@ -59,6 +59,7 @@ def export(
     """Export a finished comparison to other file formats.
 
     Tables (CSV, JSON, LaTeX, Markdown), figures, trajectories (TUM, KITTI, g2o, evo), maps, ROS 2 bags and rerun files.
+    Exit code 1 if nothing could be written.
     """
     from evalkit.commands.export.results import load_selection  # noqa: PLC0415 - loaded only to export
 
@@ -75,6 +76,8 @@ def export(
         options.print_json({"written": [str(path) for path in written], "remarks": list(selection.remarks)})
     else:
         out.print(f"{len(written)} file{'s' * (len(written) != 1)} in {folder.resolve()}")
+    if not written:
+        raise typer.Exit(1)
 
 
 def _check_formats(formats: list[str]) -> list[str]:

@@ -662,6 +662,16 @@ def test_an_incomplete_run_is_left_out_with_a_message_and_the_others_are_written
     assert [path.name for path in run_export(finished_folder, "tum")] != []
 
 
+def test_an_export_that_can_write_nothing_fails(finished_folder, tmp_path):
+    shutil.rmtree(finished_folder / "runs")
+    call = ["export", str(finished_folder), "-f", "tum", "-o", str(tmp_path / "export")]
+    result = CliRunner().invoke(app, call)
+    assert result.exit_code == 1
+    assert "is left out" in result.stderr
+    assert result.stdout.startswith("0 files in ")
+    assert CliRunner().invoke(app, [*call, "-f", "csv"]).exit_code == 0  # the tables need no run
+
+
 def test_invalid_folders_and_labels_are_reported(finished_folder, tmp_path):
     with pytest.raises(StoreError, match="no such file"):
         load_selection(tmp_path)
