@@ -148,7 +148,7 @@ class AcceptanceReport:
         failed = [check for level in self.levels for check in level.failed(self.claim)]
         if not failed or any(check.deciding != "equal" for check in failed):
             return ""
-        return f"another method than {self.reference}? --claim as-good asks whether it is no worse"
+        return f"another method than {self.reference}? --claim as-good, without --only, asks whether it is no worse"
 
     @property
     def _waived(self) -> str:

@@ -59,7 +59,7 @@ def test_broken_rules_do_not_hide_the_first_difference_of_results():
 
 def test_the_other_claim_is_proposed_where_nothing_but_equality_fails():
     other, broken = replace(SAME, outcome="failed"), replace(KEPT.checks[0], outcome="failed")
-    proposed = "another method than paper? --claim as-good asks whether it is no worse"
+    proposed = "another method than paper? --claim as-good, without --only, asks whether it is no worse"
     assert report(KEPT, level(1, "registrations", other)).next_step == proposed
     assert report(level(0, "rules", broken), level(1, "registrations", other)).next_step == ""
     assert report(KEPT, level(1, "registrations", SAME)).next_step == ""
