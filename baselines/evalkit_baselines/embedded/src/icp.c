@@ -14,6 +14,7 @@
 #define ALONE EK_R(1.0)       /* cells: searched beyond the limit where no neighbour is within it; likewise */
 #define ROUNDED_DOWN (EK_R(1.0) - EK_R(8.0) * EK_EPSILON)
 #define SHARE EK_R(2.0) /* of the squares around each place that the one around a group may have */
+#define ABREAST (32u / sizeof(ek_real)) /* points whose candidates lie side by side: a register of AVX2 */
 #define DENSE 12u /* target points for each source point from which places are searched one by one */
 #define AHEAD 12u /* searches from the prefetch of a block to its use */
 #define MIN_LIMIT EK_R(1e-12) /* m; the square of a smaller limit may be rounded to 0: no candidates are used */
@@ -141,7 +142,7 @@ static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
         icp->lined[i] = (uint32_t)icp->targets;
     }
     for (size_t k = EK_BLOCK * (padded - EK_LANES); k < EK_BLOCK * padded && icp->choice; k++) {
-        icp->cx[k] = icp->cy[k] = far_away(k / EK_LANES % EK_BLOCK); /* of the last lanes; those of points are overwritten by the first search */
+        icp->cx[k] = icp->cy[k] = far_away(k / ABREAST % EK_BLOCK); /* of the last lanes; those of points are overwritten by the first search */
         icp->slots[k] = 0u;
     }
     return EK_OK;
@@ -195,13 +196,13 @@ EK_LOOP ek_real choose_candidates(size_t padded, ek_real reach, int ties, const 
                                   ek_real *EK_RESTRICT weight)
 {
     ek_real tied[EK_LANES] = {EK_R(0.0)}, total = EK_R(0.0);
-    for (size_t i = 0; i < padded; i += EK_LANES) {
-        for (size_t lane = 0; lane < EK_LANES; lane++) {
+    for (size_t i = 0; i < padded; i += ABREAST) {
+        for (size_t lane = 0; lane < ABREAST; lane++) {
             const size_t first = EK_BLOCK * i + lane;
             const ek_real x = mx[i + lane], y = my[i + lane];
             ek_real u = cx[first], v = cy[first], best = (x - u) * (x - u) + (y - v) * (y - v), which = EK_R(0.0);
             for (size_t k = 1; k < EK_BLOCK; k++) {
-                const ek_real a = cx[first + EK_LANES * k], b = cy[first + EK_LANES * k];
+                const ek_real a = cx[first + ABREAST * k], b = cy[first + ABREAST * k];
                 const ek_real square = (x - a) * (x - a) + (y - b) * (y - b);
                 const int closer = square < best;
                 if (ties) {
@@ -253,10 +254,10 @@ static ek_real choose_neighbours(const ek_icp *p, size_t padded, ek_real reach, 
 static void choose_lowest(const ek_icp *icp, const ek_index *target, size_t count)
 {
     for (size_t i = 0; i < count; i++) {
-        const size_t first = EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
+        const size_t first = EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
         size_t chosen = (size_t)(int32_t)icp->choice[i];
         for (size_t k = 0; k < EK_BLOCK && icp->weight[i] > EK_R(0.0); k++) {
-            const ek_real a = icp->cx[first + EK_LANES * k], b = icp->cy[first + EK_LANES * k];
+            const ek_real a = icp->cx[first + ABREAST * k], b = icp->cy[first + ABREAST * k];
             const ek_real x = icp->mx[i] - a, y = icp->my[i] - b;
             const uint32_t *const slots = icp->slots + EK_BLOCK * i;
             if (x * x + y * y == icp->slack[i] && target->id[slots[k]] < target->id[slots[chosen]]) {
@@ -321,11 +322,11 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_
 /* Take the points of a block of the table as the candidates of a point. */
 static inline void load_block(ek_icp *icp, const ek_block *block, uint32_t i)
 {
-    ek_real *const EK_RESTRICT x = icp->cx + EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
-    ek_real *const EK_RESTRICT y = icp->cy + EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
+    ek_real *const EK_RESTRICT x = icp->cx + EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
+    ek_real *const EK_RESTRICT y = icp->cy + EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
     for (size_t k = 0; k < EK_BLOCK; k++) {
-        x[EK_LANES * k] = block->x[k];
-        y[EK_LANES * k] = block->y[k];
+        x[ABREAST * k] = block->x[k];
+        y[ABREAST * k] = block->y[k];
     }
     memcpy(icp->slots + EK_BLOCK * i, block->slot, sizeof block->slot);
     icp->ax[i] = block->centre_x;
@@ -378,13 +379,13 @@ static uint32_t load_candidates(ek_icp *icp, const ek_index *target, size_t padd
 /* Take the points that were found for one place of a group as the candidates of a point. */
 static inline void load_nearby(ek_icp *icp, const ek_index *target, const ek_nearby *found, uint32_t lane, uint32_t i)
 {
-    ek_real *const EK_RESTRICT x = icp->cx + EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
-    ek_real *const EK_RESTRICT y = icp->cy + EK_BLOCK * (i / EK_LANES * EK_LANES) + i % EK_LANES;
+    ek_real *const EK_RESTRICT x = icp->cx + EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
+    ek_real *const EK_RESTRICT y = icp->cy + EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
     for (size_t k = 0; k < EK_BLOCK; k++) {
         const uint32_t slot = found->slot[lane][k];
         const int none = slot == EK_NONE;
-        x[EK_LANES * k] = none ? far_away(k) : target->xy[2u * slot];
-        y[EK_LANES * k] = none ? far_away(k) : target->xy[2u * slot + 1u];
+        x[ABREAST * k] = none ? far_away(k) : target->xy[2u * slot];
+        y[ABREAST * k] = none ? far_away(k) : target->xy[2u * slot + 1u];
         icp->slots[EK_BLOCK * i + k] = none ? 0u : slot;
     }
     icp->ax[i] = icp->mx[i];
