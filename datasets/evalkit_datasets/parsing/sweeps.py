@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -95,10 +95,15 @@ class MessageFields:
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """How messages become sweeps: the slice of a point cloud, and the fields of messages of other types."""
+    """How messages become sweeps: the slice of a point cloud, and the fields of messages of other types.
+
+    ``sweep_s``: time from the first beam to the last (s) of scans that do not say it; 0: they are taken at once. Clouds
+    have no order of beams, and are always taken at once.
+    """
 
     cloud: CloudSlice = field(default_factory=CloudSlice)
     fields: MessageFields | None = None
+    sweep_s: float = 0.0
 
 
 def parse_fields(text: str) -> MessageFields | None:
@@ -159,11 +164,13 @@ def value_at(message: Any, path: str) -> Any:
 
 def parse_sweep(message: Any, kind: str, recorded_ns: int, options: SweepOptions) -> Sweep | None:
     """Return the sweep of a message, None if the message is damaged; ``recorded_ns`` is its time if it has no stamp."""
-    if options.fields is not None or kind not in (*_PARSERS, CLOUD):
-        return _parse_fields(options, message, recorded_ns)
-    if kind == CLOUD:
+    if options.fields is None and kind == CLOUD:
         return _parse_cloud(options.cloud, message, recorded_ns)
-    return _PARSERS[kind](message, recorded_ns)
+    by_fields = options.fields is not None or kind not in _PARSERS
+    sweep = _parse_fields(options, message, recorded_ns) if by_fields else _PARSERS[kind](message, recorded_ns)
+    if sweep is None or sweep.time_increment_ns or not options.sweep_s:
+        return sweep
+    return replace(sweep, time_increment_ns=round(options.sweep_s * 1e9 / (len(sweep.ranges) - 1)))
 
 
 def parse_stamp_ns(header: Any) -> int:

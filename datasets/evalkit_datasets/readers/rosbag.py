@@ -62,9 +62,10 @@ class RosBag:
         height_min_m: float = CloudSlice.height_min_m,
         height_max_m: float = CloudSlice.height_max_m,
         beams: int = CloudSlice.beams,
+        sweep_s: float = 0.0,
     ) -> None:
         self._path = reader_common.check_exists("rosbag", path)
-        self._options = SweepOptions(CloudSlice(height_min_m, height_max_m, beams), parse_fields(fields))
+        self._options = SweepOptions(CloudSlice(height_min_m, height_max_m, beams), parse_fields(fields), sweep_s)
         which = reader_common.select_scans(start, every, limit)
         whole, contents = rosbag_parser.read_bag(self._path, topic, which, self._options)
         self._counts = self._count_defects(whole, contents)
@@ -285,6 +286,14 @@ SPEC = DatasetSpec(
             "range_unit=mm angle_unit=deg clockwise', or first=NAME step=NAME for even angles",
         ),
         *cloud_slice.PARAMETERS,
+        Parameter(
+            "sweep_s",
+            0.0,
+            "s",
+            "time from the first beam to the last where a scan's time_increment is 0",
+            low=0.0,
+            high=10.0,
+        ),
         *reader_common.SELECTION,
     ),
     missing=partial(reader_common.describe_missing_files, "rosbag"),

@@ -163,6 +163,15 @@ def test_odometry_goes_on_where_it_was_after_it_began_again_at_the_origin(tmp_pa
     assert read.notes()[name] == 1
 
 
+def test_the_time_of_a_sweep_is_given_where_the_scans_do_not_say_it(tmp_path):
+    bag = Bag("mcap").odom(T0, 0.0).odom(T0 + 10**9, 1.0)
+    path = str(bag.scan(T0, [1.0] * 5, time_increment=0.0).scan(T0 + 5 * 10**8, [1.0] * 5).write(tmp_path))
+    silent, stated = RosBag(path, sweep_s=0.2).frames()
+    assert silent.scan.time_increment_ns == 50_000_000
+    assert silent.start_from_end.row == pytest.approx([0.2, 0.0, 0.0])
+    assert stated.scan.time_increment_ns == 10_000_000  # as recorded
+
+
 def test_motion_within_a_scan_is_not_extrapolated_beyond_the_odometry(tmp_path):
     bag = Bag("sqlite3").odom(T0, 0.0).odom(T0 + 20_000_000, 1.0).scan(T0 + 10_000_000, [1.0] * 5)
     frame = frames_of(bag, tmp_path)[0]

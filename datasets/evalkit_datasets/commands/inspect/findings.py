@@ -170,8 +170,8 @@ def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
         yield _note(about, f"the period of {found.period_s:.3f} s has a jitter of {found.jitter_s:.3f} s")
     if lidar.kind.endswith("LaserScan") and lidar.sweep_s == 0.0 and MIN_SWEEP_S <= found.period_s <= MAX_SWEEP_S:
         what = f"time_increment is 0: the motion within the scans, {found.period_s:.2g} s apart, is not corrected"
-        mend = f"{found.period_s * abs(lidar.step_deg) / 360.0:.2g} s, if it turns once a scan"
-        yield _warning(about, what, f"a rotating lidar's driver should state the time between two beams ({mend})")
+        mend = f"sweep_s = {found.period_s * lidar.field_of_view_deg / 360.0:.2g}"
+        yield _warning(about, what, f"if the lidar turns once a scan, set {mend} of the reader, and mend its driver")
     if lidar.unstamped:
         yield _warning(about, f"{lidar.unstamped} scans have no stamp; the time of recording is used")
     if lidar.clock is not None:
