@@ -5,6 +5,7 @@ import math
 import os
 import re
 import resource
+import shlex
 import signal
 import subprocess
 import sys
@@ -20,8 +21,10 @@ from typer.testing import CliRunner
 
 from evalkit import __version__, cli, metrics
 from evalkit.cli import COMMANDS
+from evalkit.commands.compare.command import VERDICT_REPETITIONS
 from evalkit.core.errors import NotInstalled
 from evalkit.plugins import registry
+from evalkit.stats.runs import FEW_RUNS
 from evalkit.terminal.command_spec import CommandSpec
 
 pytestmark = [pytest.mark.slow(60), pytest.mark.usefixtures("strangers", "scoring_in_threads")]
@@ -588,6 +591,26 @@ def ros_bag(path):
             for topic, message in (("/odom", odom(index, float(wheel_x))), ("/scan", scan(index, float(x)))):
                 raw = store.serialize_ros1(message, topics[topic])
                 writer.write(connections[topic], (1000 + index) * 100_000_000, raw)
+
+
+def test_the_repetitions_that_compare_proposes_are_enough_for_a_verdict():
+    assert VERDICT_REPETITIONS + 1 == FEW_RUNS
+
+
+@pytest.mark.thorough
+def test_after_one_run_of_several_methods_the_command_that_gives_a_verdict_is_printed(evalkit, tmp_path):
+    """Six runs give a verdict; the runs that exist are kept, and no further command repeats them."""
+    ros_bag(tmp_path / "drive.bag")
+    call = ["compare", tmp_path / "drive.bag", "--backends", "wheel-odometry,paper"]
+    _, out, _ = evalkit(*call, "--out", tmp_path / "out")
+    said = [line for line in out.splitlines() if line.startswith("next: ")]
+    assert len(said) == 2
+    again, _ = said[0].removeprefix("next: evalkit ").split(" (for a verdict)")
+    assert f"--nuisance {FEW_RUNS - 1} --resume" in again
+    code, out, _ = evalkit(*shlex.split(again))
+    assert code == 0
+    assert "12 runs complete, 0 failed, 0 not available here" in out
+    assert "(for a verdict)" not in out
 
 
 def test_a_ros_bag_is_compared_by_one_command(evalkit, carmen, tmp_path):

@@ -22,8 +22,10 @@ MAX_NAMED = 4
 Run = tuple[RunSpec, RunResult]
 
 
-def print_summary(runs: Sequence[Run], title: str, store: Store, page: Path | None, as_json: bool) -> None:
-    """Print how the runs ended and where the page is.
+def print_summary(
+    runs: Sequence[Run], title: str, store: Store, page: Path | None, as_json: bool, repetition: str = ""
+) -> None:
+    """Print how the runs ended, where the page is, and the next commands; ``repetition``: the one that gives a verdict.
 
     Exits with code 1 if a run that could have completed did not, with code 3 if a run is missing.
     """
@@ -36,6 +38,8 @@ def print_summary(runs: Sequence[Run], title: str, store: Store, page: Path | No
         if page is not None:
             out.print(str(page.resolve()), soft_wrap=True)
             folder = shlex.quote(str(store.folder))
+            if repetition:
+                out.print(f"next: {repetition} --resume --out {folder} (for a verdict)", soft_wrap=True)
             out.print(f"next: evalkit export {folder} -f latex (tables for a paper)")
     if any(result.status in BROKEN for _, result in runs):
         raise typer.Exit(1)

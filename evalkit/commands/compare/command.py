@@ -31,6 +31,9 @@ from evalkit.results.store import Store
 from evalkit.terminal import options, progress, run_summary
 from evalkit.terminal.options import RunOptions, err, out
 
+VERDICT_REPETITIONS = 5
+"""Perturbed runs of a method on a recording that give a verdict, beside the run as it is."""
+
 RECORDING, KNOWN = "Options for a recording", "Options for a recording in a known map"
 
 
@@ -111,7 +114,7 @@ def compare(
         int,
         typer.Option(
             min=0,
-            help="Repeat each run this many times, slightly perturbed; a verdict needs 5.",
+            help=f"Repeat each run this many times, slightly perturbed; a verdict needs {VERDICT_REPETITIONS}.",
             show_default=False,
             rich_help_panel=RECORDING,
         ),
@@ -162,7 +165,12 @@ def compare(
         experiment = experiment.without_times() if accuracy_only else experiment
         experiment = experiment.select(sequence or [], method or [], seed or [])
         how = RunOptions.of(jobs, resume, rerun, collect, engine, scheduler, insecure)
-        (_run if no_page else _run_and_report)(experiment, Store(folder), how, as_json)
+        if no_page:
+            _run(experiment, Store(folder), how, as_json)
+        else:
+            once = recording is not None and not nuisance
+            again = f"evalkit {experiment.source} --nuisance {VERDICT_REPETITIONS}" if once else ""
+            _run_and_report(experiment, Store(folder), how, as_json, again)
 
 
 def _option(parameter: str) -> str:
@@ -220,8 +228,11 @@ def _run(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -
     )
 
 
-def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -> None:
-    """Run the experiment, load its records, analyse them, render the page, print the summary."""
+def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_json: bool, again: str) -> None:
+    """Run the experiment, load its records, analyse them, render the page, print the summary.
+
+    ``again``: the command that repeats the runs, "" if they need no repetition; printed where methods can be compared.
+    """
     from evalkit.api.pipeline import NothingToCollectError, run_and_report  # noqa: PLC0415 - loads pandas and matplotlib
     from evalkit.terminal.ranked_table import print_answer  # noqa: PLC0415 - as above
 
@@ -235,7 +246,8 @@ def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_js
     if not as_json and any(record.result.is_complete for record in records):
         print_answer(out, analysis)
     runs = [(record.spec, record.result) for record in records]
-    run_summary.print_summary(runs, experiment.title, store, page, as_json)
+    compared = len({record.method for record in records if record.result.is_complete}) > 1
+    run_summary.print_summary(runs, experiment.title, store, page, as_json, again if compared else "")
 
 
 @contextmanager
