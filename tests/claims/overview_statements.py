@@ -100,7 +100,7 @@ def speed(facts: Facts, listed: str = "") -> Iterator[str]:
 def not_counted(facts: Facts, listed: str) -> Iterator[str]:
     own = counted(facts)
     for one in facts.runs:
-        named = re.search(rf"(?:^|[ ,(]){re.escape(one)}(?:[ ,]|$)", listed) is not None
+        named = re.search(rf"(?:^|[ ,]){re.escape(one)}(?: \(|,| and |$)", listed) is not None
         yield from same(f"{one} not counted", named, one not in own)
 
 
