@@ -304,17 +304,11 @@ class Motion:
 
     def find_first_beam(self, frame: Frame, start_from_points: Pose) -> Pose:
         """Return the pose at the first beam of a scan whose points, deskewed, were matched at a pose."""
-        half_ns = self._half_ns(frame)
-        if not half_ns:
-            return start_from_points
-        middle = self._find_middle(frame, start_from_points)
-        return middle.start_from_base @ self._constant_velocity(self._step_to(middle), half_ns).inverse()
+        return self._settle(frame, start_from_points, self._half_ns(frame))[0]
 
     def store(self, frame: Frame, pose: Pose, matched: bool = True) -> None:
         """Store the pose of this scan: that of its points, or where they were not ``matched``, at the first beam."""
-        first = self.find_first_beam(frame, pose) if matched else pose
-        middle = self._find_middle(frame, pose) if matched else _Time(pose, frame.scan.stamp_ns)
-        self._step = self._step_to(middle)
+        first, middle, self._step = self._settle(frame, pose, self._half_ns(frame) if matched else 0)
         self._last, self._last_middle = _Time(first, frame.scan.stamp_ns), middle
         self._start_from_points, self._points_from_base = pose, None if first is pose else pose.inverse() @ first
         self._odom_from_base = frame.odom_from_base
@@ -327,10 +321,13 @@ class Motion:
         bent = self._deskew and self._prior != "none" and not self._is_measured_within(frame)
         return frame.scan.duration_ns // 2 if bent else 0
 
-    def _find_middle(self, frame: Frame, start_from_points: Pose) -> _Time:
-        half_ns = self._half_ns(frame)
+    def _settle(self, frame: Frame, pose: Pose, half_ns: int) -> tuple[Pose, _Time, _Step]:
+        """Return the pose at the first beam, the middle of the sweep, and the step to it from that of the last one."""
         half = self._constant_velocity(self._step, half_ns) if half_ns else None
-        return _Time(start_from_points if half is None else start_from_points @ half, frame.scan.stamp_ns + half_ns)
+        middle = _Time(pose if half is None else pose @ half, frame.scan.stamp_ns + half_ns)
+        step = self._step_to(middle)
+        first = middle.start_from_base @ self._constant_velocity(step, half_ns).inverse() if half_ns else pose
+        return first, middle, step
 
     def _step_to(self, middle: _Time) -> _Step:
         if self._last is None:
