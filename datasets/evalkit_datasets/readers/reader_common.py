@@ -28,6 +28,8 @@ GAP_NS = 1_000_000_000
 JUMP, JUMP_SPEED = (1.0, math.radians(60.0)), (5.0, 2.0 * math.pi)
 """A step of the odometry that is longer (m, rad) and faster (m/s, rad/s) is no motion of an indoor vehicle."""
 
+LARGE_JUMP = "over 1 m and 5 m/s or 60 deg and 360 deg/s"
+
 SELECTION: tuple[Parameter, ...] = (
     Parameter("start", 0, "scans", "number of scans to skip at the beginning", low=0),
     Parameter("every", 1, "scans", "take every n-th scan", low=1),
@@ -68,6 +70,14 @@ def split_rows(count: int, size: int = 4096) -> Iterator[slice]:
     return (slice(begin, min(begin + size, count)) for begin in range(0, count, size))
 
 
+def are_jumps(moved: Floats, seconds: Floats, least: tuple[float, float], speed: tuple[float, float]) -> Bools:
+    """Return which steps (N,) are jumps: longer, or turned further, than ``least`` and than ``speed`` allows.
+
+    ``moved`` (N, 2): lengths and turns of the steps (m, rad), ``seconds`` (N,): their times; ``speed`` in m/s, rad/s.
+    """
+    return np.asarray(((moved > least) & (moved > np.outer(seconds, speed))).any(axis=1))
+
+
 def join_jumps(odometry: Trajectory) -> tuple[Trajectory, int]:
     """Return odometry whose jumps are taken out, and their number.
 
@@ -77,7 +87,7 @@ def join_jumps(odometry: Trajectory) -> tuple[Trajectory, int]:
     steps = se2.between(odometry.poses[:-1], odometry.poses[1:])
     seconds = 1e-9 * np.diff(odometry.stamps_ns)
     moved = np.stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])], axis=1)
-    jumps = np.flatnonzero(((moved > JUMP) & (moved > np.outer(seconds, JUMP_SPEED))).any(axis=1)) + 1
+    jumps = np.flatnonzero(are_jumps(moved, seconds, JUMP, JUMP_SPEED)) + 1
     if not len(jumps):
         return odometry, 0
     poses = odometry.poses.copy()

@@ -216,7 +216,7 @@ class RosBag:
         if self._odometry is None:
             return unknown, unknown
         self._odometry, jumps = reader_common.join_jumps(self._odometry)
-        self._counts["jumps of the odometry over 1 m and 5 m/s or 60 deg and 360 deg/s, taken out"] = jumps
+        self._counts[f"jumps of the odometry {reader_common.LARGE_JUMP}, taken out"] = jumps
         self._counts |= reader_common.count_odometry_gaps(self._odometry, self.stamps_ns)
         ends = self.stamps_ns + self._scans.durations_ns
         poses = reader_common.odometry_at(self._odometry, self.stamps_ns)

@@ -16,7 +16,7 @@ from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats, Turn
 from evalkit_datasets.commands.inspect.range_stats import RangeStats
 from evalkit_datasets.commands.inspect.streams import RecordingStreams
 from evalkit_datasets.commands.inspect.timing import ClockOffset, StreamTiming
-from evalkit_datasets.readers import carmen
+from evalkit_datasets.readers import carmen, reader_common
 
 Level = Literal["problem", "warning", "note"]
 
@@ -311,10 +311,8 @@ def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]
     if one.jump_count:
         first = one.jumps[0]
         example = f"{first.step_m:.2f} m and {first.turn_deg:.0f} deg at {first.at_s:.1f} s"
-        advice = (
-            "cut the recording there (start, limit), or use odometry = 'none'; those of a bag over 1 m and 5 m/s, or "
-            "60 deg and 360 deg/s, are taken out"
-        )
+        taken = f"those of a bag {reader_common.LARGE_JUMP} are taken out"
+        advice = f"cut the recording there (start, limit), or use odometry = 'none'; {taken}"
         what = f"{format_count(one.jump_count, 'jump')}, such as {example}: a guess across a jump is wrong"
         yield InspectionFinding("problem" if one.like_wheels else "warning", about, what, advice)
     if one.timing.gap_count and one.timing.gaps[0].length_s > 1.0:

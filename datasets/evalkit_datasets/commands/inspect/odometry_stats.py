@@ -19,6 +19,7 @@ from evalkit_datasets.commands.inspect.timing import (
     measure_timing,
     seconds_since_first,
 )
+from evalkit_datasets.readers.reader_common import are_jumps
 
 STANDING = (0.005, 0.005)
 """Speeds (m/s, rad/s) below this are standing."""
@@ -265,11 +266,10 @@ def _find_jumps(stamps: Stamps, metres: Floats, turns: Floats) -> list[Jump]:
     """Return the implausible steps between sorted times; steps without a time between them are none."""
     times = seconds_since_first(stamps)
     seconds = np.diff(times)
-    far = (metres > MIN_JUMP[0]) & (metres > MAX_SPEED[0] * seconds)
-    turned = (turns > MIN_JUMP[1]) & (turns > MAX_SPEED[1] * seconds)
+    jumps = are_jumps(np.column_stack([metres, turns]), seconds, MIN_JUMP, MAX_SPEED)
     return [
         Jump(float(times[at + 1]), float(metres[at]), math.degrees(float(turns[at])))
-        for at in np.flatnonzero((far | turned) & (seconds > 0.0))
+        for at in np.flatnonzero(jumps & (seconds > 0.0))
     ]
 
 
