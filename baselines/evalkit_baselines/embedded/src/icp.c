@@ -187,6 +187,12 @@ static void move_source(const ek_icp *p, size_t padded, ek_pose pose, ek_real li
     }
 }
 
+/* Where the first candidate of a point is; the next one is ABREAST further. */
+static inline size_t first_candidate(size_t i)
+{
+    return EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
+}
+
 /* Choose the nearest of the candidates of each point, of equals the first, and give it weight 1 if the square of its
  * distance is below `reach` (m^2), else 0. Returns how often two were equally near if `ties` is 1, else 0. */
 EK_LOOP ek_real choose_candidates(size_t padded, ek_real reach, int ties, const ek_real *EK_RESTRICT mx,
@@ -254,7 +260,7 @@ static ek_real choose_neighbours(const ek_icp *p, size_t padded, ek_real reach, 
 static void choose_lowest(const ek_icp *icp, const ek_index *target, size_t count)
 {
     for (size_t i = 0; i < count; i++) {
-        const size_t first = EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
+        const size_t first = first_candidate(i);
         size_t chosen = (size_t)(int32_t)icp->choice[i];
         for (size_t k = 0; k < EK_BLOCK && icp->weight[i] > EK_R(0.0); k++) {
             const ek_real a = icp->cx[first + ABREAST * k], b = icp->cy[first + ABREAST * k];
@@ -322,8 +328,8 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_
 /* Take the points of a block of the table as the candidates of a point. */
 static inline void load_block(ek_icp *icp, const ek_block *block, uint32_t i)
 {
-    ek_real *const EK_RESTRICT x = icp->cx + EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
-    ek_real *const EK_RESTRICT y = icp->cy + EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
+    ek_real *const EK_RESTRICT x = icp->cx + first_candidate(i);
+    ek_real *const EK_RESTRICT y = icp->cy + first_candidate(i);
     for (size_t k = 0; k < EK_BLOCK; k++) {
         x[ABREAST * k] = block->x[k];
         y[ABREAST * k] = block->y[k];
@@ -379,8 +385,8 @@ static uint32_t load_candidates(ek_icp *icp, const ek_index *target, size_t padd
 /* Take the points that were found for one place of a group as the candidates of a point. */
 static inline void load_nearby(ek_icp *icp, const ek_index *target, const ek_nearby *found, uint32_t lane, uint32_t i)
 {
-    ek_real *const EK_RESTRICT x = icp->cx + EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
-    ek_real *const EK_RESTRICT y = icp->cy + EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
+    ek_real *const EK_RESTRICT x = icp->cx + first_candidate(i);
+    ek_real *const EK_RESTRICT y = icp->cy + first_candidate(i);
     for (size_t k = 0; k < EK_BLOCK; k++) {
         const uint32_t slot = found->slot[lane][k];
         const int none = slot == EK_NONE;
