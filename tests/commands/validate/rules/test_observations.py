@@ -42,7 +42,7 @@ def test_resources_that_grow_are_named_with_their_amount():
         resource_rules.check_memory(measured(instances=2.0 * LEAK_BYTES))
     rising = np.linspace(5e3, 50e3, resource_rules.BATCHES)
     with pytest.raises(RuleBroken, match=f"5 us at first, 50 us after {calls} calls: every call costs more"):
-        resource_rules.check_slowdown(measured(shortest_ns=rising))
+        resource_rules.check_slowdown(measured(call_ns=rising))
     with pytest.raises(RuleBroken, match="threads: 1 before, 2 after the calls"):
         resource_rules.check_threads(measured(after=STATE | {"threads": 2}))
     with pytest.raises(RuleBroken, match=f"{calls} calls write 1000000 bytes to files"):
