@@ -37,7 +37,8 @@ RESULTS_NAME, RESULTS_VERSION = "evalkit-results", 4
 _KEY = re.compile(r"(?!\.)[\w.=+-]{1,200}")
 """The name of a run's folder."""
 
-REMEDY = "name a folder that `evalkit compare` has written, or write the report again"
+AGAIN = "repeat the comparison with --resume, which keeps the finished runs"
+REMEDY = f"name a folder that `evalkit compare` has written, or {AGAIN}"
 
 RunName = tuple[str, str, int | None]
 """Method, sequence and seed."""
@@ -92,14 +93,14 @@ def load_results_json(folder: Path) -> dict[str, Any]:
         raise StoreError(
             str(path),
             f"found {found}, expected {RESULTS_NAME} version {RESULTS_VERSION}",
-            f"write the report again; this evalkit reads version {RESULTS_VERSION}",
+            f"{AGAIN}; this evalkit reads version {RESULTS_VERSION}",
         )
     try:
         check_seal(content)
         json.dumps(content, ensure_ascii=False, allow_nan=False).encode()  # raises for NaN and half a character
         check_schema(content)
     except ValueError as error:
-        raise StoreError(str(path), str(error), "write the report again") from error
+        raise StoreError(str(path), str(error), AGAIN) from error
     _check_keys(path, content)
     return content
 
@@ -136,7 +137,7 @@ def _check_keys(path: Path, content: Mapping[str, Any]) -> None:
         key = entry.get("key") if isinstance(entry, dict) else None
         if not isinstance(key, str) or not _KEY.fullmatch(key):
             what = f"runs[{index}].key: found {brief(key)}, expected the name of a folder in runs/"
-            raise StoreError(str(path), what, "write the report again; do not trust this folder")
+            raise StoreError(str(path), what, "repeat the comparison in another folder; do not trust this one")
 
 
 def load_stored_results(folder: Path) -> StoredResults:
@@ -159,7 +160,7 @@ def as_incomplete(path: Path) -> Iterator[None]:
     try:
         yield
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise StoreError(str(path), f"is not complete ({error!r})", "write the report again") from error
+        raise StoreError(str(path), f"is not complete ({error!r})", AGAIN) from error
 
 
 def load_run(folder: Path, entry: Mapping[str, Any], truth: Truth) -> RunRecord:
@@ -170,7 +171,9 @@ def load_run(folder: Path, entry: Mapping[str, Any], truth: Truth) -> RunRecord:
     store = Store.existing(folder)
     try:
         result: RunResult | None = store.read_result(entry["key"])
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+    except OSError as error:
+        result, damage = None, f" ({Path(error.filename or store.run_folder(entry['key'])).name}: {error.strerror})"
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
         result, damage = None, f" ({error})"
     else:
         damage = ""
@@ -180,11 +183,11 @@ def load_run(folder: Path, entry: Mapping[str, Any], truth: Truth) -> RunRecord:
         missing = (
             "its alignment and map are missing" if answered == expected else f"{answered} of {expected} poses{damage}"
         )
-        raise StoreError(str(store.run_folder(entry["key"])), f"incomplete: {missing}", "write the report again")
+        raise StoreError(str(store.run_folder(entry["key"])), f"incomplete: {missing}", AGAIN)
     for errors in (scores.errors_m, scores.final.errors_m if scores.final else None):
         if errors is not None and len(errors) != answered:
             what = f"{len(errors)} errors of {answered} poses"
-            raise StoreError(str(store.run_folder(entry["key"])), what, "write the report again")
+            raise StoreError(str(store.run_folder(entry["key"])), what, AGAIN)
     parameters = {name: value for name, value in entry["dataset_parameters"].items() if name not in REPETITION}
     method = Method(entry["method"], entry["backend"], entry["backend_parameters"])
     given = entry["dataset_parameters"]

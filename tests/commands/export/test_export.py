@@ -667,7 +667,7 @@ def test_an_export_that_can_write_nothing_fails(finished_folder, tmp_path):
     call = ["export", str(finished_folder), "-f", "tum", "-o", str(tmp_path / "export")]
     result = CliRunner().invoke(app, call)
     assert result.exit_code == 1
-    assert "is left out" in result.stderr
+    assert "incomplete: 0 of 30 poses (result.json: No such file or directory); repeat the comparison" in result.stderr
     assert result.stdout.startswith("0 files in ")
     assert CliRunner().invoke(app, [*call, "-f", "csv"]).exit_code == 0  # the tables need no run
 
@@ -744,5 +744,5 @@ def test_results_of_a_stranger_with_a_part_of_another_type_are_one_line(finished
 def test_results_with_missing_keys_or_wrong_types_are_one_line(finished_folder, content):
     schema = json.loads((finished_folder / "results.json").read_text(encoding="utf-8"))["schema"]
     (finished_folder / "results.json").write_text(seal({"schema": schema, **content}, {}), encoding="utf-8")
-    with pytest.raises(StoreError, match=r"results\.json: no key 'title'; write the report again"):
+    with pytest.raises(StoreError, match=r"results\.json: no key 'title'; repeat the comparison with --resume"):
         load_selection(finished_folder)
