@@ -33,7 +33,7 @@ MAX_MHZ_RATIO = 1.1
 """Frequencies further apart make times differ by themselves."""
 
 ONE_RUN = 2.0
-"""Factor on the time limit for a single run: it includes the noise of its session, whose size is unknown."""
+"""Factor on a limit for a single run, whose noise is unknown: of a time that of its session, of an error its own."""
 
 COLUMNS = ("method", "sequence", "metric", "old", "new", "change", "95 % interval", "verdict")
 COUNTED: tuple[ChangeVerdict, ...] = ("unchanged", "within the limit")
@@ -268,13 +268,14 @@ def _judge_error(
     if old.values == new.values:
         return "unchanged", SAME
     before, after = median(old.values), median(new.values)
-    if abs(after - before) <= max(limits.error * abs(before), noise_floor(metric)):
-        return "within the limit", f"at most {100 * limits.error:g} %, or less than the accuracy of the ground truth"
+    limit = limits.error * (ONE_RUN if len(old.values) == 1 else 1.0)
+    if abs(after - before) <= max(limit * abs(before), noise_floor(metric)):
+        return "within the limit", f"at most {100 * limit:g} %, or less than the accuracy of the ground truth"
     if difference is not None and not difference.interval.excludes(0.0):
         return "no difference shown", "the 95 % interval of the difference contains zero"
     worse = after > before if metric.better == "lower" else after < before
     noise = "beyond the noise" if difference is not None else "of one run, whose noise is not known"
-    return ("regression" if worse else "improvement"), f"more than {100 * limits.error:g} %, {noise}"
+    return ("regression" if worse else "improvement"), f"more than {100 * limit:g} %, {noise}"
 
 
 def _judge_time(

@@ -78,6 +78,13 @@ def test_a_single_run_is_compared_scan_by_scan():
 
 
 @pytest.mark.parametrize(
+    ("new", "said"), [([0.0216], "within the limit"), ([0.0216] * 2, "regression"), ([0.0224], "regression")]
+)
+def test_an_error_of_a_single_run_must_change_by_twice_the_limit(new, said):
+    assert _verdict(_between(_seeds([0.02] * len(new)), _seeds(new))) == said
+
+
+@pytest.mark.parametrize(
     ("times", "said"),
     [([1.05, 1.09], "within the limit"), ([1.2, 1.3], "regression"), ([0.7, 0.8], "improvement"),
      ([0.9, 1.4], "no difference shown"), ([1.15], "within the limit"), ([1.25], "regression")],
