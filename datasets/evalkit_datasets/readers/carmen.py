@@ -204,16 +204,22 @@ class Carmen:
         if source == "odom-lines":
             return self._interpolate_lines(log)
         if source == "scan-poses":
-            return self._taken.robot
+            if not timed:
+                return self._taken.robot
+            poses, jumps = reader_common.join_jumps(self._taken.stamps_ns, self._taken.robot)
+            self._counts |= jumps
+            return poses
         return np.full((len(self), 3), np.nan)
 
     def _interpolate_lines(self, log: Log) -> Floats:
         stamps = log.odometry.stamps_ns
         order = order_stamps(stamps)
-        odometry = Trajectory(stamps[order.keep], log.odometry.poses[order.keep], "odom", "base")
+        poses, jumps = reader_common.join_jumps(stamps[order.keep], log.odometry.poses[order.keep])
+        odometry = Trajectory(stamps[order.keep], poses, "odom", "base")
         self._counts |= {
             "odometry out of order": order.backwards,
             "odometry with a repeated stamp ignored": order.repeated,
+            **jumps,
             **reader_common.count_odometry_gaps(odometry, self._taken.stamps_ns),
         }
         return reader_common.odometry_at(odometry, self._taken.stamps_ns)

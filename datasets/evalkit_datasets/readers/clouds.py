@@ -62,10 +62,9 @@ class Clouds:
         self._poses: Floats = np.full((len(self), 3), np.nan)
         if odometry:
             poses = read_trajectory(odometry).trajectory
-            self._counts |= reader_common.count_odometry_gaps(poses, self._stamps)
-            self._poses = reader_common.odometry_at(
-                Trajectory(poses.stamps_ns, poses.poses, "odom", "base"), self._stamps
-            )
+            joined, jumps = reader_common.join_jumps(poses.stamps_ns, poses.poses)
+            self._counts |= jumps | reader_common.count_odometry_gaps(poses, self._stamps)
+            self._poses = reader_common.odometry_at(Trajectory(poses.stamps_ns, joined, "odom", "base"), self._stamps)
         paths = TruthPaths(relations, ground_truth, spans, how or "files given by the user")
         span = int(stamps.min()), int(stamps.max())
         self._truth, cut = truth_files.load_truth(paths if paths else TruthPaths(how=how or "none"), self._stamps, span)

@@ -87,7 +87,9 @@ class Columns:
             "scans with a repeated stamp dropped": order.repeated,
         }
         which = reader_common.select_scans(start, every, limit)
-        self._stamps, self._lines, self._poses = stamps[keep][which], lines[keep][which], poses[keep][which]
+        joined, jumps = reader_common.join_jumps(stamps[keep], poses[keep])
+        self._counts |= jumps
+        self._stamps, self._lines, self._poses = stamps[keep][which], lines[keep][which], joined[which]
         if not len(self):
             raise BadData(str(path), "", f"start {start} lies beyond its {len(keep)} scans", "start earlier")
         span = int(stamps[keep[0]]), int(stamps[keep[-1]])

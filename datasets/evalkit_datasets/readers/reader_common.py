@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +28,6 @@ GAP_NS = 1_000_000_000
 
 JUMP, JUMP_SPEED = (1.0, math.radians(60.0)), (5.0, 2.0 * math.pi)
 """A step of the odometry that is longer (m, rad) and faster (m/s, rad/s) is no motion of an indoor vehicle."""
-
-LARGE_JUMP = "over 1 m and 5 m/s or 60 deg and 360 deg/s"
 
 SELECTION: tuple[Parameter, ...] = (
     Parameter("start", 0, "scans", "number of scans to skip at the beginning", low=0),
@@ -78,23 +77,25 @@ def are_jumps(moved: Floats, seconds: Floats, least: tuple[float, float], speed:
     return np.asarray(((moved > least) & (moved > np.outer(seconds, speed))).any(axis=1))
 
 
-def join_jumps(odometry: Trajectory) -> tuple[Trajectory, int]:
-    """Return odometry whose jumps are taken out, and their number.
+def are_large_jumps(moved: Floats, seconds: Floats) -> Bools:
+    """Return which steps (N,) ``join_jumps`` takes out; arguments as in ``are_jumps``."""
+    return are_jumps(moved, seconds, JUMP, JUMP_SPEED)
+
+
+def join_jumps(stamps_ns: Stamps, poses: Floats) -> tuple[Floats, dict[str, int]]:
+    """Return odometry poses (N, 3) whose jumps are taken out, and their number by name of the defect.
 
     The poses after a jump, such as that of a driver that begins again at the origin, go on from the pose before it, as
-    if the base had stood meanwhile. The same object where nothing jumps.
+    if the base had stood meanwhile. The same array where nothing jumps; a pose may be nan.
     """
-    steps = se2.between(odometry.poses[:-1], odometry.poses[1:])
-    seconds = 1e-9 * np.diff(odometry.stamps_ns)
+    steps = se2.between(poses[:-1], poses[1:])
     moved = np.stack([np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])], axis=1)
-    jumps = np.flatnonzero(are_jumps(moved, seconds, JUMP, JUMP_SPEED)) + 1
-    if not len(jumps):
-        return odometry, 0
-    poses = odometry.poses.copy()
-    for begin, end in zip(jumps, [*jumps[1:], len(poses)], strict=True):
-        correction = se2.compose(poses[begin - 1], se2.inverse(odometry.poses[begin]))
-        poses[begin:end] = se2.compose(correction, odometry.poses[begin:end])
-    return Trajectory(odometry.stamps_ns, poses, odometry.parent, odometry.child), len(jumps)
+    jumps = np.flatnonzero(are_large_jumps(moved, 1e-9 * np.diff(stamps_ns))) + 1
+    joined = poses.copy() if len(jumps) else poses
+    for begin, end in pairwise([*jumps, len(poses)]):
+        correction = se2.compose(joined[begin - 1], se2.inverse(poses[begin]))
+        joined[begin:end] = se2.compose(correction, poses[begin:end])
+    return joined, {"jumps of the odometry over 1 m and 5 m/s or 60 deg and 360 deg/s, taken out": len(jumps)}
 
 
 def count_odometry_gaps(odometry: Trajectory, stamps_ns: Stamps) -> dict[str, int]:

@@ -215,9 +215,9 @@ class RosBag:
         unknown = np.full((len(self), 3), np.nan)
         if self._odometry is None:
             return unknown, unknown
-        self._odometry, jumps = reader_common.join_jumps(self._odometry)
-        self._counts[f"jumps of the odometry {reader_common.LARGE_JUMP}, taken out"] = jumps
-        self._counts |= reader_common.count_odometry_gaps(self._odometry, self.stamps_ns)
+        joined, jumps = reader_common.join_jumps(self._odometry.stamps_ns, self._odometry.poses)
+        self._odometry = replace(self._odometry, poses=joined)
+        self._counts |= jumps | reader_common.count_odometry_gaps(self._odometry, self.stamps_ns)
         ends = self.stamps_ns + self._scans.durations_ns
         poses = reader_common.odometry_at(self._odometry, self.stamps_ns)
         motions = reader_common.odometry_at(self._odometry, ends)

@@ -201,6 +201,23 @@ def test_without_odom_lines_the_robot_pose_of_the_scan_is_the_odometry(tmp_path)
     assert list(Carmen(path, odometry="none").frames())[1].odom_from_base is None
 
 
+RESTART = [(1.0, 2.0), (2.0, 2.5), (2.1, 0.0), (3.0, 0.4)]
+"""Time (s) and x (m) of a robot whose odometry begins again at the origin."""
+
+
+@pytest.mark.parametrize("source", ["odom-lines", "scan-poses"])
+def test_odometry_goes_on_where_it_was_after_it_began_again_at_the_origin(tmp_path, source):
+    lines = [line for t, x in RESTART for line in (odom(t, x), flaser(t, robot=(x, 0.0, 0.0)))]
+    sequence = Carmen(log(tmp_path, *lines), odometry=source)
+    np.testing.assert_allclose([frame.odom_from_base.x for frame in sequence.frames()], [2.0, 2.5, 2.5, 2.9])
+    assert list(sequence.notes().values()) == [1]
+
+
+def test_no_jump_is_taken_out_of_a_log_whose_times_are_not_known(tmp_path):
+    lines = [flaser(0.0, robot=(x, 0.0, 0.0)) for _, x in RESTART]
+    assert [frame.odom_from_base.x for frame in Carmen(log(tmp_path, *lines)).frames()] == [2.0, 2.5, 0.0, 0.4]
+
+
 def test_a_log_with_a_constant_robot_pose_has_no_odometry(tmp_path):
     assert next(Carmen(log(tmp_path, flaser(1.0), flaser(2.0))).frames()).odom_from_base is None
 

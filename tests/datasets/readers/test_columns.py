@@ -80,6 +80,13 @@ def test_poses_in_columns_get_their_units(tmp_path):
     np.testing.assert_allclose([frame.odom_from_base.row for frame in frames], [[1, 2, np.pi / 2], [1, 2, -np.pi / 2]])
 
 
+def test_odometry_goes_on_where_it_was_after_it_began_again_at_the_origin(tmp_path):
+    layout = {"time": {"column": 1}, "scan": {**SCAN, "beams": 2}, "pose": {"x": 4, "y": 5, "heading": 6}}
+    sequence, frames = read(tmp_path, "1 1 1 2.0 0 0\n2 1 1 2.5 0 0\n2.1 1 1 0 0 0\n3 1 1 0.4 0 0\n", layout)
+    np.testing.assert_allclose([frame.odom_from_base.x for frame in frames], [2.0, 2.5, 2.5, 2.9])
+    assert list(sequence.notes().values()) == [1]
+
+
 def test_scans_out_of_order_are_sorted_and_damaged_lines_counted(tmp_path):
     sequence, frames = read(tmp_path, "2 2 2\nx 1 1\n3 3\n1 1 1\n4 1 b\n", PLAIN)
     assert [frame.scan.ranges[0] for frame in frames] == [1.0, 2.0]

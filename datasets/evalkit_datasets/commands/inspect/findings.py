@@ -16,7 +16,7 @@ from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats, Turn
 from evalkit_datasets.commands.inspect.range_stats import RangeStats
 from evalkit_datasets.commands.inspect.streams import RecordingStreams
 from evalkit_datasets.commands.inspect.timing import ClockOffset, StreamTiming
-from evalkit_datasets.readers import carmen, reader_common
+from evalkit_datasets.readers import carmen
 
 Level = Literal["problem", "warning", "note"]
 
@@ -308,19 +308,26 @@ def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]
             "differential drive, but poses of a filter or scan matcher (or an omnidirectional base)"
         )
         yield _warning(about, what, "use odometry = 'none' unless it is known to be wheel odometry")
-    if one.jump_count:
-        first = one.jumps[0]
-        example = f"{first.step_m:.2f} m and {first.turn_deg:.0f} deg at {first.at_s:.1f} s"
-        taken = f"those of a bag {reader_common.LARGE_JUMP} are taken out"
-        advice = f"cut the recording there (start, limit), or use odometry = 'none'; {taken}"
-        what = f"{format_count(one.jump_count, 'jump')}, such as {example}: a guess across a jump is wrong"
+    if left := one.jump_count - one.taken_out:
+        what = f"{_describe_jumps(one, left, taken_out=False)}: a guess across a jump is wrong"
+        advice = "cut the recording there (start, limit), or use odometry = 'none'"
         yield InspectionFinding("problem" if one.like_wheels else "warning", about, what, advice)
+    if one.taken_out:
+        jumps = _describe_jumps(one, one.taken_out, taken_out=True)
+        what = f"{jumps}: taken out when the recording is read, as if the robot had stood meanwhile"
+        yield _warning(about, what, "cut the recording there (start, limit) if it moved")
     if one.timing.gap_count and one.timing.gaps[0].length_s > 1.0:
         what = f"{format_count(one.timing.gap_count, 'gap')}, the longest {one.timing.gaps[0].length_s:.2f} s"
         yield _note(about, f"{what}; poses in between are interpolated")
     if math.hypot(*one.first[:2]) > 0.5:
         x, y, theta = one.first
         yield _note(about, f"starts at ({x:.2f}, {y:.2f}) m, {theta:.0f} deg instead of the origin")
+
+
+def _describe_jumps(one: OdometryStats, count: int, taken_out: bool) -> str:
+    jump = next((jump for jump in one.jumps if jump.taken_out is taken_out), one.jumps[0])
+    example = f"{jump.step_m:.2f} m and {jump.turn_deg:.0f} deg at {jump.at_s:.1f} s"
+    return f"{format_count(count, 'jump')}, such as {example}"
 
 
 def _check_turning(turn: TurnComparison | None, about: str) -> Iterator[InspectionFinding]:

@@ -19,7 +19,7 @@ from evalkit_datasets.commands.inspect.timing import (
     measure_timing,
     seconds_since_first,
 )
-from evalkit_datasets.readers.reader_common import are_jumps
+from evalkit_datasets.readers.reader_common import are_jumps, are_large_jumps
 
 STANDING = (0.005, 0.005)
 """Speeds (m/s, rad/s) below this are standing."""
@@ -49,11 +49,15 @@ MAX_LISTED_JUMPS = 10
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """An implausible step: time after the first stamp (s), distance (m) and rotation (deg)."""
+    """An implausible step: time after the first stamp (s), distance (m) and rotation (deg).
+
+    ``taken_out``: so large that the reader takes it out.
+    """
 
     at_s: float
     step_m: float
     turn_deg: float
+    taken_out: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +79,8 @@ class OdometryStats:
 
     ``standing``: share of the time below 5 mm/s and 0.3 deg/s. ``exactly_still``: share of steps between equal poses.
     ``sideways``: median slip perpendicular to the arc of a step, divided by the median step, nan without motion.
-    ``median_step_m``, ``largest_turn_deg``: between consecutive stamps.
+    ``median_step_m``, ``largest_turn_deg``: between consecutive stamps. ``taken_out``: how many of the ``jump_count``
+    jumps the reader takes out; ``jumps``: some of them, first those that it does not, the longest first.
     """
 
     topic: str
@@ -94,6 +99,7 @@ class OdometryStats:
     median_step_m: float
     largest_turn_deg: float
     jump_count: int
+    taken_out: int
     jumps: tuple[Jump, ...]
     twist: TwistComparison | None
 
@@ -132,7 +138,8 @@ def measure_odometry(wheels: OdometryStream) -> OdometryStats:
         float(np.median(metres)) if len(metres) else 0.0,
         math.degrees(float(turns.max(initial=0.0))),
         len(jumps),
-        tuple(sorted(jumps, key=lambda jump: -jump.step_m)[:MAX_LISTED_JUMPS]),
+        sum(jump.taken_out for jump in jumps),
+        tuple(sorted(jumps, key=lambda jump: (jump.taken_out, -jump.step_m))[:MAX_LISTED_JUMPS]),
         _compare_twist(wheels),
     )
 
@@ -266,9 +273,10 @@ def _find_jumps(stamps: Stamps, metres: Floats, turns: Floats) -> list[Jump]:
     """Return the implausible steps between sorted times; steps without a time between them are none."""
     times = seconds_since_first(stamps)
     seconds = np.diff(times)
-    jumps = are_jumps(np.column_stack([metres, turns]), seconds, MIN_JUMP, MAX_SPEED)
+    moved = np.column_stack([metres, turns])
+    jumps, large = are_jumps(moved, seconds, MIN_JUMP, MAX_SPEED), are_large_jumps(moved, seconds)
     return [
-        Jump(float(times[at + 1]), float(metres[at]), math.degrees(float(turns[at])))
+        Jump(float(times[at + 1]), float(metres[at]), math.degrees(float(turns[at])), bool(large[at]))
         for at in np.flatnonzero(jumps & (seconds > 0.0))
     ]
 
