@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from evalkit.core import se2
-from evalkit.core.arrays import Bools, freeze
+from evalkit.core.arrays import Bools, Ints, freeze
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 
@@ -104,16 +104,25 @@ class Scan:
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points (N, 2) in metres in a named frame; never nan or inf; may be empty."""
+    """Points (N, 2) in metres in a named frame; never nan or inf; may be empty.
+
+    ``support`` (N,): of how many measured points each is the mean, 1 or more, as in a map of voxels; None: of one
+    each, or unknown.
+    """
 
     points: Floats
     frame: str = "base"
+    support: Ints | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "points", np.reshape(self.points, (0, 2)) if np.size(self.points) == 0 else self.points, (None, 2))
         if not np.isfinite(self.points).all():
             row = int(np.argmax(~np.isfinite(self.points).all(axis=1)))
             raise ValueError(f"points: not finite at row {row}: {self.points[row].tolist()}")
+        if self.support is not None:
+            freeze(self, "support", self.support, (len(self.points),), np.int64)
+            if (self.support < 1).any():
+                raise ValueError(f"support: expected 1 or more, got {self.support.min()}")
 
     def __len__(self) -> int:
         return len(self.points)

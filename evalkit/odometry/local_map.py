@@ -89,7 +89,7 @@ class VoxelMap:
             used = len(self._index)
             means = self._sums[:used] / self._counts[:used, None]
             inside = np.hypot(means[:, 0] - near.x, means[:, 1] - near.y) <= self._radius_m
-            self._cloud, self._centre = Cloud(means[inside], "start"), near
+            self._cloud, self._centre = Cloud(means[inside], "start", self._counts[:used][inside]), near
         return self._cloud
 
     def _slots(self, keys: Ints) -> Ints:

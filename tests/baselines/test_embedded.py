@@ -39,6 +39,7 @@ VARIANTS = (
     {"error_at": "before", "epsilon": 1e-5},
     {"metric": "line", "epsilon": 1e-6},
     {"metric": "line", "cauchy_m": 0.1, "one_to_one": False, "max_correspondence_m": 1.0, "epsilon": 1e-6},
+    {"metric": "line", "share_noise": True, "one_to_one": False, "max_correspondence_m": 1.0, "epsilon": 1e-6},
     {"metric": "line", "line_neighbours": 20, "error": "rmse", "error_at": "before", "epsilon": 1e-5},
     {"min_pairs": 900},
 )
@@ -62,7 +63,8 @@ def scans(seed):
     rng = np.random.default_rng(seed)
     truth = Pose(*rng.normal(0.0, [0.5, 0.5, 0.5]))
     source = truth.inverse().transform(room(900, rng))
-    return Cloud(room(3000, rng)), Cloud(source), truth @ Pose(*rng.normal(0.0, [0.08, 0.08, 0.04]))
+    target = Cloud(room(3000, rng), support=rng.integers(1, 40, 3000))  # counts with share_noise alone
+    return target, Cloud(source), truth @ Pose(*rng.normal(0.0, [0.08, 0.08, 0.04]))
 
 
 def assert_close(found, twin, metres=SAME, radians=SAME):

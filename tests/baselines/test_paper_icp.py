@@ -16,7 +16,7 @@ from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import paper
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.association import Association, CloudCache
-from evalkit_baselines.paper.icp import Icp
+from evalkit_baselines.paper.icp import Icp, fit_to_lines, share_noise
 
 MOTION = Pose(0.12, -0.08, math.radians(5.0))
 
@@ -208,6 +208,31 @@ def test_the_cauchy_weight_reduces_the_influence_of_a_displaced_third():
     plain = Icp(metric="line", epsilon=1e-9).register(Cloud(target), Cloud(source), Pose())
     robust = Icp(metric="line", epsilon=1e-9, cauchy_m=0.01).register(Cloud(target), Cloud(source), Pose())
     assert abs(robust.target_from_source.x) < 0.5 * abs(plain.target_from_source.x)
+
+
+def test_pairs_with_the_same_target_point_share_its_noise():
+    onto = np.array([0, 1, 0, 0])
+    assert share_noise(onto, Cloud([[0.0, 0.0], [1.0, 0.0]])) == pytest.approx([0.25, 0.5, 0.25, 0.25])
+    means = Cloud([[0.0, 0.0], [1.0, 0.0]], support=[3, 40])  # at most 20 points count
+    assert share_noise(onto, means) == pytest.approx([0.5, 20 / 21, 0.5, 0.5])
+
+
+def test_points_beyond_the_end_of_a_wall_pull_less_where_pairs_share_noise():
+    """Three points are 1 m before their wall and one is on its own; all lie on one line, so that no rotation helps."""
+    source, target = np.zeros((4, 2)), np.array([[1.0, 0.0]] * 3 + [[0.0, 0.0]])
+    normals, share = np.array([[1.0, 0.0]] * 4), share_noise(np.array([0, 0, 0, 1]), Cloud([[1.0, 0.0], [0.0, 0.0]]))
+    assert fit_to_lines(source, target, normals) == pytest.approx([0.75, 0.0, 0.0])
+    assert fit_to_lines(source, target, normals, share=share) == pytest.approx([0.75 / 1.25, 0.0, 0.0])
+
+
+def test_equal_shares_change_nothing():
+    target = corner()
+    apart, moved = Cloud(target), Cloud(MOTION.inverse().transform(target))
+    one, other = (
+        Icp(metric="line", epsilon=1e-9, share_noise=share).register(apart, moved, MOTION) for share in (False, True)
+    )  # fmt: skip
+    assert one.inliers == len(target)  # each point has a target point of its own
+    assert other.target_from_source.row == pytest.approx(one.target_from_source.row, abs=1e-12)
 
 
 # stop rule

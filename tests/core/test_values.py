@@ -51,6 +51,8 @@ def occupancy(log_odds, observed, *place):
         (Scan, (0, [1.0], [0.0], 0.1, 9.0, -1), "time_increment_ns: negative: -1"),
         (Cloud, (np.zeros((4, 3)),), r"points: expected shape \(N, 2\), got \(4, 3\)"),
         (Cloud, ([[0.0, 1.0], [2.0, math.inf]],), r"points: not finite at row 1: \[2.0, inf\]"),
+        (Cloud, ([[0.0, 1.0]], "base", [1, 2]), r"support: expected shape \(1,\), got \(2,\)"),
+        (Cloud, ([[0.0, 1.0]], "base", [0]), "support: expected 1 or more, got 0"),
         (Trajectory, ([0, 1], np.zeros((2, 4))), r"poses: expected shape \(2, 3\), got \(2, 4\)"),
         (Trajectory, ([0, 1], np.zeros((3, 3))), r"poses: expected shape \(2, 3\), got \(3, 3\)"),
         (Trajectory, ([[0]], np.zeros((1, 3))), r"stamps_ns: expected shape \(N,\), got \(1, 1\)"),

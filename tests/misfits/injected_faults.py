@@ -18,8 +18,8 @@ from evalkit_baselines.paper.icp import Icp
 class Transposed(Icp):
     """Every step rotates in the wrong direction: R = U V^T as printed."""
 
-    def _step(self, source, target, normals):
-        theta = -super()._step(source, target, normals)[2]
+    def _step(self, source, target, normals, share):
+        theta = -super()._step(source, target, normals, share)[2]
         return icp._about(icp._centroid(source), icp._centroid(target), theta)
 
 

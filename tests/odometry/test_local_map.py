@@ -82,6 +82,7 @@ def test_a_settled_voxel_is_fixed_while_new_ones_open():
     lasting.add(np.array([[0.2, 0.2], [0.4, 0.4]]), Pose())
     lasting.add(np.array([[0.9, 0.9], [1.5, 0.5]]), Pose())
     np.testing.assert_allclose(lasting.cloud(Pose()).points, [[0.3, 0.3], [1.5, 0.5]])
+    assert lasting.cloud(Pose()).support.tolist() == [2, 1]
 
 
 def test_a_persistent_map_that_never_settles_is_the_voxel_mean_of_all_points():

@@ -30,10 +30,12 @@ class Index:
     """Immutable index for exact nearest neighbours among points (N, 2) in metres.
 
     For ``lines``, with normals from the given number of neighbours, computed when needed; for many registrations, with
-    a table of so many tiles.
+    a table of so many tiles; ``support`` (N,): of how many points each is the mean, 1 or more.
     """
 
-    def __init__(self, points: Array, neighbours: int = 0, *, table: int = 0) -> None: ...
+    def __init__(
+        self, points: Array, neighbours: int = 0, *, table: int = 0, support: NDArray[np.uint32] | None = None
+    ) -> None: ...
     def __len__(self) -> int: ...
 
 def normals(points: Array, neighbours: int, radius: float) -> Array:
@@ -54,6 +56,7 @@ class Icp:
         min_pairs: int,
         lines: bool = False,
         cauchy: float = 0.0,
+        share_noise: bool = False,
     ) -> None: ...
     def register(
         self, target: Index, source: Array, guess: Row, trace: bool = False

@@ -6,6 +6,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from evalkit.core.match import Iteration, Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -66,7 +68,8 @@ class CompiledIcp:
     def _index(self, target: Cloud, conversion: Stopwatch) -> Any:
         with conversion:
             points = to_real(target.points, self._core)
-        return self._core.Index(points, self._neighbours)
+            support = None if target.support is None else target.support.astype(np.uint32)
+        return self._core.Index(points, self._neighbours, support=support)
 
     def _iteration(self, error: float, inliers: int, row: tuple[float, float, float], pairs: Any) -> Iteration:
         return Iteration(math.sqrt(error) if self._squared else error, inliers, Pose(*row), pairs)
@@ -84,4 +87,5 @@ def make_icp(module: Any, parameters: dict[str, Any]) -> Any:
         min_pairs=parameters["min_pairs"],
         lines=parameters.get("metric") == "line",
         cauchy=parameters.get("cauchy_m", 0.0),
+        share_noise=parameters.get("share_noise", False),
     )

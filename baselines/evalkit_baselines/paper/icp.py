@@ -38,6 +38,9 @@ from evalkit_baselines.paper.association import Association, CloudCache
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
+MAX_SUPPORT = 20
+"""Points of a mean that count in ``share_noise``: the points of one scan share the error of its pose."""
+
 Target: TypeAlias = "tuple[cKDTree, Floats | None]"  # with the normals (M, 2) of metric "line"
 
 
@@ -71,6 +74,9 @@ class Icp:
     )
     line_neighbours: int = parameter(8, "", "target points that define a line (metric 'line')", low=2)
     cauchy_m: float = parameter(0.0, "m", "scale of the Cauchy weight of metric 'line'; 0: equal weights", low=0.0)
+    share_noise: bool = parameter(
+        False, "", "metric 'line': pairs with the same target point share its noise, and weigh less the more they are"
+    )
     trace: bool = parameter(False, "", "keep the pairs of every iteration")
     _recent: CloudCache[Target] = field(default_factory=CloudCache, init=False, repr=False, compare=False)
 
@@ -94,7 +100,8 @@ class Icp:
             goal = target.points.take(onto, axis=0)  # take is several times faster than indexing
             facing = None if normals is None else normals.take(onto, axis=0)
             before = moved.take(at, axis=0)
-            pose = se2.compose(self._step(before, goal, facing), pose)  # eq. 9: the step is in the target's frame
+            step = self._step(before, goal, facing, self._shares(onto, target))
+            pose = se2.compose(step, pose)  # eq. 9: the step is in the target's frame
             moved = se2.transform(pose, source.points)
             error = self._error((moved.take(at, axis=0) if self.error_at == "after" else before) - goal, facing)
             converged = abs(error - previous) < self.epsilon
@@ -118,8 +125,13 @@ class Icp:
             at = at[select_closest(nearest[at], distance[at], targets)]
         return at, nearest[at]
 
-    def _step(self, source: Floats, target: Floats, normals: Floats | None) -> Floats:
-        return fit_motion(source, target) if normals is None else fit_to_lines(source, target, normals, self.cauchy_m)
+    def _shares(self, onto: Ints, target: Cloud) -> Floats | None:
+        return share_noise(onto, target) if self.share_noise and self.metric == "line" else None
+
+    def _step(self, source: Floats, target: Floats, normals: Floats | None, share: Floats | None) -> Floats:
+        if normals is None:
+            return fit_motion(source, target)
+        return fit_to_lines(source, target, normals, self.cauchy_m, share)
 
     def _error(self, residuals: Floats, normals: Floats | None) -> float:
         """Return equation 5 over residual vectors (K, 2), in the unit of the stop rule."""
@@ -148,20 +160,36 @@ def fit_motion(source: Floats, target: Floats) -> Floats:
     return _about(p_bar, q_bar, theta)
 
 
-def fit_to_lines(source: Floats, target: Floats, normals: Floats, cauchy_m: float = 0.0) -> Floats:
+def fit_to_lines(
+    source: Floats, target: Floats, normals: Floats, cauchy_m: float = 0.0, share: Floats | None = None
+) -> Floats:
     """Return the motion (3,) that minimises the distances of points (K, 2) to the lines through their targets.
 
     Linearised once in theta; not part of the paper. Nothing moves in a direction that the lines do not constrain (a
-    single wall). ``cauchy_m``: pairs have the weight 1 / (1 + (distance / cauchy_m)^2); 0: equal weights.
+    single wall). ``cauchy_m``: pairs have the weight 1 / (1 + (distance / cauchy_m)^2); 0: equal weights. ``share``
+    (K,): factors of these weights.
     """
     centre = _centroid(source)
     arm = source - centre
     distance = np.sum((target - source) * normals, axis=1)
     weight = 1.0 / (1.0 + (distance / cauchy_m) ** 2) if cauchy_m else np.ones(len(distance))
+    weight = weight if share is None else weight * share
     jacobian = np.column_stack([normals, arm[:, 0] * normals[:, 1] - arm[:, 1] * normals[:, 0]])
     weighted = jacobian * weight[:, None]
     x, y, theta = np.linalg.lstsq(weighted.T @ jacobian, weighted.T @ distance, rcond=1e-9)[0]
     return _about(centre, centre + np.array([x, y]), theta)
+
+
+def share_noise(onto: Ints, target: Cloud) -> Floats:
+    """Return the weights (K,) of pairs with the target points ``onto`` (K,), among all pairs with the same one.
+
+    The source points of c pairs have independent errors of variance 1; their target point, the mean of n such points,
+    has one of variance 1 / n, which all c pairs share. The sum of the c residuals has the variance c + c^2 / n, so
+    each weighs 1 / (1 + c / n) (generalised least squares). At the end of a wall many points have the same pair.
+    """
+    pairs = np.bincount(onto, minlength=len(target))
+    points = np.ones(len(target)) if target.support is None else np.minimum(target.support, MAX_SUPPORT)
+    return np.asarray(1.0 / (1.0 + pairs / points))[onto]
 
 
 def line_normals(tree: cKDTree, neighbours: int) -> Floats:

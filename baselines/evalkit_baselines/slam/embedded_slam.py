@@ -92,7 +92,7 @@ class EmbeddedSlam:
     def __init__(self, settings: EmbeddedSlamSettings) -> None:
         self._settings = settings
         self._core = load_core("float" if settings.precision == "float" else "double")
-        matcher = {each.name: each.default for each in embedded.MAP_LINE.parameters}
+        matcher = {each.name: each.default for each in embedded.MAP_LINE.parameters} | {"share_noise": True}
         real = {each.name.removesuffix("_m"): getattr(settings, each.name) for each in fields(LoopSettings)} | {
             "fine_correspondence": FINE_CORRESPONDENCE_M,
             "keyframe_distance": settings.keyframe_distance_m,

@@ -284,7 +284,8 @@ class PaperSlam:
 
 def _make_icp(matcher: str, **changed: Any) -> Registration:
     spec = embedded.MAP_LINE if matcher == "embedded" else paper.MAP_LINE
-    made: Registration = spec.make(**{**{each.name: each.default for each in spec.parameters}, **changed})
+    defaults = {each.name: each.default for each in spec.parameters}
+    made: Registration = spec.make(**{**defaults, "share_noise": True, **changed})
     return made
 
 

@@ -42,6 +42,13 @@ def run(make, frames, **parameters):
     return slam, [slam.update(frame) for frame in frames]
 
 
+def off_axis(frames):
+    """Return the frames without a beam along an axis of the base: its points lie on a border of cells, where rounding
+    decides, so that two correct programs thin a scan to other means.
+    """
+    return [replace(frame, base_from_sensor=Pose(0.0, 0.0, 0.003)) for frame in frames]
+
+
 @cache
 def drive():
     return list(make_frames(RING, ring_drive(LAPS), drift=DRIFT))
@@ -63,15 +70,13 @@ def decisions(slam):
     ]
 
 
-def test_without_a_limit_of_work_it_is_paper_slam_to_the_stop_rule_of_icp():
-    expected, estimates = reference()
-    slam, found = run(embedded_slam.make, drive(), work=0, **SMALL)
+def test_without_a_limit_of_work_it_is_paper_slam():
+    expected, estimates = run(paper_slam.make, off_axis(drive()), loop_path_m=10.0)
+    slam, found = run(embedded_slam.make, off_axis(drive()), work=0, **SMALL)
     assert decisions(slam) == decisions(expected)
-    closed = min(loop.stamp_ns for loop in slam.loop_closures() if loop.accepted) // STEP_NS
-    gap = np.abs(se2.between(rows(estimates), rows(found)))
-    assert gap[:closed].max() < 1e-9  # until the first loop closes
-    assert gap.max() < 2e-4
-    assert np.abs(se2.between(expected.trajectory().poses, slam.trajectory().poses)).max() < 2e-4
+    assert any(loop.accepted for loop in slam.loop_closures())
+    assert np.abs(se2.between(rows(estimates), rows(found))).max() < 1e-9
+    assert np.abs(se2.between(expected.trajectory().poses, slam.trajectory().poses)).max() < 1e-9
     assert [one.accepted for one in found] == [one.accepted for one in estimates]
 
 
@@ -188,12 +193,13 @@ def test_single_precision_closes_the_loop():
 
 def test_a_kidnapped_robot_is_reported_and_found_again():
     there = ring_drive(1.0)
-    carried = there[20:66]
+    carried = there[16:62]
     frames = list(make_frames(RING, there))
     slam = embedded_slam.make(work=0, **SMALL | {"loop_path_m": 15.0})
     for frame in make_frames(RING, carried, seed=1):  # the wheels stand still
         later = replace(frame.scan, stamp_ns=frame.scan.stamp_ns + len(there) * STEP_NS)
         frames.append(replace(frame, scan=later, odom_from_base=frames[len(there) - 1].odom_from_base))
+    frames = off_axis(frames)
     estimates = [slam.update(frame) for frame in frames]
     assert all(estimate.accepted is not False for estimate in estimates[: len(there)])
     assert estimates[len(there)].accepted is False
@@ -233,7 +239,8 @@ def test_found_again_counts_as_recovered_where_the_truth_agrees(measured):
 @pytest.mark.parametrize(("measured", "scans", "within"), [(True, 9, 1e-7), (True, 13, 1e-5), (False, 2, 1e-7)])
 def test_covered_scans_are_set_aside_or_the_track_is_lost_as_in_paper_slam(measured, scans, within):
     """From the thirteenth covered scan on, without odometry the third, scans match random points: rounding grows."""
-    frames = list(shared["cover"](make_frames(RING, ring_drive(0.5)[: 20 + scans]), range(15, 15 + scans), measured))
+    covered = shared["cover"](make_frames(RING, ring_drive(0.5)[: 20 + scans]), range(15, 15 + scans), measured)
+    frames = off_axis(covered)
     _, expected = run(paper_slam.make, frames)
     _, found = run(embedded_slam.make, frames, work=0, **SMALL)
     assert [one.accepted for one in found] == [one.accepted for one in expected]

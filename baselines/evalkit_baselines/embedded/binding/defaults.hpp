@@ -19,6 +19,7 @@ inline nb::dict defaults_of(const ek_icp_parameters &icp)
     values["min_pairs"] = icp.min_pairs;
     values["lines"] = icp.metric == EK_METRIC_LINE;
     values["cauchy_m"] = double(icp.cauchy);
+    values["share_noise"] = icp.share_noise != 0;
     return values;
 }
 

@@ -25,6 +25,7 @@ namespace EK_NAME(binding) {
 
 using Points = nb::ndarray<const ek_real, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
 using Numbers = nb::ndarray<const ek_real, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Counts = nb::ndarray<const uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Row = std::tuple<double, double, double>;
 
 // Raise ValueError with the core's message.

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <mutex>
+#include <optional>
 
 #include "ek/icp.h"
 #include "ek/normals.h"
@@ -13,8 +14,8 @@ namespace EK_NAME(binding) {
 class Index {
 public:
     // With neighbours (2 or more) also the normals of the points, each computed when a registration needs it; with tiles
-    // (1 or more) a table of neighbours. Registrations with either take turns.
-    Index(const Points &points, int64_t neighbours, int64_t tiles = 0)
+    // (1 or more) a table of neighbours. Registrations with either take turns. Support: of how many points each is the mean.
+    Index(const Points &points, int64_t neighbours, int64_t tiles = 0, const std::optional<Counts> &support = {})
     {
         constexpr std::size_t cells_per_point = 16, max_cells = std::size_t{1} << 18; // as in the core's front end
         constexpr std::size_t blocks_per_tile = 6;
@@ -22,6 +23,9 @@ public:
         if (tiles < 0 || tiles > max_tiles) {
             throw std::invalid_argument("table: found " + std::to_string(tiles) + " tiles, expected 0 to " +
                                         std::to_string(max_tiles));
+        }
+        if (support && support->shape(0) != points.shape(0)) {
+            throw std::invalid_argument("support: points and their counts differ in number");
         }
         const nb::gil_scoped_release others_may_run;
         const std::size_t room = std::max<std::size_t>(points.shape(0), 1);
@@ -35,6 +39,10 @@ public:
         if (neighbours != 0) {
             normals_.resize(2 * room);
             require(ek_normals_defer(&index_, natural(neighbours), normals_.data()), "neighbours");
+        }
+        if (support) {
+            support_.assign(support->data(), support->data() + support->shape(0));
+            index_.support = support_.data();
         }
     }
 
@@ -51,6 +59,7 @@ private:
     ek_table table_ = {};
     Memory memory_;
     std::vector<ek_real> normals_;
+    std::vector<uint32_t> support_;
     mutable std::mutex mutex_;
 };
 
@@ -89,7 +98,7 @@ inline void note(void *context, const ek_icp_iteration *now)
 class Icp {
 public:
     Icp(double epsilon, int64_t max_iterations, int64_t error, bool error_before, bool one_to_one,
-        double max_correspondence, int64_t min_pairs, bool lines, double cauchy)
+        double max_correspondence, int64_t min_pairs, bool lines, double cauchy, bool share_noise)
         : parameters_(ek_icp_default())
     {
         parameters_.epsilon = ek_real(epsilon);
@@ -101,6 +110,7 @@ public:
         parameters_.min_pairs = whole(min_pairs);
         parameters_.metric = lines ? EK_METRIC_LINE : EK_METRIC_POINT;
         parameters_.cauchy = ek_real(cauchy);
+        parameters_.share_noise = share_noise;
         require(ek_icp_check(&parameters_), "parameters");
     }
 

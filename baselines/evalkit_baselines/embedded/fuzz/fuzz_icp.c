@@ -100,7 +100,9 @@ static void ask(ek_icp *icp, ek_index *index, const clouds *known, ek_input *inp
     parameters.min_pairs = take_byte(input) % 8;
     parameters.epsilon = take_real(input);
     parameters.max_correspondence = take_real(input);
-    parameters.metric = (ek_metric)(take_byte(input) % 3u); /* 2 is invalid */
+    const uint8_t metric = take_byte(input);
+    parameters.metric = (ek_metric)(metric % 3u); /* 2 is invalid */
+    parameters.share_noise = metric >> 7;
     parameters.cauchy = parameters.metric ? take_real(input) : EK_R(0.0);
     const ek_pose guess = take_pose(input);
     ek_real normals[2u * MAX_COUNT];

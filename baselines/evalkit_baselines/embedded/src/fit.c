@@ -215,15 +215,17 @@ EK_WIDE static void sum_sources_wide(const ek_pairs *p, ek_real ox, ek_real oy, 
     sum_sources(p->padded, ox, oy, p->x, p->y, p->weight, total);
 }
 
-EK_WIDE static void sum_lines_wide(const ek_pairs *p, ek_real cx, ek_real cy, ek_real sharp, ek_real total[9])
+EK_WIDE static void sum_lines_wide(const ek_pairs *p, const ek_real *weight, ek_real cx, ek_real cy, ek_real sharp,
+                                   ek_real total[9])
 {
-    sum_lines(p->padded, cx, cy, sharp, p->x, p->y, p->tx, p->ty, p->nx, p->ny, p->weight, total);
+    sum_lines(p->padded, cx, cy, sharp, p->x, p->y, p->tx, p->ty, p->nx, p->ny, weight, total);
 }
 
 ek_pose ek_fit_lines(const ek_pairs *pairs, ek_real cauchy, ek_real ox, ek_real oy)
 {
     const ek_pairs *const p = pairs;
     const ek_real sharp = cauchy > EK_R(0.0) ? EK_R(1.0) / cauchy : EK_R(0.0);
+    const ek_real *const weight = p->share ? p->share : p->weight;
     ek_real sources[3], total[9], move[3];
     if (EK_IF_WIDE(p->wide)) {
         sum_sources_wide(p, ox, oy, sources);
@@ -232,9 +234,9 @@ ek_pose ek_fit_lines(const ek_pairs *pairs, ek_real cauchy, ek_real ox, ek_real 
     }
     const ek_real cx = sources[1] / sources[0] + ox, cy = sources[2] / sources[0] + oy;
     if (EK_IF_WIDE(p->wide)) {
-        sum_lines_wide(p, cx, cy, sharp, total);
+        sum_lines_wide(p, weight, cx, cy, sharp, total);
     } else {
-        sum_lines(p->padded, cx, cy, sharp, p->x, p->y, p->tx, p->ty, p->nx, p->ny, p->weight, total);
+        sum_lines(p->padded, cx, cy, sharp, p->x, p->y, p->tx, p->ty, p->nx, p->ny, weight, total);
     }
     ek_real matrix[3][3] = {{total[0], total[1], total[3]}, {total[1], total[2], total[4]},
                             {total[3], total[4], total[5]}};

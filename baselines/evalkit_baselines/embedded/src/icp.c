@@ -18,6 +18,7 @@
 #define DENSE 12u /* target points for each source point from which places are searched one by one */
 #define AHEAD 12u /* searches from the prefetch of a block to its use */
 #define MIN_LIMIT EK_R(1e-12) /* m; the square of a smaller limit may be rounded to 0: no candidates are used */
+#define MAX_SUPPORT 20u /* points of a mean that count: the points of a scan share the error of its pose */
 #define MAX_DISTANCE EK_R(1e12) /* m; below EK_FAR: stands for "no limit" */
 
 ek_icp_parameters ek_icp_default(void)
@@ -32,6 +33,7 @@ ek_icp_parameters ek_icp_default(void)
     parameters.one_to_one = 1;
     parameters.metric = EK_METRIC_POINT;
     parameters.cauchy = EK_R(0.0);
+    parameters.share_noise = 0;
     return parameters;
 }
 
@@ -100,6 +102,7 @@ ek_status ek_icp_init_lines(ek_icp *icp, ek_arena *arena)
     icp->nx = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
     icp->ny = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
     icp->across = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
+    icp->share = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
     icp->lined = (uint32_t *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(uint32_t));
     return EK_OK;
 }
@@ -569,6 +572,27 @@ static int32_t select_pairs(const ek_icp *icp, size_t padded, const ek_real *dis
     return (int32_t)ek_fit_count(icp->weight, padded, icp->wide);
 }
 
+/* Weigh the pairs of each target point: with c source points of variance 1 each and a target point that is the mean of n
+ * such points, the sum of their residuals has the variance c + c^2 / n; so each weighs 1 / (1 + c / n). */
+static void share_noise(ek_icp *icp, const ek_index *target, size_t padded)
+{
+    uint32_t *const pairs = icp->owner;
+    for (size_t i = 0; i < padded; i++) {
+        pairs[icp->nearest[i]] = 0u;
+    }
+    for (size_t i = 0; i < padded; i++) {
+        pairs[icp->nearest[i]] += icp->weight[i] > EK_R(0.0);
+    }
+    for (size_t i = 0; i < padded; i++) {
+        icp->share[i] = EK_R(0.0);
+        if (icp->weight[i] > EK_R(0.0)) {
+            const uint32_t slot = icp->nearest[i], points = target->support ? target->support[target->id[slot]] : 1u;
+            const ek_real independent = (ek_real)(points < MAX_SUPPORT ? points : MAX_SUPPORT);
+            icp->share[i] = EK_R(1.0) / (EK_R(1.0) + (ek_real)pairs[slot] / independent);
+        }
+    }
+}
+
 /* The smallest number (m^2) whose root is not below `limit` (m). */
 static ek_real square_of_limit(ek_real limit)
 {
@@ -611,9 +635,15 @@ static ek_real compute_error(ek_icp *icp, size_t padded, int32_t pairs, const ek
 }
 
 /* The step of the pairs at a pose, in the target's frame. */
-static ek_pose fit_step(const ek_icp *icp, size_t padded, ek_pose pose, const ek_icp_parameters *parameters)
+static ek_pose fit_step(ek_icp *icp, const ek_index *target, size_t padded, ek_pose pose,
+                        const ek_icp_parameters *parameters)
 {
-    const ek_pairs pairs = {padded, icp->mx, icp->my, icp->tx, icp->ty, icp->nx, icp->ny, icp->weight, icp->wide};
+    const int shared = parameters->share_noise && parameters->metric == EK_METRIC_LINE;
+    const ek_pairs pairs = {padded,  icp->mx,     icp->my, icp->tx, icp->ty,
+                            icp->nx, icp->ny, icp->weight, shared ? icp->share : NULL, icp->wide};
+    if (shared) {
+        share_noise(icp, target, padded);
+    }
     return parameters->metric == EK_METRIC_LINE ? ek_fit_lines(&pairs, parameters->cauchy, pose.x, pose.y)
                                                 : ek_fit_points(&pairs, pose.x, pose.y);
 }
@@ -694,7 +724,7 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
         }
         ek_icp_iteration now = {++match.iterations, match.inliers, EK_R(0.0), {EK_R(0.0), EK_R(0.0), EK_R(0.0)},
                                 pose, NULL, NULL};
-        now.step = fit_step(icp, padded, pose, parameters);
+        now.step = fit_step(icp, target, padded, pose, parameters);
         if (parameters->error_before) {
             if (candidates) {
                 measure_distances(icp, padded);

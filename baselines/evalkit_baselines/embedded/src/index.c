@@ -87,6 +87,7 @@ ek_status ek_index_build(ek_index *index, const ek_real *xy, size_t count)
     index->count = 0u;
     index->version++;
     index->normals = index->deferred = NULL;
+    index->support = NULL;
     if (count == 0u || count > index->capacity) {
         return count == 0u ? EK_OK : EK_TOO_MANY_POINTS;
     }

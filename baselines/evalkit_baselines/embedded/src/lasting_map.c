@@ -37,6 +37,7 @@ ek_status ek_lasting_map_init(ek_lasting_map *map, ek_arena *arena, size_t voxel
     status = status == EK_OK ? ek_index_init(&map->around, arena, map->capacity, cells) : status;
     map->means = (ek_real *)ek_arena_alloc(arena, map->capacity, 2u * sizeof(ek_real));
     if (neighbours) {
+        map->support = (uint32_t *)ek_arena_alloc(arena, map->capacity, sizeof(uint32_t));
         map->normals = (ek_real *)ek_arena_alloc(arena, map->capacity, 2u * sizeof(ek_real));
     }
     map->moved = (ek_real *)ek_arena_alloc(arena, points, 2u * sizeof(ek_real));
@@ -65,11 +66,13 @@ void ek_lasting_map_add(ek_lasting_map *map, const ek_real *xy, size_t count, ek
 static ek_status take_around(ek_lasting_map *map, ek_real x, ek_real y)
 {
     ek_work work = ek_work_make(INT64_MAX);
-    const size_t count = ek_voxel_map_cloud(&map->voxels, x, y, map->radius, map->means, map->capacity, &work);
+    const size_t count = ek_voxel_map_cloud(&map->voxels, x, y, map->radius, map->means, map->support,
+                                            map->capacity, &work);
     map->centre_x = x;
     map->centre_y = y;
     map->changed = 0;
     const ek_status status = ek_index_build(&map->around, map->means, count);
+    map->around.support = map->support;
     return status == EK_OK && map->neighbours ? ek_normals_defer(&map->around, map->neighbours, map->normals) : status;
 }
 

@@ -25,6 +25,7 @@ ek_slam_parameters ek_slam_default(void)
     p.matcher.one_to_one = 0;
     p.matcher.metric = EK_METRIC_LINE;
     p.matcher.cauchy = EK_R(0.1);
+    p.matcher.share_noise = 1;
     p.matcher.max_correspondence = EK_R(1.0);
     p.fine_correspondence = EK_R(0.3);
     p.deskew = p.use_odometry = 1;
@@ -92,6 +93,7 @@ static ek_status init_front(ek_slam *slam, ek_arena *arena, const ek_slam_parame
     slam->last_normals = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->map_normals = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
     slam->map_points = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
+    slam->map_support = (uint32_t *)ek_arena_alloc(arena, p->map_points, sizeof(uint32_t));
     slam->moved = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->sums = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->stored = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
@@ -141,11 +143,13 @@ static ek_status take_map(ek_slam *slam, ek_pose near, ek_work *work)
         return EK_OK;
     }
     const size_t count = ek_voxel_map_cloud(&slam->maps[slam->drawn], near.x, near.y, radius, slam->map_points,
-                                            slam->parameters.map_points, work);
+                                            slam->map_support, slam->parameters.map_points, work);
     slam->centre_x = near.x;
     slam->centre_y = near.y;
     slam->map_changed = 0;
-    return index_lines(&slam->map_index, slam->map_normals, slam->map_points, count);
+    const ek_status status = index_lines(&slam->map_index, slam->map_normals, slam->map_points, count);
+    slam->map_index.support = slam->map_support;
+    return status;
 }
 
 /* Whether wheel odometry measured the motion since the last scan. */

@@ -90,13 +90,16 @@ void ek_voxel_map_add(ek_voxel_map *map, ek_thinner *thinner, const ek_real *xy,
     ek_work_spend(work, 6u * (uint64_t)count);
 }
 
-size_t ek_voxel_map_cloud(const ek_voxel_map *map, ek_real x, ek_real y, ek_real radius, ek_real *means, size_t capacity,
-                          ek_work *work)
+size_t ek_voxel_map_cloud(const ek_voxel_map *map, ek_real x, ek_real y, ek_real radius, ek_real *means, uint32_t *points,
+                          size_t capacity, ek_work *work)
 {
     size_t count = 0u;
     for (size_t k = 0; k < map->count && count < capacity; k++) {
         const ek_voxel *const voxel = map->voxel + k;
-        const ek_real points = (ek_real)voxel->points, u = voxel->x / points, v = voxel->y / points;
+        const ek_real number = (ek_real)voxel->points, u = voxel->x / number, v = voxel->y / number;
+        if (points) {
+            points[count] = voxel->points;
+        }
         means[2u * count] = u;
         means[2u * count + 1u] = v;
         count += (u - x) * (u - x) + (v - y) * (v - y) <= radius * radius;

@@ -4,8 +4,8 @@
 
 #define COUNT 40u
 
-static ek_real x[COUNT], y[COUNT], tx[COUNT], ty[COUNT], nx[COUNT], ny[COUNT], weight[COUNT];
-static ek_pairs pairs = {COUNT, x, y, tx, ty, nx, ny, weight, 0};
+static ek_real x[COUNT], y[COUNT], tx[COUNT], ty[COUNT], nx[COUNT], ny[COUNT], weight[COUNT], share[COUNT];
+static ek_pairs pairs = {COUNT, x, y, tx, ty, nx, ny, weight, NULL, 0};
 
 /* Points on two walls as targets, moved by the inverse of a motion as sources. */
 static void fill(ek_pose motion, int walls)
@@ -69,7 +69,8 @@ static void along_a_single_wall_nothing_moves(void)
 }
 
 /* One wall at distances 0, 0, 0 and 0.3 m: equal weights move a quarter of it, Cauchy weights of 0.1 m less:
- * 0.1 * 0.3 / (3 + 0.1). Points at the same place, so that no rotation helps. */
+ * 0.1 * 0.3 / (3 + 0.1); with three times the share 3 * 0.1 * 0.3 / (3 + 3 * 0.1). Points at the same place, so that no
+ * rotation helps. */
 static void far_pairs_weigh_less(void)
 {
     for (size_t k = 0; k < COUNT; k++) {
@@ -77,10 +78,15 @@ static void far_pairs_weigh_less(void)
         ty[k] = k == 3u ? EK_R(0.3) : EK_R(0.0);
         ny[k] = EK_R(1.0);
         weight[k] = k < 4u ? EK_R(1.0) : EK_R(0.0);
+        share[k] = k == 3u ? EK_R(0.75) : weight[k] * EK_R(0.25);
     }
+    const ek_pose shared = {EK_R(0.0), EK_R(0.09 / 3.3), EK_R(0.0)};
     const ek_pose equal = {EK_R(0.0), EK_R(0.075), EK_R(0.0)}, robust = {EK_R(0.0), EK_R(0.03 / 3.1), EK_R(0.0)};
     check_motion(ek_fit_lines(&pairs, EK_R(0.0), EK_R(0.0), EK_R(0.0)), equal, TOLERANCE);
     check_motion(ek_fit_lines(&pairs, EK_R(0.1), EK_R(0.0), EK_R(0.0)), robust, TOLERANCE);
+    pairs.share = share;
+    check_motion(ek_fit_lines(&pairs, EK_R(0.1), EK_R(0.0), EK_R(0.0)), shared, TOLERANCE);
+    pairs.share = NULL;
 }
 
 /* Pairs in general position with fractions as weights: the loops for AVX2 give the same bits. */

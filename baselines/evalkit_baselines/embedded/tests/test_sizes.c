@@ -54,7 +54,7 @@ static void icp_of(size_t points, size_t targets, int lines)
     if (EK_GROUPED) {
         candidates_of(points);
     }
-    blocks(lines ? 3u : 0u, padded, REAL);
+    blocks(lines ? 4u : 0u, padded, REAL);
     blocks(lines ? 1u : 0u, padded, WORD);
 }
 
@@ -141,6 +141,7 @@ static void lasting_map_of(size_t around, size_t points, int lines)
     thinner_of(points);
     index_of(around, cells_of(around, (size_t)1 << 18));
     blocks(lines ? 2u : 1u, around, 2u * REAL);
+    blocks(lines ? 1u : 0u, around, WORD);
     blocks(2u, points, 2u * REAL);
     block(points, WORD);
 }
@@ -191,7 +192,7 @@ static void small_parts(void)
         TAKES(ek_index_init(&index, &arena, n, n + 7u), index_of(n, n + 7u));
         TAKES(ek_index_updater_init(&updater, &arena, n), updater_of(n));
         TAKES(ek_icp_init(&icp, &arena, n, n + 3u), icp_of(n, n + 3u, 0));
-        TAKES(ek_icp_init_lines(&icp, &arena), (blocks(3u, EK_PADDED(n), REAL), block(EK_PADDED(n), WORD)));
+        TAKES(ek_icp_init_lines(&icp, &arena), (blocks(4u, EK_PADDED(n), REAL), block(EK_PADDED(n), WORD)));
         TAKES(ek_icp_init_table(&icp, &arena), EK_GROUPED ? (void)0 : candidates_of(n));
         TAKES(ek_scan_init(&scan, &arena, n), scan_of(n));
         TAKES(ek_thinner_init(&thinner, &arena, n), thinner_of(n));
@@ -276,6 +277,7 @@ static void wholes(void)
     voxels_of(16384u, 32768u);
     blocks(4u, 2048u, 2u * REAL); /* last_normals, moved, sums, stored */
     blocks(2u, 12288u, 2u * REAL);
+    block(12288u, WORD);
     blocks(2u, 2048u, REAL);
     block(2048u, WORD);
     keyframes_of(2000u, 1000000u, 64u);

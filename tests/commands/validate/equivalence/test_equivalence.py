@@ -63,21 +63,21 @@ def with_fault(make: Callable[..., object], spec: BackendSpec = paper.SPEC) -> B
 
 
 class Transposed(Icp):
-    def _step(self, source, target, normals):
-        theta = -super()._step(source, target, normals)[2]
+    def _step(self, source, target, normals, share):
+        theta = -super()._step(source, target, normals, share)[2]
         return icp._about(icp._centroid(source), icp._centroid(target), theta)
 
 
 class WrongCentroid(Icp):
-    def _step(self, source, target, normals):
-        x, y, theta = super()._step(source, target, normals)
+    def _step(self, source, target, normals, share):
+        x, y, theta = super()._step(source, target, normals, share)
         x, y = icp._centroid(target) - icp._centroid(source)
         return np.array([x, y, theta])
 
 
 class Backwards(Icp):
-    def _step(self, source, target, normals):
-        return se2.inverse(super()._step(source, target, normals))
+    def _step(self, source, target, normals, share):
+        return se2.inverse(super()._step(source, target, normals, share))
 
 
 class GuessInDegrees(Icp):

@@ -15,6 +15,7 @@ typedef struct {
     const ek_real *tx, *ty; /* target points (m) */
     const ek_real *nx, *ny; /* unit normals of the lines through the target points; for ek_fit_lines only */
     const ek_real *weight;  /* 1: a pair, 0: not */
+    const ek_real *share;   /* NULL, or the weights of the pairs for ek_fit_lines, 0: no pair */
     int wide;               /* 1: the processor has AVX2 (wide.h); the sums are the same */
 } ek_pairs;
 
@@ -34,7 +35,7 @@ ek_real ek_fit_sum(const ek_real *weight, const ek_real *distance, size_t padded
 ek_pose ek_fit_points(const ek_pairs *pairs, ek_real ox, ek_real oy);
 
 /* The motion that minimises the squared distances of the source points to the lines, linearised once in theta. Pairs
- * weigh 1 / (1 + (distance / cauchy)^2); cauchy (m) 0: all the same. Nothing moves in a direction that the lines do not
+ * weigh 1 / (1 + (distance / cauchy)^2), cauchy (m) 0: all the same, times their share. Nothing moves in a direction that the lines do not
  * constrain. Sums are taken relative to (ox, oy). */
 ek_pose ek_fit_lines(const ek_pairs *pairs, ek_real cauchy, ek_real ox, ek_real oy);
 

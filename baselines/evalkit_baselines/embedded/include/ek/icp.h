@@ -30,6 +30,8 @@ typedef struct {
     int32_t one_to_one;         /* 1: of several source points with the same target point only the closest is kept */
     ek_metric metric;           /* EK_METRIC_LINE needs ek_icp_init_lines and the normals of the target */
     ek_real cauchy;             /* scale of the Cauchy weight of EK_METRIC_LINE (m); 0: equal weights */
+    int32_t share_noise;        /* 1: with EK_METRIC_LINE, each of c pairs with the same target point, which is the mean
+                                   of n points (`support` of the index), weighs 1 / (1 + c / n), n at most 20 */
 } ek_icp_parameters;
 
 /* Result of a registration. Not converging is a result, not an error. */
@@ -69,6 +71,7 @@ typedef struct {
     ek_real *weight;        /* 1: a pair, 0: not */
     ek_real *nx, *ny;       /* normals of the nearest target points; NULL without ek_icp_init_lines */
     ek_real *across;        /* distance to their lines */
+    ek_real *share;         /* weight of a pair among those with its target point; 0: no pair */
     uint32_t *lined;        /* with candidates: slot whose normal is stored, or `targets` */
     ek_real *cx, *cy;       /* candidates: EK_BLOCK target points that can be nearest; NULL without memory for them */
     ek_real *choice;        /* which of them is nearest */

@@ -38,6 +38,8 @@ typedef struct {
                                points (normals.h) */
     ek_real *deferred;      /* NULL, or `normals` that are computed when first needed (ek_normals_defer) */
     uint32_t neighbours;    /* that define a deferred normal */
+    const uint32_t *support; /* NULL: 1 each; or how many points each point is the mean of, 1 or more, in the order of the
+                                cloud; set after each change of the points (for `share_noise` of icp.h) */
     ek_table *table;      /* NULL, or the table of its neighbours (table.h) */
 } ek_index;
 

@@ -25,7 +25,7 @@ typedef struct {
     int32_t changed;     /* 1: take the part around the robot again */
     uint32_t neighbours; /* that define a normal; 0: no normals */
     ek_real *means, *normals, *moved, *sums;
-    uint32_t *counts;
+    uint32_t *support, *counts; /* support: points of each mean, for lines */
 } ek_lasting_map;
 
 #define ek_lasting_map_init EK_NAME(lasting_map_init)

@@ -95,6 +95,7 @@ typedef struct {
     ek_icp icp;
     ek_index last, map_index;
     ek_real *last_normals, *map_normals, *map_points;
+    uint32_t *map_support;   /* points of each mean in map_points */
     ek_thinner thinner;
     ek_observer observer;
     ek_continuity continuity;
