@@ -36,7 +36,7 @@ from evalkit_baselines.slam.observability import ObservableIcp
 from evalkit_baselines.slam.odometry_gate import OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import smooth_ranges
-from evalkit_baselines.slam.second_try import FINE_ITERATIONS, PART_ITERATIONS, CoarseToFine, SecondTry
+from evalkit_baselines.slam.second_try import FINE_ITERATIONS, PART_ITERATIONS, Coarse, CoarseToFine, SecondTry
 
 DCS_PHI = 10.0
 _STORED_VOXEL_M = 0.03
@@ -93,10 +93,12 @@ class PaperSlam:
         coarse = _make_icp(settings.matcher, max_iterations=PART_ITERATIONS)
         brief = _make_icp(settings.matcher, **_NARROW, max_iterations=PART_ITERATIONS)
         fine = _make_icp(settings.matcher, **_NARROW, max_iterations=FINE_ITERATIONS)
+        of_scan, of_scan_again = Coarse(wide, coarse), Coarse(narrow, brief)
         self._tries = SecondTry(
-            CoarseToFine(wide, coarse, fine),
-            CoarseToFine(narrow, brief, fine),
+            CoarseToFine(of_scan, fine),
+            CoarseToFine(of_scan_again, fine),
             brief,
+            scan_to_scan=(of_scan, of_scan_again),
         )
         self._gate = OdometryGate(ObservableIcp(self._tries))
         self._front = FrontEnd(self._gate, self._gate, front_end, self._map)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -57,19 +57,34 @@ MAX_M, MAX_RAD = 0.5, math.radians(36.0)
 
 
 @dataclass(frozen=True)
-class CoarseToFine:
-    """A Registration: ``whole``, or ``coarse`` with a part of a large scan, then ``fine`` with all its points."""
+class Coarse:
+    """A Registration: ``whole``, or ``coarse`` with a part of a large scan, whose inliers count for all points."""
 
     whole: Registration
     coarse: Registration
-    fine: Registration
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
         part = take_part(source, COARSE_POINTS)
         if part is source:
             return self.whole.register(target, source, guess)
-        return self.fine.register(target, source, self.coarse.register(target, part, guess).target_from_source)
+        match = self.coarse.register(target, part, guess)
+        return replace(match, inliers=match.inliers * len(source) // len(part))
+
+
+@dataclass(frozen=True)
+class CoarseToFine:
+    """A Registration: ``coarse``, then, of a large scan, ``fine`` with all its points."""
+
+    coarse: Registration
+    fine: Registration
+
+    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
+        """Return the motion ``target_from_source``."""
+        match = self.coarse.register(target, source, guess)
+        if take_part(source, COARSE_POINTS) is source:
+            return match
+        return self.fine.register(target, source, match.target_from_source)
 
 
 @dataclass
@@ -78,12 +93,14 @@ class SecondTry:
 
     ``narrow`` starts from the best of several headings by ``brief``, with a part of a large scan. Only the first poor
     answer of a scan is tried again, whichever stage it is of: ``begin_scan``. Without odometry both stages of
-    a scan may be: the second one, with the map, already where its answer is doubted.
+    a scan may be: the second one, with the map, already where its answer is doubted. ``scan_to_scan``: what the first
+    stage has instead of ``wide`` and ``narrow``, since its answer is only where the second one begins.
     """
 
     wide: Registration
     narrow: Registration
     brief: Registration
+    scan_to_scan: tuple[Registration, Registration] | None = None
     _usual_m: float = field(default=0.0, init=False)
     _tried: bool = field(default=False, init=False)
     _predicted: Pose | None = field(default=None, init=False)
@@ -99,7 +116,8 @@ class SecondTry:
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
-        first = self.wide.register(target, source, guess)
+        wide, narrow = (self._stage == 0 and self.scan_to_scan) or (self.wide, self.narrow)
+        first = wide.register(target, source, guess)
         self._stage += 1
         predicted = self._predicted if self._stage > 1 else None
         poor_m = min(POOR_M, UNUSUAL * self._usual_m) if self._usual_m > 0.0 else POOR_M
@@ -113,7 +131,7 @@ class SecondTry:
         self._tried = True
         starts = [*(centre @ Pose(0.0, 0.0, turn) for turn in TURNS_RAD), *also]
         best = self._best_answer(target, take_part(source, TRIED_POINTS), starts, closely)
-        second = self.narrow.register(target, source, best)
+        second = narrow.register(target, source, best)
         if not _is_close(centre, second.target_from_source):
             return first
         rates = [_rate(target, source, match.target_from_source, closely) for match in (first, second)]

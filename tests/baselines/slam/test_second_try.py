@@ -8,7 +8,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
 from evalkit_baselines import paper
-from evalkit_baselines.slam.second_try import CoarseToFine, SecondTry, take_part
+from evalkit_baselines.slam.second_try import Coarse, CoarseToFine, SecondTry, take_part
 
 CORNER = Cloud(np.concatenate([np.column_stack([np.linspace(0, 4, 80), np.zeros(80)]),
                                np.column_stack([np.zeros(80), np.linspace(0, 4, 80)])]))  # fmt: skip
@@ -156,12 +156,30 @@ def test_a_part_of_a_cloud_has_enough_points_and_less_than_twice_as_many(points,
 
 def test_a_large_scan_is_matched_with_a_part_and_then_with_all_points():
     whole, coarse, fine = Answer(Pose(), 0.3), Answer(Pose(0.1, 0.2, 0.3), 0.2), Answer(Pose(), 0.01)
-    icp = CoarseToFine(whole, coarse, fine)
+    icp = CoarseToFine(Coarse(whole, coarse), fine)
     large = Cloud(np.zeros((1000, 2)))
     assert icp.register(CORNER, large, Pose()).error == 0.01
     assert (coarse.points, fine.points, fine.calls) == ([200], [1000], [Pose(0.1, 0.2, 0.3)])
     assert icp.register(CORNER, CORNER, Pose()).error == 0.3
     assert (whole.points, coarse.points, fine.points) == ([160], [200], [1000])
+
+
+def test_the_pairs_of_a_part_count_as_those_of_all_points():
+    whole, coarse = Answer(Pose(), 0.3), Answer(Pose(), 0.2, inliers=150)
+    icp = Coarse(whole, coarse)
+    assert icp.register(CORNER, Cloud(np.zeros((1000, 2))), Pose()).inliers == 750  # of 200 points
+    assert icp.register(CORNER, CORNER, Pose()).inliers == 160
+
+
+def test_the_match_with_the_scan_before_has_registrations_of_its_own():
+    wide, narrow, first, first_again = (Answer(Pose(), error) for error in (0.01, 0.01, 0.2, 0.3))
+    tries = SecondTry(wide, narrow, Answer(Pose(), 0.2), scan_to_scan=(first, first_again))
+    for _ in range(2):
+        tries.begin_scan(0.0)
+        tries.register(CORNER, CORNER, Pose())  # poor, so that it is tried again
+        tries.register(CORNER, CORNER, Pose())
+    calls = [len(each.calls) for each in (first, first_again, wide, narrow)]
+    assert calls == [2, 2, 2, 0]
 
 
 @pytest.mark.parametrize("turn_deg", [-22.0, 22.0])

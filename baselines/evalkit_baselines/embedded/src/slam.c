@@ -159,7 +159,7 @@ static int is_measured(const ek_slam *slam, const ek_prior *prior)
 }
 
 /* One stage: the pose after it is the match, or the guess where the match has too few pairs; `predicted`: as in
- * ek_slam_match. */
+ * ek_slam_match. The stage with the map begins where the one with the last scan ends, for which a part of a scan suffices. */
 static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openness *open, const ek_pose *predicted,
                            ek_pose *pose, ek_match *match, int32_t *accepted)
 {
@@ -168,7 +168,7 @@ static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openn
         match->target_from_source = *pose;
         return EK_OK;
     }
-    const ek_status status = ek_slam_match(slam, target, *pose, predicted, match);
+    const ek_status status = ek_slam_match(slam, target, *pose, predicted, target == &slam->last, match);
     const ek_pose limited = status == EK_OK ? ek_openness_limit(open, match->target_from_source, *pose) : *pose;
     if (status == EK_OK && !ek_slam_is_believed(&slam->gate, slam->scan.count, *pose, limited, match)) {
         match->inliers = 0;

@@ -140,9 +140,10 @@ static ek_status match_points(ek_slam *slam, const ek_index *target, const ek_re
     return status;
 }
 
-/* Match a part of a large scan, then all of it with near pairs: points beyond the end of the map have none. */
+/* Match a part of a large scan, then, unless the part suffices, all of it with near pairs: points beyond the end of the map
+ * have none. Where the part suffices, its share of pairs is taken for that of all points. */
 static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_pose guess,
-                                      const ek_icp_parameters *parameters, ek_match *match)
+                                      const ek_icp_parameters *parameters, int part_suffices, ek_match *match)
 {
     const size_t count = take_part(slam, COARSE_POINTS);
     const int large = count < slam->scan.count;
@@ -151,7 +152,9 @@ static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_
         limit_iterations(&coarse, PART_ITERATIONS);
     }
     ek_status status = match_points(slam, target, slam->moved, count, guess, &coarse, match);
-    if (status == EK_OK && large) {
+    if (status == EK_OK && large && part_suffices) {
+        match->inliers = (int32_t)((uint64_t)match->inliers * slam->scan.count / count);
+    } else if (status == EK_OK && large) {
         limit_iterations(&fine, FINE_ITERATIONS);
         fine.max_correspondence = slam->parameters.fine_correspondence;
         status = match_points(slam, target, slam->scan.hits, slam->scan.count, match->target_from_source, &fine, match);
@@ -183,12 +186,13 @@ static ek_pose try_starts(ek_slam *slam, const ek_index *target, ek_pose centre,
     return best;
 }
 
-ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, ek_match *match)
+ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,
+                        ek_match *match)
 {
     const ek_real *const hits = slam->scan.hits;
     const size_t count = slam->scan.count;
     ek_icp_parameters narrow = slam->parameters.matcher;
-    const ek_status status = match_coarse_to_fine(slam, target, guess, &narrow, match);
+    const ek_status status = match_coarse_to_fine(slam, target, guess, &narrow, part_suffices, match);
     const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)count, closely = predicted != NULL;
     const ek_real unusual = UNUSUAL * slam->usual_error, most = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
     const ek_real poor = closely && slam->tried ? DOUBTED * slam->usual_error : most;
@@ -200,7 +204,8 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, co
     slam->tried = 1;
     narrow.max_correspondence = slam->parameters.fine_correspondence;
     ek_match other;
-    match_coarse_to_fine(slam, target, try_starts(slam, target, centre, also, closely, narrow), &narrow, &other);
+    const ek_pose start = try_starts(slam, target, centre, also, closely, narrow);
+    match_coarse_to_fine(slam, target, start, &narrow, part_suffices, &other);
     if (is_close(centre, other.target_from_source) && rate(target, hits, count, other.target_from_source, closely) >
                                                           rate(target, hits, count, match->target_from_source, closely)) {
         *match = other;

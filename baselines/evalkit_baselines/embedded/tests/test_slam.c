@@ -968,21 +968,21 @@ static void a_turned_guess_is_found_by_a_further_try(void)
     for (size_t k = 0; k < 2u; k++) {
         const ek_pose guess = ek_se2_compose(truth, pose_of(0.05, 0.0, turns_deg[k] * (double)EK_PI / 180.0));
         slam.tried = 0;
-        CHECK(ek_slam_match(&slam, &slam.map_index, guess, NULL, &match) == EK_OK && slam.tried);
+        CHECK(ek_slam_match(&slam, &slam.map_index, guess, NULL, 0, &match) == EK_OK && slam.tried);
         const ek_pose found = ek_se2_between(truth, match.target_from_source);
         CHECK_NEAR(found.x, 0.0, 0.03);
         CHECK_NEAR(found.y, 0.0, 0.03);
         CHECK_NEAR(found.theta, 0.0, 0.02);
-        CHECK(ek_slam_match(&slam, &slam.map_index, guess, NULL, &match) == EK_OK);
+        CHECK(ek_slam_match(&slam, &slam.map_index, guess, NULL, 0, &match) == EK_OK);
         CHECK(EK_FABS(ek_se2_between(truth, match.target_from_source).theta) > EK_R(0.1));
     }
     slam.parameters.matcher = p.matcher;
     for (int unusual = 0; unusual < 2; unusual++) { /* a good match is tried again where it is worse than most were */
         slam.usual_error = EK_R(unusual ? 1e-4 : 0.0);
         slam.tried = 0;
-        CHECK(ek_slam_match(&slam, &slam.map_index, truth, NULL, &match) == EK_OK && slam.tried == unusual);
+        CHECK(ek_slam_match(&slam, &slam.map_index, truth, NULL, 0, &match) == EK_OK && slam.tried == unusual);
     }
-    CHECK(ek_slam_match(&slam, &slam.map_index, pose_of(2e6, 0.0, 0.0), NULL, &match) == EK_OUT_OF_RANGE);
+    CHECK(ek_slam_match(&slam, &slam.map_index, pose_of(2e6, 0.0, 0.0), NULL, 0, &match) == EK_OUT_OF_RANGE);
     free(arena.memory);
 }
 
@@ -1003,11 +1003,15 @@ static void a_large_scan_is_matched_whole_after_a_part_of_it(void)
     CHECK(once >= 300u);
     const ek_pose truth = slam.motion.start_from_base;
     const ek_pose guess = ek_se2_compose(truth, pose_of(0.05, -0.03, 0.02));
-    CHECK(ek_slam_match(&slam, &slam.map_index, guess, NULL, &match) == EK_OK && match.inliers > 250);
+    CHECK(ek_slam_match(&slam, &slam.map_index, guess, NULL, 0, &match) == EK_OK && match.inliers > 250);
     const ek_pose found = ek_se2_between(truth, match.target_from_source);
     CHECK_NEAR(found.x, 0.0, 0.01);
     CHECK_NEAR(found.y, 0.0, 0.01);
     CHECK_NEAR(found.theta, 0.0, 0.005);
+    const uint64_t matched_whole = slam.matching;
+    slam.matching = 0u;
+    CHECK(ek_slam_match(&slam, &slam.map_index, guess, NULL, 1, &match) == EK_OK);
+    CHECK(slam.matching < matched_whole && (size_t)match.inliers > 2u * once * 9u / 10u); /* those of the part, times two */
     free(arena.memory);
 }
 

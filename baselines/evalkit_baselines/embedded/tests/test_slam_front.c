@@ -140,7 +140,7 @@ static void a_poor_match_is_tried_again(void)
         }
         slam.tried = 0;
         slam.usual_error = EK_R(0.0);
-        CHECK(ek_slam_match(&slam, &slam.map_index, ORIGIN, NULL, &match) == EK_OK);
+        CHECK(ek_slam_match(&slam, &slam.map_index, ORIGIN, NULL, 0, &match) == EK_OK);
         CHECK(match.inliers == (int32_t)(POINTS - off) && slam.tried == (off == 13u));
     }
     free(arena.memory);
@@ -161,7 +161,7 @@ static void without_odometry_the_map_is_tried_from_the_prediction(void)
             slam.usual_error = EK_R(0.0);
             slam.tried = tried;
             slam.parameters.matcher.min_pairs = 1000; /* each match ends where it began */
-            CHECK(ek_slam_match(&slam, &slam.map_index, guess, &predicted, &match) == EK_OK);
+            CHECK(ek_slam_match(&slam, &slam.map_index, guess, &predicted, 0, &match) == EK_OK);
             CHECK(slam.tried == (tried || by_prediction)); /* the truth fits */
             const ek_pose expected = tried || !by_prediction ? truth : off;
             CHECK_NEAR(match.target_from_source.x, expected.x, 1e-5);
