@@ -34,7 +34,7 @@ public:
             return status != EK_OK || tiles == 0
                        ? status
                        : ek_table_init(&table_, arena, &index_, natural(tiles), blocks_per_tile * natural(tiles));
-        });
+        }, tiles != 0);
         require(ek_index_build(&index_, start_of(points), points.shape(0)), "target");
         if (neighbours != 0) {
             normals_.resize(2 * room);
