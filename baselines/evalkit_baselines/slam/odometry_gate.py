@@ -13,6 +13,7 @@ from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.plugins.protocols import Registration
+from evalkit_baselines.slam.second_try import MIN_SHARE, UNUSUAL
 
 UNLIKELY = 20.0
 """Times the usual gap between match and odometry (m, rad): a match that is farther from its guess is not believed."""
@@ -27,6 +28,10 @@ scans wheels slip less, and clocks that do not agree turn less; the loop closure
 CLEAR_M, CLEAR_SHARE = 0.04, 0.9
 """Unless it has converged to a smaller error with this share of the points paired."""
 
+POOR_SHARE = 0.5
+"""A match of ``UNUSUAL`` times the usual error with pairs for less than ``MIN_SHARE`` of the points is believed only so
+many times as near."""
+
 MIN_POINTS = 40
 """Where the odometry is good enough for a limit below ``WIDE``, a match of a scan with fewer points is not believed."""
 
@@ -38,10 +43,15 @@ class OdometryGate:
     icp: Registration
     _is_measured: bool = False
     _limit: tuple[float, float] = WIDE
+    _poor_m: float = math.inf
 
-    def begin_scan(self, step: Pose | None, usual_gap: tuple[float, float] | None) -> None:
-        """Give the motion since the last scan by wheel odometry, if measured, and the usual gap (m, rad), if known."""
+    def begin_scan(self, step: Pose | None, usual_gap: tuple[float, float] | None, usual_m: float = 0.0) -> None:
+        """Give the motion since the last scan by wheel odometry, if measured, and what is usual.
+
+        ``usual_gap``: of matches to the odometry (m, rad), None: unknown; ``usual_m``: error of matches, 0: unknown.
+        """
         self._is_measured = step is not None
+        self._poor_m = UNUSUAL * usual_m if usual_m > 0.0 else math.inf
         self._limit = WIDE
         if step is not None and usual_gap is not None:
             moved = math.hypot(step.x, step.y), abs(step.theta)
@@ -57,7 +67,9 @@ class OdometryGate:
         if not self._is_measured:
             return match
         gap, (most_m, most_rad) = guess.inverse() @ match.target_from_source, self._limit
-        far = math.hypot(gap.x, gap.y) > most_m or abs(gap.theta) > most_rad
+        poor = match.error > self._poor_m and match.inliers < MIN_SHARE * len(source)
+        share = POOR_SHARE if poor else 1.0
+        far = math.hypot(gap.x, gap.y) > share * most_m or abs(gap.theta) > share * most_rad
         clear = match.converged and match.error < CLEAR_M and match.inliers >= CLEAR_SHARE * len(source)
         few = most_m < WIDE[0] and len(source) < MIN_POINTS
         return match if not few and (clear or not far) else replace(match, target_from_source=guess, inliers=0)

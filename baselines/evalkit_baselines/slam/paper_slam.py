@@ -132,7 +132,7 @@ class PaperSlam:
         frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         step = Pose.of(self._odom_from_base[-1]).inverse() @ predicted if measured else None
-        self._gate.begin_scan(step, self._doubt.usual_gap)
+        self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m)
         self._tries.begin_scan(self._doubt.usual_m, None if measured else predicted)
         matched = self._front.match(frame)
         estimate, points, pose = matched.estimate, matched.source.points, matched.start_from_points

@@ -16,11 +16,11 @@ GUESS = Pose(1.0, -2.0, 0.5)
 class Answers:
     """A registration that answers a fixed motion from its guess, with a fixed error."""
 
-    def __init__(self, gap, error_m=0.1):
-        self.gap, self.error_m = gap, error_m
+    def __init__(self, gap, error_m=0.1, paired=1.0):
+        self.gap, self.error_m, self.paired = gap, error_m, paired
 
     def register(self, target, source, guess):
-        return Match(guess @ self.gap, True, 3, self.error_m, len(source))
+        return Match(guess @ self.gap, True, 3, self.error_m, round(self.paired * len(source)))
 
 
 @pytest.mark.parametrize("usual_gap", [None, (1.0, 1.0), (0.0, 0.0)])
@@ -61,6 +61,23 @@ def test_answers_up_to_twenty_times_the_usual_gap_or_a_quarter_of_the_step_are_b
     step = Pose(0.0, 0.0, 0.0) if usual else Pose(0.24, -0.32, -0.2)  # with good odometry, 0.1 m and 0.05 rad more
     gate.begin_scan(step, (usual, usual))
     cloud = Cloud(np.ones((MIN_POINTS, 2)))
+    assert (gate.register(cloud, cloud, GUESS).inliers > 0) == is_believed
+
+
+@pytest.mark.parametrize(
+    ("x_m", "error_m", "paired", "is_believed"),
+    [
+        (0.24, 0.09, 0.79, True),
+        (0.26, 0.09, 0.79, False),
+        (0.49, 0.07, 0.79, True),
+        (0.49, 0.09, 0.8, True),
+        (0.51, 0.07, 0.79, False),
+    ],
+)
+def test_an_answer_that_fits_poorly_must_be_half_as_far(x_m, error_m, paired, is_believed):
+    gate = OdometryGate(Answers(Pose(x_m, 0.0, 0.0), error_m, paired))
+    gate.begin_scan(Pose(0.0, 0.0, 0.0), None, 0.02)  # four times this
+    cloud = Cloud(np.ones((100, 2)))
     assert (gate.register(cloud, cloud, GUESS).inliers > 0) == is_believed
 
 

@@ -23,6 +23,7 @@
 #define NEAREST EK_R(0.3)    /* m, and 20 deg, and STEP_SHARE of the step: nearer than this it is, beyond FARTHEST it is not, */
 #define NEAREST_THETA (EK_R(20.0) * EK_PI / EK_R(180.0))
 #define STEP_SHARE EK_R(0.25)
+#define POOR_SHARE EK_R(0.5) /* so many times as near for a match of UNUSUAL times the usual error with pairs for less than MIN_SHARE */
 #define CLEAR EK_R(0.04)     /* m: unless it has converged to a smaller error with CLEAR_SHARE of the points in pairs */
 #define CLEAR_SHARE EK_R(0.9)
 #define USUAL_COUNT 50u      /* scans over which the usual error of matches, and gap to the odometry, are averaged */
@@ -222,7 +223,7 @@ static ek_real limit_of(ek_real usual, ek_real least, ek_real most)
 
 ek_gate ek_slam_gate(const ek_slam *slam, int measured, ek_pose step)
 {
-    ek_gate gate = {measured, FARTHEST, FARTHEST_THETA};
+    ek_gate gate = {measured, FARTHEST, FARTHEST_THETA, UNUSUAL * slam->usual_error};
     if (slam->compared >= USUAL_COUNT) {
         const ek_real length = EK_SQRT(step.x * step.x + step.y * step.y), turn = EK_FABS(step.theta);
         gate.metres = limit_of(slam->usual_gap, NEAREST + STEP_SHARE * length, FARTHEST);
@@ -234,7 +235,10 @@ ek_gate ek_slam_gate(const ek_slam *slam, int measured, ek_pose step)
 int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_pose answer, const ek_match *match)
 {
     const ek_pose gap = ek_se2_between(guess, answer);
-    const int far = gap.x * gap.x + gap.y * gap.y > gate->metres * gate->metres || EK_FABS(gap.theta) > gate->theta;
+    const int few_pairs = (ek_real)match->inliers < MIN_SHARE * (ek_real)points;
+    const int poor = few_pairs && gate->poor > EK_R(0.0) && match->error > gate->poor;
+    const ek_real metres = poor ? POOR_SHARE * gate->metres : gate->metres, theta = poor ? POOR_SHARE * gate->theta : gate->theta;
+    const int far = gap.x * gap.x + gap.y * gap.y > metres * metres || EK_FABS(gap.theta) > theta;
     const int clear = match->converged && match->error < CLEAR &&
                       (ek_real)match->inliers >= CLEAR_SHARE * (ek_real)points;
     const int few = gate->metres < FARTHEST && points < FEWEST;

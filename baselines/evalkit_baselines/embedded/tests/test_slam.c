@@ -346,6 +346,7 @@ static void a_match_far_from_the_odometry_must_be_clear(void)
         const ek_pose answer = pose_of(cases[k].x, cases[k].y, cases[k].turn_deg * (double)EK_PI / 180.0);
         const ek_match match = {answer, cases[k].converged, 5, cases[k].inliers, EK_R(cases[k].error), 0u};
         const ek_pose guess = pose_of(0.0, 0.0, 0.0);
+        slam.usual_error = EK_R(0.0);
         for (size_t known = 0; known < 4u; known++) { /* good odometry; nothing known; bad odometry; none */
             slam.compared = known == 1u ? 49u : 50u;
             slam.usual_gap = slam.usual_turn = known == 2u ? EK_R(1.0) : EK_R(0.0);
@@ -356,12 +357,32 @@ static void a_match_far_from_the_odometry_must_be_clear(void)
     }
 }
 
+/* Half as far: a match of more than four times the usual error, 0.02 m, with pairs for less than 80 of 100 points. */
+static void a_match_that_fits_poorly_must_be_nearer_to_the_odometry(void)
+{
+    static const struct {
+        double x, turn_deg, error;
+        int32_t inliers, believed;
+    } cases[] = {{0.24, 17.9, 0.09, 79, 1}, {0.26, 0.0, 0.09, 79, 0}, {0.0, 18.1, 0.09, 79, 0},
+                 {0.49, 35.9, 0.07, 79, 1}, {0.49, 35.9, 0.09, 80, 1}, {0.51, 0.0, 0.07, 79, 0}};
+    slam.compared = 0u;
+    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+        const ek_pose answer = pose_of(cases[k].x, 0.0, cases[k].turn_deg * (double)EK_PI / 180.0), guess = pose_of(0.0, 0.0, 0.0);
+        const ek_match match = {answer, 1, 5, cases[k].inliers, EK_R(cases[k].error), 0u};
+        slam.usual_error = EK_R(0.02);
+        const ek_gate gate = ek_slam_gate(&slam, 1, guess);
+        CHECK(ek_slam_is_believed(&gate, 100u, guess, answer, &match) == cases[k].believed);
+    }
+    slam.usual_error = EK_R(0.0);
+}
+
 /* Usually 0.02 m and 0.02 rad from the odometry, or beside good odometry after a step of 0.4 m and 0.2 rad: 0.4 m and 0.4 rad are
  * believed, and more is not. */
 static void a_match_is_believed_up_to_twenty_times_its_usual_distance_or_a_quarter_of_the_step(void)
 {
     static const double gaps[][3] = {{0.39, 0.39, 1.0}, {0.41, 0.0, 0.0}, {0.0, 0.41, 0.0}};
     slam.compared = 50u;
+    slam.usual_error = EK_R(0.0);
     for (size_t k = 0; k < 6u; k++) {
         slam.usual_gap = slam.usual_turn = k < 3u ? EK_R(0.02) : EK_R(0.0);
         const ek_gate gate = ek_slam_gate(&slam, 1, k < 3u ? pose_of(0.0, 0.0, 0.0) : pose_of(0.24, -0.32, -0.2));
@@ -1097,6 +1118,7 @@ int main(void)
     a_step_is_doubted_where_its_matches_are_far_from_the_odometry();
     a_match_far_from_the_odometry_must_be_clear();
     a_match_is_believed_up_to_twenty_times_its_usual_distance_or_a_quarter_of_the_step();
+    a_match_that_fits_poorly_must_be_nearer_to_the_odometry();
     the_gate_believes_the_odometry_before_few_points();
     a_lost_robot_is_looked_for_at_all_places_in_turn();
     after_a_step_of_the_wheels_alone_five_turns_look_at_four_kinds_of_places();
