@@ -120,9 +120,10 @@ class Cloud:
             row = int(np.argmax(~np.isfinite(self.points).all(axis=1)))
             raise ValueError(f"points: not finite at row {row}: {self.points[row].tolist()}")
         if self.support is not None:
-            freeze(self, "support", self.support, (len(self.points),), np.int64)
-            if (self.support < 1).any():
-                raise ValueError(f"support: expected 1 or more, got {self.support.min()}")
+            given = np.asarray(self.support)
+            freeze(self, "support", given, (len(self.points),), np.int64)
+            if (self.support < 1).any() or (self.support != given).any():
+                raise ValueError(f"support: expected whole numbers from 1 on, got {given.min()} to {given.max()}")
 
     def __len__(self) -> int:
         return len(self.points)

@@ -342,7 +342,9 @@ def test_the_pipeline_follows_a_sequence_like_the_reference_behind_the_front_end
 
 
 @needs_core
-@pytest.mark.parametrize("settings", [{}, {"local_map": "keyframes", "local_map_voxel_m": 0.0, "keyframes": 3}])
+@pytest.mark.parametrize(
+    "settings", [{}, {"share_noise": True}, {"local_map": "keyframes", "local_map_voxel_m": 0.0, "keyframes": 3}]
+)
 def test_the_pipeline_of_lines_follows_a_sequence_like_paper_map_line(settings):
     complete = frontend.complete_parameters("paper-map-line", paper.MAP_LINE, settings | {"local_map_radius_m": 5.0})
     twin, pipeline = (

@@ -68,7 +68,9 @@ class CompiledIcp:
     def _index(self, target: Cloud, conversion: Stopwatch) -> Any:
         with conversion:
             points = to_real(target.points, self._core)
-            support = None if target.support is None else target.support.astype(np.uint32)
+            support = target.support
+            if support is not None:  # the core has 32 bits, and counts no more than this
+                support = np.minimum(support, icp.MAX_SUPPORT).astype(np.uint32)
         return self._core.Index(points, self._neighbours, support=support)
 
     def _iteration(self, error: float, inliers: int, row: tuple[float, float, float], pairs: Any) -> Iteration:

@@ -29,8 +29,8 @@ CLEAR_M, CLEAR_SHARE = 0.04, 0.9
 """Unless it has converged to a smaller error with this share of the points paired."""
 
 POOR_SHARE = 0.5
-"""A match of ``UNUSUAL`` times the usual error with pairs for less than ``MIN_SHARE`` of the points is believed only so
-many times as near."""
+"""Both limits are multiplied by this where a match has ``UNUSUAL`` times the usual error and pairs for less than
+``MIN_SHARE`` of the points."""
 
 MIN_POINTS = 40
 """Where the odometry is good enough for a limit below ``WIDE``, a match of a scan with fewer points is not believed."""

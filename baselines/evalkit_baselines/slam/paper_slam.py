@@ -1,7 +1,7 @@
 """``paper-slam``: the paper's ICP against a lasting map, with loop closure and a pose graph.
 
-The front end is evalkit's, with the settings of ``paper-map-line``; ``matcher`` selects the ICP in C99 or in NumPy,
-which answer the same. A loop closure corrects all keyframes and redraws the map around the robot.
+The front end is evalkit's, with the settings of ``paper-map-line`` and ``share_noise``; ``matcher`` selects the ICP in
+C99 or in NumPy, which answer the same. A loop closure corrects all keyframes and redraws the map around the robot.
 """
 
 from __future__ import annotations

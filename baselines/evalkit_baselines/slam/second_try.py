@@ -40,11 +40,15 @@ CLOSE_M = 0.1
 in proportion to how much nearer it is. A wrong pose has many points near the map and few on it."""
 
 COARSE_POINTS, FINE_ITERATIONS = 200, 5
-"""A scan of twice as many points or more is matched first with every n-th of them, then with all, in few iterations and
-with near pairs: a point beyond the end of the map would be paired with that end, and pull the scan back."""
+"""A scan of twice as many points or more is matched first with every n-th of them, and with the map then with all, in
+few iterations and with near pairs: a point beyond the end of the map would be paired with that end, and pull the scan
+back."""
 
 TRIED_POINTS = 100
 """The same for the further tries: the best of them is matched to the end."""
+
+MIN_PAIRS = 10
+"""A part with fewer pairs than the front end asks of a scan is not counted as all points."""
 
 PART_ITERATIONS = 20
 """Largest number of iterations with a part of a scan."""
@@ -65,10 +69,12 @@ class Coarse:
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
-        part = take_part(source, COARSE_POINTS)
-        if part is source:
+        if not is_large(source):
             return self.whole.register(target, source, guess)
+        part = take_part(source, COARSE_POINTS)
         match = self.coarse.register(target, part, guess)
+        if match.inliers < MIN_PAIRS:
+            return match
         return replace(match, inliers=match.inliers * len(source) // len(part))
 
 
@@ -82,9 +88,7 @@ class CoarseToFine:
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
         match = self.coarse.register(target, source, guess)
-        if take_part(source, COARSE_POINTS) is source:
-            return match
-        return self.fine.register(target, source, match.target_from_source)
+        return self.fine.register(target, source, match.target_from_source) if is_large(source) else match
 
 
 @dataclass
@@ -146,6 +150,11 @@ class SecondTry:
             if rate > most and _is_close(starts[0], answer):
                 best, most = answer, rate
         return best
+
+
+def is_large(cloud: Cloud) -> bool:
+    """Return whether a scan is matched with a part of its points first."""
+    return len(cloud) >= 2 * COARSE_POINTS
 
 
 def take_part(cloud: Cloud, enough: int) -> Cloud:

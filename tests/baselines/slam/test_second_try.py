@@ -169,6 +169,8 @@ def test_the_pairs_of_a_part_count_as_those_of_all_points():
     icp = Coarse(whole, coarse)
     assert icp.register(CORNER, Cloud(np.zeros((1000, 2))), Pose()).inliers == 750  # of 200 points
     assert icp.register(CORNER, CORNER, Pose()).inliers == 160
+    few = Coarse(whole, Answer(Pose(), 0.2, inliers=9))  # not 45: the front end would accept them
+    assert few.register(CORNER, Cloud(np.zeros((1000, 2))), Pose()).inliers == 9
 
 
 def test_the_match_with_the_scan_before_has_registrations_of_its_own():

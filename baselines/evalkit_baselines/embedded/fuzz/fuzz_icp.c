@@ -106,7 +106,12 @@ static void ask(ek_icp *icp, ek_index *index, const clouds *known, ek_input *inp
     parameters.cauchy = parameters.metric ? take_real(input) : EK_R(0.0);
     const ek_pose guess = take_pose(input);
     ek_real normals[2u * MAX_COUNT];
+    uint32_t support[MAX_COUNT];
     compute_normals(index, input, normals);
+    for (size_t i = 0; i < known->targets && i < MAX_COUNT; i++) {
+        support[i] = 1u + take_byte(input);
+    }
+    index->support = metric & 64u ? support : NULL;
     ek_match match, again;
     memset(&match, 0xA5, sizeof match);
     again = match;

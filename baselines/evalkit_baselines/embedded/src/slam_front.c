@@ -13,7 +13,7 @@
 #define NEAR EK_R(0.15)      /* m: of several answers, the one with most points within it is taken, */
 #define CLOSE EK_R(0.1)      /* m: or, on the map without odometry, the one that lies most closely on it, up to here */
 #define COARSE_POINTS 200u   /* a scan of twice as many points or more is matched first with every n-th of them, */
-#define FINE_ITERATIONS 5    /* then with all */
+#define FINE_ITERATIONS 5    /* then, with the map, with all */
 #define TRIED_POINTS 100u    /* the same for the further tries: the best of them is matched to the end */
 #define PART_ITERATIONS 20   /* with a part of a scan */
 #define FARTHEST EK_R(0.5)   /* m, and 36 deg: a further try that ends farther from the guess does not count */
@@ -23,7 +23,7 @@
 #define NEAREST EK_R(0.3)    /* m, and 20 deg, and STEP_SHARE of the step: nearer than this it is, beyond FARTHEST it is not, */
 #define NEAREST_THETA (EK_R(20.0) * EK_PI / EK_R(180.0))
 #define STEP_SHARE EK_R(0.25)
-#define POOR_SHARE EK_R(0.5) /* so many times as near for a match of UNUSUAL times the usual error with pairs for less than MIN_SHARE */
+#define POOR_SHARE EK_R(0.5) /* its limits are multiplied by this where a match has UNUSUAL times the usual error and pairs for less than MIN_SHARE */
 #define CLEAR EK_R(0.04)     /* m: unless it has converged to a smaller error with CLEAR_SHARE of the points in pairs */
 #define CLEAR_SHARE EK_R(0.9)
 #define USUAL_COUNT 50u      /* scans over which the usual error of matches, and gap to the odometry, are averaged */
@@ -142,7 +142,7 @@ static ek_status match_points(ek_slam *slam, const ek_index *target, const ek_re
 }
 
 /* Match a part of a large scan, then, unless the part suffices, all of it with near pairs: points beyond the end of the map
- * have none. Where the part suffices, its share of pairs is taken for that of all points. */
+ * have none. Where the part suffices and has enough pairs, its share of pairs is taken for that of all points. */
 static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_pose guess,
                                       const ek_icp_parameters *parameters, int part_suffices, ek_match *match)
 {
@@ -154,7 +154,8 @@ static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_
     }
     ek_status status = match_points(slam, target, slam->moved, count, guess, &coarse, match);
     if (status == EK_OK && large && part_suffices) {
-        match->inliers = (int32_t)((uint64_t)match->inliers * slam->scan.count / count);
+        const int enough = match->inliers >= slam->parameters.min_inliers;
+        match->inliers = enough ? (int32_t)((uint64_t)match->inliers * slam->scan.count / count) : match->inliers;
     } else if (status == EK_OK && large) {
         limit_iterations(&fine, FINE_ITERATIONS);
         fine.max_correspondence = slam->parameters.fine_correspondence;

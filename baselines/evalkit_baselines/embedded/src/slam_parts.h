@@ -40,7 +40,7 @@ void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *o
  * match with the map, without odometry, the pose at constant velocity, else NULL. Where the match with the scan before was
  * tried again, one of more than twice the usual error is too, from headings at `predicted` and from `guess`. `part_suffices`:
  * of the match with the scan before, whose answer is only where that with the map begins: a part of a large scan is matched,
- * and its pairs are counted as those of all points. */
+ * and its pairs, if enough, are counted as those of all points. */
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,
                         ek_match *match);
 

@@ -133,6 +133,7 @@ static void a_registration_is_the_same(uint64_t *seed, int lattice)
         parameters.error_before = turn % 5 == 0;
         parameters.max_correspondence = turn % 7 == 6 ? EK_R(0.0) : EK_R(0.3);
         parameters.metric = turn % 4 < 2 ? EK_METRIC_POINT : EK_METRIC_LINE;
+        parameters.share_noise = turn % 4 == 3;
         icp.wide = turn % 3 != 1 && ek_is_wide();
         icp.grouped = EK_GROUPED;
         in_groups.iterations = singly.iterations = 0u;

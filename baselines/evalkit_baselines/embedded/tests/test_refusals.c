@@ -611,13 +611,14 @@ static void of_defaults(void)
         CHECK_NEAR(numbers[k].found, numbers[k].expected, 1e-7 * fabs(numbers[k].expected));
     }
     CHECK(match.max_iterations == 40 && match.min_pairs == 3 && match.one_to_one == 1 && match.error_before == 0);
-    CHECK(match.error == EK_ERROR_MEAN && match.metric == EK_METRIC_POINT);
+    CHECK(match.error == EK_ERROR_MEAN && match.metric == EK_METRIC_POINT && match.share_noise == 0);
     CHECK(front.use_scan_to_scan == 1 && front.use_scan_to_map == 1 && front.min_inliers == 10);
     CHECK(front.keyframes == 10u && front.points == 2048u && front.cells == 0u && front.neighbours == 8u);
     CHECK(front.voxels == 16384u && pipeline.deskew == 1 && pipeline.map == 1);
     CHECK(map.columns == 1024u && map.rows == 1024u && map.left == -512 && map.bottom == -512);
     CHECK(map.rolling == 0 && map.polygon == 0);
     CHECK(whole.matcher.one_to_one == 0 && whole.matcher.metric == EK_METRIC_LINE && whole.min_inliers == 10);
+    CHECK(whole.matcher.share_noise == 1);
     CHECK(whole.deskew == 1 && whole.use_odometry == 1 && whole.work == 200000 && whole.points == 2048u);
     CHECK(whole.keyframes == 2000u && whole.keyframe_points == 1000000u && whole.loops == 64u && whole.records == 512u);
     CHECK(whole.voxels == 16384u && whole.map_points == 12288u && whole.loop_points == 16384u);

@@ -1033,6 +1033,10 @@ static void a_large_scan_is_matched_whole_after_a_part_of_it(void)
     slam.matching = 0u;
     CHECK(ek_slam_match(&slam, &slam.map_index, guess, NULL, 1, &match) == EK_OK);
     CHECK(slam.matching < matched_whole && (size_t)match.inliers > 2u * once * 9u / 10u); /* those of the part, times two */
+    const int32_t of_part = slam.parameters.min_inliers;
+    slam.parameters.min_inliers = 1000; /* too few of the part: not counted as more */
+    CHECK(ek_slam_match(&slam, &slam.map_index, guess, NULL, 1, &match) == EK_OK && (size_t)match.inliers <= once);
+    slam.parameters.min_inliers = of_part;
     free(arena.memory);
 }
 

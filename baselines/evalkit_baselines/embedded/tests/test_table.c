@@ -119,6 +119,7 @@ static void a_registration_is_the_same_to_the_bit(uint64_t *seed)
         parameters.one_to_one = turn % 2;
         parameters.error_before = turn % 3 == 0;
         parameters.metric = turn % 4 < 2 ? EK_METRIC_POINT : EK_METRIC_LINE;
+        parameters.share_noise = turn % 4 == 3;
         icp.wide = ek_is_wide();
         CHECK(ek_icp_register(&icp, &kept, source, PLACES, guess, &parameters, NULL, NULL, &with) == EK_OK);
         icp.wide = 0; /* loops without AVX2 */

@@ -78,7 +78,7 @@ typedef struct {
     uint32_t *slots;        /* their slots in the index; 0 and EK_FAR away or farther: none */
     uint32_t *nearest;      /* slot in the index, or `targets` */
     uint32_t *stale;        /* points to search for */
-    uint32_t *owner;        /* slot (and one for none) -> the closest source point */
+    uint32_t *owner;        /* slot (and one for none) -> the closest source point; then the number of pairs */
     uint32_t *pair_source, *pair_target; /* pairs of a trace; pair_source also: blocks of a table to search in */
 } ek_icp;
 

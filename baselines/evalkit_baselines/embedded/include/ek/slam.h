@@ -86,7 +86,7 @@ typedef struct {
 typedef struct {
     int32_t measured;      /* 0: the guess is none of wheel odometry */
     ek_real metres, theta; /* m, rad */
-    ek_real poor;          /* m: a match with a larger error and few pairs may be half as far; 0: unknown */
+    ek_real poor;          /* m: a match with a larger error and few pairs may be at most half as far; 0: unknown */
 } ek_gate;
 
 typedef struct {

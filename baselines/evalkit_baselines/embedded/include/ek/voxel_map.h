@@ -47,7 +47,7 @@ void ek_voxel_map_add(ek_voxel_map *map, ek_thinner *thinner, const ek_real *xy,
                       ek_real *moved, ek_real *sums, uint32_t *counts, ek_work *work);
 
 /* Write the means within a radius (m) of a place, at most `capacity` pairs, and the number of points of each (`points`; NULL:
- * not wanted); returns how many they are. 1 operation a voxel. */
+ * not wanted); returns the number of means. 1 operation a voxel. */
 size_t ek_voxel_map_cloud(const ek_voxel_map *map, ek_real x, ek_real y, ek_real radius, ek_real *means, uint32_t *points,
                           size_t capacity, ek_work *work);
 
