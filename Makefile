@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHON
 unexport PYTHONDONTWRITEBYTECODE  # each run starts processes; without bytecode every one compiles evalkit again
 
-.PHONY: help install report report-quick system test test-all check bench faults soak mutation coverage core-coverage planted paper paper-quick metric-validation calibrate map-fit tune schema docs fuzz clean distclean
+.PHONY: help install report report-quick system test test-all check check-style check-mypy check-pyright check-imports bench faults soak mutation coverage core-coverage planted paper paper-quick metric-validation calibrate map-fit tune schema docs fuzz clean distclean
 
 help:  ## print this list
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -38,11 +38,19 @@ test-all: $(VENV)/test  ## run the tests with every case of the exhaustive ones,
 	@.ci/system-packages open3d browser
 	EVALKIT_DOCUMENTATION_LONG=1 $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations=30 -m ''
 
-check: $(VENV)/dev  ## check style, formatting, types and import layers
+check: check-style check-mypy check-pyright check-imports  ## check style, formatting, types and import layers
+
+check-style: $(VENV)/dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+
+check-mypy: $(VENV)/dev
 	$(BIN)/mypy
+
+check-pyright: $(VENV)/dev
 	$(BIN)/pyright
+
+check-imports: $(VENV)/dev
 	$(BIN)/lint-imports --no-cache
 
 bench: $(VENV)/evalkit  ## run every benchmark and print each figure beside its aim
