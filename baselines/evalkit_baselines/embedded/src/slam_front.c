@@ -238,7 +238,7 @@ int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_po
     const ek_pose gap = ek_se2_between(guess, answer);
     const int few_pairs = (ek_real)match->inliers < MIN_SHARE * (ek_real)points;
     const int poor = few_pairs && gate->poor > EK_R(0.0) && match->error > gate->poor;
-    const ek_real metres = poor ? POOR_SHARE * gate->metres : gate->metres, theta = poor ? POOR_SHARE * gate->theta : gate->theta;
+    const ek_real share = poor ? POOR_SHARE : EK_R(1.0), metres = share * gate->metres, theta = share * gate->theta;
     const int far = gap.x * gap.x + gap.y * gap.y > metres * metres || EK_FABS(gap.theta) > theta;
     const int clear = match->converged && match->error < CLEAR &&
                       (ek_real)match->inliers >= CLEAR_SHARE * (ek_real)points;

@@ -35,8 +35,8 @@ ek_real ek_fit_sum(const ek_real *weight, const ek_real *distance, size_t padded
 ek_pose ek_fit_points(const ek_pairs *pairs, ek_real ox, ek_real oy);
 
 /* The motion that minimises the squared distances of the source points to the lines, linearised once in theta. Pairs
- * weigh 1 / (1 + (distance / cauchy)^2), or the same where cauchy (m) is 0, each multiplied by its share. Nothing moves in a direction that the lines do not
- * constrain. Sums are taken relative to (ox, oy). */
+ * weigh 1 / (1 + (distance / cauchy)^2), or the same where cauchy (m) is 0, each multiplied by its share. Nothing moves in
+ * a direction that the lines do not constrain. Sums are taken relative to (ox, oy). */
 ek_pose ek_fit_lines(const ek_pairs *pairs, ek_real cauchy, ek_real ox, ek_real oy);
 
 #ifdef __cplusplus
