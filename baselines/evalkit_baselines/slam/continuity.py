@@ -22,6 +22,9 @@ MIN_POINTS = 20
 """Scans of fewer points, after thinning, are not compared."""
 
 _VOXEL_M = 0.1
+_SAMPLES = 200
+"""Points that are compared: every n-th, so that so many are left, and less than twice as many."""
+
 _GAP_RAD = np.radians(5.0)
 """A direction farther than this from every point of a scan was not seen."""
 
@@ -53,10 +56,11 @@ class Continuity:
         before, sensor = self._before, self._sensor
         if self._now is None or before is None:
             return False
-        seen = moved[_could_see(sensor.inverse().transform(before), sensor.inverse().transform(moved))]
-        if len(seen) < MIN_POINTS:
+        every = max(len(moved) // _SAMPLES, 1)
+        asked = moved[::every]
+        seen = asked[_could_see(sensor.inverse().transform(before), sensor.inverse().transform(asked))]
+        if len(seen) * every < MIN_POINTS:
             return not has_odometry
-        seen = seen[:: max(len(seen) // 100, 1)]
         distance, _ = cKDTree(before).query(seen, distance_upper_bound=NEAR_M)
         on_before = np.isfinite(np.asarray(distance))
         if not has_odometry or on_before.mean() >= MIN_SHARE:

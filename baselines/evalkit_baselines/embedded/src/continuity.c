@@ -5,10 +5,9 @@
 #define NEAR EK_R(0.25) /* m: a point within it lies on the scan before; as in the reference, like the others */
 #define MIN_SHARE EK_R(0.7)
 #define MIN_POINTS 20u
-#define VOXEL EK_R(0.1)
 #define GAP (EK_R(5.0) * EK_PI / EK_R(180.0))
 #define BEHIND EK_R(0.5) /* m */
-#define SAMPLES 100u
+#define SAMPLES 200u   /* points that are asked: every n-th, so that so many are left, and less than twice as many */
 #define POINT_WORK 50u /* operations: sort, search of a ray, share of the index */
 #define CELLS_PER_POINT 16u
 #define MAX_CELLS ((size_t)1 << 16)
@@ -23,7 +22,6 @@ ek_status ek_continuity_init(ek_continuity *continuity, ek_arena *arena, size_t 
     const ek_status status = ek_index_init(&continuity->before, arena, capacity, cells);
     continuity->ray = (ek_view_ray *)ek_arena_alloc(arena, capacity, sizeof(ek_view_ray));
     continuity->other = (ek_view_ray *)ek_arena_alloc(arena, capacity, sizeof(ek_view_ray));
-    continuity->thinned = (ek_real *)ek_arena_alloc(arena, capacity, 2u * sizeof(ek_real));
     continuity->moved = (ek_real *)ek_arena_alloc(arena, capacity, 2u * sizeof(ek_real));
     continuity->seen = (uint32_t *)ek_arena_alloc(arena, capacity, sizeof(uint32_t));
     return status;
@@ -82,12 +80,12 @@ static ek_view_ray nearest_ray(const ek_continuity *continuity, ek_real bearing,
     return before < after ? left : right;
 }
 
-/* Select the points that the scan before could see; returns their number. */
-static size_t select_seen(ek_continuity *continuity, size_t count)
+/* Select of every n-th point those that the scan before could see; returns their number. */
+static size_t select_seen(ek_continuity *continuity, size_t count, uint32_t every)
 {
     const ek_pose world_from_sensor = continuity->sensor;
     size_t seen = 0u;
-    for (uint32_t i = 0; i < count; i++) {
+    for (uint32_t i = 0; i < count; i += every) {
         const ek_real *const point = continuity->moved + 2u * (size_t)i;
         const ek_pose at = {point[0], point[1], EK_R(0.0)};
         const ek_pose view = ek_se2_between(world_from_sensor, at);
@@ -100,54 +98,50 @@ static size_t select_seen(ek_continuity *continuity, size_t count)
     return seen;
 }
 
-/* Share of the selected points that lie on the scan before, or on the map if there is one; about a hundred of them are
- * searched. */
+/* Share of the selected points that lie on the scan before, or on the map if there is one. */
 static ek_real share_on_scan(const ek_continuity *continuity, size_t seen, const ek_index *map)
 {
-    const size_t every = seen / SAMPLES > 1u ? seen / SAMPLES : 1u;
-    size_t on = 0u, asked = 0u;
-    for (size_t k = 0; k < seen; k += every) {
+    size_t on = 0u;
+    for (size_t k = 0; k < seen; k++) {
         const ek_real *const point = continuity->moved + 2u * (size_t)continuity->seen[k];
         on += ek_index_nearest(&continuity->before, point[0], point[1], NEAR, NEAR).slot != EK_NONE ||
               (map && ek_index_nearest(map, point[0], point[1], NEAR, NEAR).slot != EK_NONE);
-        asked++;
     }
-    return (ek_real)on / (ek_real)asked;
+    return (ek_real)on / (ek_real)seen;
 }
 
-int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const ek_real *xy, size_t count,
-                          ek_pose odom_from_base, ek_pose base_from_sensor, int has_odometry, const ek_index *map, ek_work *work)
+int ek_continuity_is_lost(ek_continuity *continuity, const ek_real *xy, size_t count, ek_pose odom_from_base,
+                          ek_pose base_from_sensor, int has_odometry, const ek_index *map, ek_work *work)
 {
-    const size_t cells = ek_thin(thinner, xy, count, VOXEL, continuity->thinned, work);
-    continuity->now = cells < MIN_POINTS ? 0u : cells;
-    continuity->now_odom_from_base = odom_from_base;
-    continuity->now_base_from_sensor = base_from_sensor;
-    if (cells < MIN_POINTS) {
+    const uint32_t every = count / SAMPLES > 1u ? (uint32_t)(count / SAMPLES) : 1u;
+    continuity->now = count < MIN_POINTS ? 0u : count;
+    continuity->now_sensor = ek_se2_compose(odom_from_base, base_from_sensor);
+    if (count < MIN_POINTS) {
         return 0;
     }
     int lost = 0;
-    transform(odom_from_base, continuity->thinned, cells, continuity->moved);
+    transform(odom_from_base, xy, count, continuity->moved);
     if (continuity->started) {
-        const size_t seen = select_seen(continuity, cells);
-        lost = seen < MIN_POINTS ? !has_odometry : share_on_scan(continuity, seen, NULL) < MIN_SHARE;
-        lost = lost && seen >= MIN_POINTS && has_odometry ? share_on_scan(continuity, seen, map) < MIN_SHARE : lost;
+        const size_t seen = select_seen(continuity, count, every);
+        const int enough = seen * every >= MIN_POINTS;
+        lost = enough ? share_on_scan(continuity, seen, NULL) < MIN_SHARE : !has_odometry;
+        lost = lost && enough && has_odometry ? share_on_scan(continuity, seen, map) < MIN_SHARE : lost;
     }
-    ek_work_spend(work, POINT_WORK * (uint64_t)cells);
+    ek_work_spend(work, POINT_WORK * (uint64_t)count);
     return lost;
 }
 
 void ek_continuity_keep(ek_continuity *continuity)
 {
-    const ek_pose sensor_from_base = ek_se2_inverse(continuity->now_base_from_sensor);
     const size_t count = continuity->now;
     if (count == 0u) {
         return;
     }
-    continuity->sensor = ek_se2_compose(continuity->now_odom_from_base, continuity->now_base_from_sensor);
+    continuity->sensor = continuity->now_sensor;
     continuity->started = ek_index_build(&continuity->before, continuity->moved, count) == EK_OK;
-    transform(sensor_from_base, continuity->thinned, count, continuity->thinned);
+    transform(ek_se2_inverse(continuity->sensor), continuity->moved, count, continuity->moved);
     for (size_t i = 0; i < count; i++) {
-        const ek_real x = continuity->thinned[2u * i], y = continuity->thinned[2u * i + 1u];
+        const ek_real x = continuity->moved[2u * i], y = continuity->moved[2u * i + 1u];
         continuity->ray[i].bearing = EK_ATAN2(y, x);
         continuity->ray[i].range = EK_SQRT(x * x + y * y);
     }

@@ -7,7 +7,9 @@
 #define SEEING EK_R(0.065)
 #define VOXEL EK_R(0.1)
 #define NEIGHBOURS 8u
-#define NORMAL_WORK 160u /* operations of the normal of one point */
+#define SAMPLES 100u      /* points whose normals are measured: every n-th, so that so many are left, less than twice as many */
+#define NORMAL_WORK 160u /* operations of the normal of one point, */
+#define INDEX_WORK 20u   /* and of a point of the index */
 #define CELLS_PER_POINT 16u
 #define MAX_CELLS ((size_t)1 << 16)
 
@@ -29,14 +31,22 @@ ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, cons
 {
     ek_openness open = {EK_R(1.0), EK_R(0.0), EK_R(0.0)};
     const size_t cells = ek_thin(thinner, xy, count, VOXEL, observer->thinned, work);
+    const uint32_t every = cells / SAMPLES > 1u ? (uint32_t)(cells / SAMPLES) : 1u;
+    observer->count = cells;
     if (cells < NEIGHBOURS) {
         return open;
     }
     ek_index_build(&observer->index, observer->thinned, cells);
-    ek_normals_compute(&observer->index, NEIGHBOURS, EK_FAR, observer->normals);
-    ek_work_spend(work, NORMAL_WORK * (uint64_t)cells);
+    ek_normals_defer(&observer->index, NEIGHBOURS, observer->normals);
+    ek_real first = observer->index.cells.cell;
+    for (uint32_t slot = 0; slot < cells; slot++) {
+        if (observer->index.id[slot] % every == 0u) {
+            ek_normals_ensure(&observer->index, slot, &first);
+        }
+    }
+    ek_work_spend(work, INDEX_WORK * (uint64_t)cells + NORMAL_WORK * (uint64_t)(cells / every + 1u));
     ek_real xx = EK_R(0.0), xy_sum = EK_R(0.0), yy = EK_R(0.0);
-    for (size_t k = 0; k < cells; k++) {
+    for (size_t k = 0; k < cells; k += every) {
         const ek_real u = observer->normals[2u * k], v = observer->normals[2u * k + 1u];
         xx += u * u;
         xy_sum += u * v;

@@ -181,13 +181,13 @@ static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openn
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work)
 {
     ek_pose last_from_base = ek_motion_predict(&slam->motion, prior), pose = estimate->odom_from_base;
+    const ek_openness open =
+        ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
     if (!slam->motion.started) {
         return EK_OK;
     }
     slam->tried = 0;
     slam->matching = 0u;
-    const ek_openness open =
-        ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
     const int measured = is_measured(slam, prior);
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_points, last_from_base);
     slam->gate = ek_slam_gate(slam, measured, ek_se2_between(slam->motion.start_from_base, predicted));
@@ -251,12 +251,12 @@ int64_t ek_slam_spare_work(const ek_slam *slam, int64_t allowed)
     return matching < (uint64_t)most ? most - (int64_t)matching : 0;
 }
 
-/* Whether the scan is set aside, or the track is lost. */
+/* Whether the scan is set aside, or the track is lost; the scan was measured last by the observer, which thinned it. */
 static void judge(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_slam_estimate *estimate, ek_work *work)
 {
     const ek_pose pose = estimate->odom_from_base;
     const int lost =
-        ek_continuity_is_lost(&slam->continuity, &slam->thinner, slam->scan.hits, slam->scan.count, pose,
+        ek_continuity_is_lost(&slam->continuity, slam->observer.thinned, slam->observer.count, pose,
                               slam->parameters.scan.base_from_sensor, has_odometry, &slam->map_index, work);
     if (!lost || !slam->motion.started) {
         slam->fitted_ns = prior->stamp_ns;

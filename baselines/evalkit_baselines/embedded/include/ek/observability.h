@@ -1,7 +1,7 @@
 /* observability.h - which direction the walls of a scan leave open.
  *
- * Computes the same as evalkit_baselines/slam/observability.py: the eigenvalues of the scatter of the normals of a cloud
- * thinned to 0.1 m.
+ * Computes the same as evalkit_baselines/slam/observability.py: the eigenvalues of the scatter of some 100 to 200 normals
+ * of a cloud thinned to 0.1 m.
  */
 #ifndef EK_OBSERVABILITY_H
 #define EK_OBSERVABILITY_H
@@ -21,7 +21,8 @@ typedef struct {
 
 typedef struct {
     ek_index index;
-    ek_real *thinned, *normals;
+    size_t count; /* of the points below */
+    ek_real *thinned, *normals; /* of the cloud that was measured last */
 } ek_observer;
 
 #define ek_observer_init EK_NAME(observer_init)
