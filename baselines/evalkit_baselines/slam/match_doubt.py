@@ -53,20 +53,25 @@ class MatchDoubt:
         """Usual gap of matches to odometry (m, rad), a recent mean; None before ``USUAL_SCANS`` scans with odometry."""
         return (self._usual_gap_m, self._usual_gap_rad) if self._compared >= USUAL_SCANS else None
 
+    def is_usual(self, last: Pose, predicted: Pose, matched: Pose, match: StageEstimate, points: int) -> bool:
+        """Return whether an accepted match is not doubted at all; arguments as of ``observe``."""
+        gap = predicted.inverse() @ matched
+        near = math.hypot(gap.x, gap.y) <= APART * self._usual_gap(last, predicted)
+        return near and _misfit(match, points, self._usual_m) == 0.0
+
     def observe(self, last: Pose, predicted: Pose | None, matched: Pose, match: StageEstimate, points: int) -> bool:
         """Add a scan of so many points, by its accepted match with the map and the pose by odometry, if any.
 
         ``last``: pose of the scan before. Returns whether the match fits about as usual.
         """
         usual = self._usual_m if self._usual_m > 0.0 else match.residual_m
-        share = 1.0 if match.inliers < MIN_SHARE * points else _share(match.residual_m, DOUBTED * usual)
+        share = _misfit(match, points, usual)
         self._usual_m = usual + (min(match.residual_m, DOUBTED * usual) - usual) / USUAL_SCANS
         if predicted is None:
             return share == 0.0
         gap = predicted.inverse() @ matched
         gap_m = math.hypot(gap.x, gap.y)
-        step = last.inverse() @ predicted
-        usual_m = max(self._usual_gap_m, GAP_M + GAP_SHARE * math.hypot(step.x, step.y))
+        usual_m = self._usual_gap(last, predicted)
         usual_rad = max(self._usual_gap_rad, GAP_RAD)
         self._usual_gap_m += (min(gap_m, 2.0 * usual_m) - self._usual_gap_m) / USUAL_SCANS
         self._usual_gap_rad += (min(abs(gap.theta), 2.0 * usual_rad) - self._usual_gap_rad) / USUAL_SCANS
@@ -79,6 +84,16 @@ class MatchDoubt:
         """Return the doubt of the step that ends now, and begin the next one."""
         taken, self._sum = self._sum, Doubt()
         return taken
+
+    def _usual_gap(self, last: Pose, predicted: Pose) -> float:
+        """Return the usual gap (m) to the odometry, which is thought to be no better than its step allows."""
+        step = last.inverse() @ predicted
+        return max(self._usual_gap_m, GAP_M + GAP_SHARE * math.hypot(step.x, step.y))
+
+
+def _misfit(match: StageEstimate, points: int, usual_m: float) -> float:
+    """Return how much a match is doubted, 0 to 1, because it fits poorly."""
+    return 1.0 if match.inliers < MIN_SHARE * points else _share(match.residual_m, DOUBTED * usual_m)
 
 
 def _share(value: float, limit: float) -> float:

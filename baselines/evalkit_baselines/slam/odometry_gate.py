@@ -38,9 +38,8 @@ MIN_POINTS = 40
 
 @dataclass
 class OdometryGate:
-    """A Registration; a match that is not believed is the guess, without inliers."""
+    """Judges the matches of one scan after the other."""
 
-    icp: Registration
     _is_measured: bool = False
     _limit: tuple[float, float] = WIDE
     _poor_m: float = math.inf
@@ -61,15 +60,31 @@ class OdometryGate:
             )
             self._limit = metres, turn
 
-    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
-        """Return the motion ``target_from_source``."""
-        match = self.icp.register(target, source, guess)
+    @property
+    def is_good(self) -> bool:
+        """Whether the odometry has been so good that no match far from it is believed."""
+        return self._is_measured and self._limit[0] < WIDE[0]
+
+    def judge(self, match: Match, points: int, guess: Pose) -> Match:
+        """Return a match of a scan of so many points; one that is not believed as the guess, without inliers."""
         if not self._is_measured:
             return match
         gap, (most_m, most_rad) = guess.inverse() @ match.target_from_source, self._limit
-        poor = match.error > self._poor_m and match.inliers < MIN_SHARE * len(source)
+        poor = match.error > self._poor_m and match.inliers < MIN_SHARE * points
         share = POOR_SHARE if poor else 1.0
         far = math.hypot(gap.x, gap.y) > share * most_m or abs(gap.theta) > share * most_rad
-        clear = match.converged and match.error < CLEAR_M and match.inliers >= CLEAR_SHARE * len(source)
-        few = most_m < WIDE[0] and len(source) < MIN_POINTS
+        clear = match.converged and match.error < CLEAR_M and match.inliers >= CLEAR_SHARE * points
+        few = self.is_good and points < MIN_POINTS
         return match if not few and (clear or not far) else replace(match, target_from_source=guess, inliers=0)
+
+
+@dataclass(frozen=True)
+class Gated:
+    """A Registration whose matches the gate judges."""
+
+    icp: Registration
+    gate: OdometryGate
+
+    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
+        """Return the motion ``target_from_source``."""
+        return self.gate.judge(self.icp.register(target, source, guess), len(source), guess)

@@ -19,7 +19,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.odometry.frontend import FrontEnd, FrontEndSettings
+from evalkit.odometry.frontend import FrontEnd, FrontEndSettings, Matched
 from evalkit.odometry.local_map import voxel_means
 from evalkit.plugins.parameters import declared_parameters, parameter
 from evalkit.plugins.protocols import Registration
@@ -33,7 +33,7 @@ from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
 from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder, LoopSettings
 from evalkit_baselines.slam.match_doubt import MatchDoubt
 from evalkit_baselines.slam.observability import ObservableIcp
-from evalkit_baselines.slam.odometry_gate import OdometryGate
+from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import smooth_ranges
 from evalkit_baselines.slam.second_try import FINE_ITERATIONS, PART_ITERATIONS, Coarse, CoarseToFine, SecondTry
@@ -100,8 +100,10 @@ class PaperSlam:
             brief,
             scan_to_scan=(of_scan, of_scan_again),
         )
-        self._gate = OdometryGate(ObservableIcp(self._tries))
-        self._front = FrontEnd(self._gate, self._gate, front_end, self._map)
+        self._gate = OdometryGate()
+        in_two_stages = Gated(ObservableIcp(self._tries), self._gate)
+        self._direct = Gated(ObservableIcp(fine), self._gate)
+        self._front = FrontEnd(in_two_stages, in_two_stages, front_end, self._map)
         self._finder = LoopFinder(settings, wide, narrow)
         self._continuity = Continuity()
         self._candidates: list[_Recorded] = []
@@ -133,8 +135,10 @@ class PaperSlam:
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         step = Pose.of(self._odom_from_base[-1]).inverse() @ predicted if measured else None
         self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m)
-        self._tries.begin_scan(self._doubt.usual_m, None if measured else predicted)
-        matched = self._front.match(frame)
+        matched = self._match_directly(frame, predicted) if self._gate.is_good else None
+        if matched is None:
+            self._tries.begin_scan(self._doubt.usual_m, None if measured else predicted)
+            matched = self._front.match(frame)
         estimate, points, pose = matched.estimate, matched.source.points, matched.start_from_points
         match = estimate.stages.get("s2m")
         near = self._map.cloud(pose).points
@@ -158,6 +162,14 @@ class PaperSlam:
         elif fits:
             self._map.add_between(points, pose)
         return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
+
+    def _match_directly(self, frame: Frame, predicted: Pose) -> Matched | None:
+        """Match a scan with the map from where good odometry puts it; None if anything about the answer is doubted."""
+        matched = self._front.match(frame, with_map=self._direct)
+        match, last = matched.estimate.stages["s2m"], Pose.of(self._odom_from_base[-1])
+        points = len(matched.source)
+        usual = match.accepted and self._doubt.is_usual(last, predicted, matched.start_from_points, match, points)
+        return matched if usual else None
 
     def _answer(self, frame: Frame, estimate: OdometryEstimate) -> OdometryEstimate:
         """Note the pose of a scan in the frame of the front end, and return it in that of the corrected poses."""

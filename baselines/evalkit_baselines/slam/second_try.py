@@ -42,7 +42,7 @@ in proportion to how much nearer it is. A wrong pose has many points near the ma
 COARSE_POINTS, FINE_ITERATIONS = 200, 5
 """A scan of twice as many points or more is matched first with every n-th of them, and with the map then with all, in
 few iterations and with near pairs: a point beyond the end of the map would be paired with that end, and pull the scan
-back."""
+back. Where odometry is good, every scan is matched with the map in this way first."""
 
 TRIED_POINTS = 100
 """The same for the further tries: the best of them is matched to the end."""

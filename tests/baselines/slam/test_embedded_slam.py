@@ -251,6 +251,28 @@ def test_covered_scans_are_set_aside_or_the_track_is_lost_as_in_paper_slam(measu
 
 
 @pytest.mark.parametrize("make", [paper_slam.make, embedded_slam.make])
+@pytest.mark.parametrize("measured", [True, False])
+def test_where_odometry_is_good_a_scan_is_matched_with_the_map_alone_and_a_slip_brings_both_stages_back(make, measured):
+    true, slip, slipped = ring_drive(1.0)[:80], Pose(-0.15, 0.0, 0.0), 70
+    frames = [
+        replace(frame, odom_from_base=slip @ frame.odom_from_base if row >= slipped else frame.odom_from_base)
+        if measured
+        else replace(frame, odom_from_base=None)
+        for row, frame in enumerate(make_frames(RING, true))
+    ]
+    _, estimates = run(make, frames)
+    stages = [sorted(estimate.stages) for estimate in estimates]
+    both = [row for row, names in enumerate(stages) if names == ["s2m", "s2s"]]
+    assert stages[0] == []
+    if measured:  # what is usual is known after 50 matches
+        assert both == [*range(1, 51), slipped]
+        assert all(names == ["s2m"] for row, names in enumerate(stages) if row > 50 and row != slipped)
+    else:
+        assert both == list(range(1, 80))
+    assert errors_m(rows(estimates), true).max() < 0.04
+
+
+@pytest.mark.parametrize("make", [paper_slam.make, embedded_slam.make])
 @pytest.mark.parametrize("beams", [399, 400, 800])
 def test_of_a_large_scan_points_half_a_metre_from_the_map_have_no_pair(make, beams):
     angles = np.arange(beams) * 2.0 * np.pi / beams

@@ -8,7 +8,7 @@ import pytest
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit_baselines.slam.odometry_gate import MIN_POINTS, NARROW, WIDE, OdometryGate
+from evalkit_baselines.slam.odometry_gate import MIN_POINTS, NARROW, WIDE, Gated, OdometryGate
 
 GUESS = Pose(1.0, -2.0, 0.5)
 
@@ -39,11 +39,11 @@ def test_far_answers_and_beside_good_odometry_those_of_few_points_are_the_guess_
     good = usual_gap == (0.0, 0.0)
     most_m, most_rad = NARROW if good else WIDE
     gap, is_believed = Pose(share[0] * most_m, share[1] * most_m, share[2] * most_rad), is_believed[good]
-    gate = OdometryGate(Answers(gap))
+    gated = Gated(Answers(gap), OdometryGate())
     cloud = Cloud(np.ones((points, 2)))
-    assert gate.register(cloud, cloud, GUESS).inliers == points  # the guess is none of wheels
-    gate.begin_scan(Pose(0.0, 0.0, 0.0), usual_gap)
-    match = gate.register(cloud, cloud, GUESS)
+    assert gated.register(cloud, cloud, GUESS).inliers == points  # the guess is none of wheels
+    gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), usual_gap)
+    match = gated.register(cloud, cloud, GUESS)
     if is_believed:
         assert match.target_from_source == GUESS @ gap
         assert match.inliers == points
@@ -57,11 +57,11 @@ def test_far_answers_and_beside_good_odometry_those_of_few_points_are_the_guess_
     ("gap", "is_believed"), [((0.39, 0.0, 0.39), True), ((0.0, 0.41, 0.0), False), ((0.0, 0.0, 0.41), False)]
 )
 def test_answers_up_to_twenty_times_the_usual_gap_or_a_quarter_of_the_step_are_believed(gap, is_believed, usual):
-    gate = OdometryGate(Answers(Pose(*gap)))
+    gated = Gated(Answers(Pose(*gap)), OdometryGate())
     step = Pose(0.0, 0.0, 0.0) if usual else Pose(0.24, -0.32, -0.2)  # with good odometry, 0.1 m and 0.05 rad more
-    gate.begin_scan(step, (usual, usual))
+    gated.gate.begin_scan(step, (usual, usual))
     cloud = Cloud(np.ones((MIN_POINTS, 2)))
-    assert (gate.register(cloud, cloud, GUESS).inliers > 0) == is_believed
+    assert (gated.register(cloud, cloud, GUESS).inliers > 0) == is_believed
 
 
 @pytest.mark.parametrize(
@@ -75,21 +75,21 @@ def test_answers_up_to_twenty_times_the_usual_gap_or_a_quarter_of_the_step_are_b
     ],
 )
 def test_an_answer_that_fits_poorly_must_be_half_as_far(x_m, error_m, paired, is_believed):
-    gate = OdometryGate(Answers(Pose(x_m, 0.0, 0.0), error_m, paired))
-    gate.begin_scan(Pose(0.0, 0.0, 0.0), None, 0.02)  # four times this
+    gated = Gated(Answers(Pose(x_m, 0.0, 0.0), error_m, paired), OdometryGate())
+    gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), None, 0.02)  # four times this
     cloud = Cloud(np.ones((100, 2)))
-    assert (gate.register(cloud, cloud, GUESS).inliers > 0) == is_believed
+    assert (gated.register(cloud, cloud, GUESS).inliers > 0) == is_believed
 
 
 def test_a_far_answer_that_fits_well_is_believed():
-    gate = OdometryGate(Answers(Pose(1.0, 0.0, 0.0), 0.02))
-    gate.begin_scan(Pose(0.0, 0.0, 0.0), None)
+    gated = Gated(Answers(Pose(1.0, 0.0, 0.0), 0.02), OdometryGate())
+    gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), None)
     cloud = Cloud(np.ones((MIN_POINTS, 2)))
-    assert gate.register(cloud, cloud, GUESS).target_from_source == GUESS @ Pose(1.0, 0.0, 0.0)
+    assert gated.register(cloud, cloud, GUESS).target_from_source == GUESS @ Pose(1.0, 0.0, 0.0)
 
 
 def test_a_jump_of_half_a_turn_is_far():
-    gate = OdometryGate(Answers(Pose(0.0, 0.0, math.pi)))
-    gate.begin_scan(Pose(0.0, 0.0, 0.0), None)
+    gated = Gated(Answers(Pose(0.0, 0.0, math.pi)), OdometryGate())
+    gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), None)
     cloud = Cloud(np.ones((MIN_POINTS, 2)))
-    assert gate.register(cloud, cloud, GUESS).target_from_source == GUESS
+    assert gated.register(cloud, cloud, GUESS).target_from_source == GUESS

@@ -64,13 +64,13 @@ public:
         slam_.parameters.scan = scan_of(slam_.parameters.scan, base_from_sensor, range_limits);
         ek_slam_estimate now;
         require(ek_slam_update(&slam_, &sweep, &now), "scan");
-        const auto outcome = [&](int32_t accepted) {
-            return !now.has_stages ? EK_STAGE_SKIPPED : accepted ? EK_STAGE_ACCEPTED : EK_STAGE_GUESS_KEPT;
+        const auto outcome = [](int32_t has_stage, int32_t accepted) {
+            return !has_stage ? EK_STAGE_SKIPPED : accepted ? EK_STAGE_ACCEPTED : EK_STAGE_GUESS_KEPT;
         };
         const uint32_t flags = uint32_t(now.lost || now.set_aside) | uint32_t(now.corrected) << 1 | uint32_t(now.full) << 2;
         return {row_of(now.start_from_base), row_of(now.odom_from_base),
-                stage_of(now.scan_to_scan, outcome(now.scan_to_scan_accepted)),
-                stage_of(now.scan_to_map, outcome(now.scan_to_map_accepted)), flags, now.keyframe, now.work};
+                stage_of(now.scan_to_scan, outcome(now.has_scan_to_scan, now.scan_to_scan_accepted)),
+                stage_of(now.scan_to_map, outcome(now.has_scan_to_map, now.scan_to_map_accepted)), flags, now.keyframe, now.work};
     }
 
     // Corrected poses (N, 3) of scans, from their keyframes (N, 1) and poses (N, 3) in the continuous frame.

@@ -191,8 +191,19 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     const int measured = is_measured(slam, prior);
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_points, last_from_base);
     slam->gate = ek_slam_gate(slam, measured, ek_se2_between(slam->motion.start_from_base, predicted));
-    ek_status status = run_stage(slam, &slam->last, &open, NULL, &last_from_base, &estimate->scan_to_scan,
-                                 &estimate->scan_to_scan_accepted);
+    ek_status status = EK_OK;
+    if (ek_slam_is_good(&slam->gate)) {
+        estimate->odom_from_base = predicted;
+        status = take_map(slam, predicted, work);
+        if (status == EK_OK && ek_slam_match_directly(slam, &open, &estimate->odom_from_base, &estimate->scan_to_map)) {
+            estimate->has_scan_to_map = estimate->scan_to_map_accepted = 1;
+            return EK_OK;
+        }
+    }
+    if (status == EK_OK) {
+        status = run_stage(slam, &slam->last, &open, NULL, &last_from_base, &estimate->scan_to_scan,
+                           &estimate->scan_to_scan_accepted);
+    }
     pose = ek_se2_compose(slam->motion.start_from_points, last_from_base);
     if (status == EK_OK) {
         status = take_map(slam, pose, work);
@@ -201,7 +212,7 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
         status = run_stage(slam, &slam->map_index, &open, measured ? NULL : &predicted, &pose, &estimate->scan_to_map,
                            &estimate->scan_to_map_accepted);
     }
-    estimate->has_stages = 1;
+    estimate->has_scan_to_scan = estimate->has_scan_to_map = 1;
     estimate->odom_from_base = pose;
     return status;
 }

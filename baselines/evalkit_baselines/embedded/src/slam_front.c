@@ -13,7 +13,7 @@
 #define NEAR EK_R(0.15)      /* m: of several answers, the one with most points within it is taken, */
 #define CLOSE EK_R(0.1)      /* m: or, on the map without odometry, the one that lies most closely on it, up to here */
 #define COARSE_POINTS 200u   /* a scan of twice as many points or more is matched first with every n-th of them, */
-#define FINE_ITERATIONS 5    /* then, with the map, with all */
+#define FINE_ITERATIONS 5    /* then, with the map, with all; as every scan directly from good odometry */
 #define TRIED_POINTS 100u    /* the same for the further tries: the best of them is matched to the end */
 #define PART_ITERATIONS 20   /* with a part of a scan */
 #define FARTHEST EK_R(0.5)   /* m, and 36 deg: a further try that ends farther from the guess does not count */
@@ -233,6 +233,11 @@ ek_gate ek_slam_gate(const ek_slam *slam, int measured, ek_pose step)
     return gate;
 }
 
+int ek_slam_is_good(const ek_gate *gate)
+{
+    return gate->measured && gate->metres < FARTHEST;
+}
+
 int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_pose answer, const ek_match *match)
 {
     const ek_pose gap = ek_se2_between(guess, answer);
@@ -242,7 +247,7 @@ int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_po
     const int far = gap.x * gap.x + gap.y * gap.y > metres * metres || EK_FABS(gap.theta) > theta;
     const int clear = match->converged && match->error < CLEAR &&
                       (ek_real)match->inliers >= CLEAR_SHARE * (ek_real)points;
-    const int few = gate->metres < FARTHEST && points < FEWEST;
+    const int few = ek_slam_is_good(gate) && points < FEWEST;
     return !gate->measured || (!few && (clear || !far));
 }
 
@@ -259,20 +264,51 @@ static ek_real take_mean(ek_real mean, ek_real value, ek_real most)
     return mean + ((value < most ? value : most) - mean) / USUAL_SCANS;
 }
 
+/* How much a match is doubted, 0 to 1, because it fits poorly. */
+static ek_real misfit_of(const ek_slam *slam, const ek_match *match, ek_real usual)
+{
+    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
+    return paired ? share_over(match->error, DOUBTED * usual) : EK_R(1.0);
+}
+
+/* The usual gap (m) to the odometry, which is thought to be no better than its step allows. */
+static ek_real usual_gap_of(const ek_slam *slam, ek_pose predicted)
+{
+    const ek_pose step = ek_se2_between(slam->motion.start_from_base, predicted);
+    const ek_real least = FIRST_GAP + GAP_SHARE * EK_SQRT(step.x * step.x + step.y * step.y);
+    return slam->usual_gap > least ? slam->usual_gap : least;
+}
+
+int ek_slam_match_directly(ek_slam *slam, const ek_openness *open, ek_pose *pose, ek_match *match)
+{
+    ek_icp_parameters fine = slam->parameters.matcher;
+    const size_t count = slam->scan.count;
+    limit_iterations(&fine, FINE_ITERATIONS);
+    fine.max_correspondence = slam->parameters.fine_correspondence;
+    if (count == 0u ||
+        match_points(slam, &slam->map_index, slam->scan.hits, count, *pose, &fine, match) != EK_OK) {
+        return 0;
+    }
+    const ek_pose limited = ek_openness_limit(open, match->target_from_source, *pose), gap = ek_se2_between(*pose, limited);
+    const ek_real metres = EK_SQRT(gap.x * gap.x + gap.y * gap.y), usual_gap = usual_gap_of(slam, *pose);
+    const int usual = match->inliers >= slam->parameters.min_inliers &&
+                      misfit_of(slam, match, slam->usual_error) == EK_R(0.0) && metres <= APART * usual_gap &&
+                      ek_slam_is_believed(&slam->gate, count, *pose, limited, match);
+    *pose = usual ? limited : *pose;
+    return usual;
+}
+
 int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match)
 {
     const ek_real usual = slam->usual_error > EK_R(0.0) ? slam->usual_error : match->error;
-    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
-    const ek_real share = paired ? share_over(match->error, DOUBTED * usual) : EK_R(1.0);
+    const ek_real share = misfit_of(slam, match, usual);
     slam->usual_error = take_mean(usual, match->error, DOUBTED * usual);
     const int fits = share == EK_R(0.0);
     if (!predicted) {
         return fits;
     }
-    const ek_pose step = ek_se2_between(slam->motion.start_from_base, *predicted), gap = ek_se2_between(*predicted, matched);
-    const ek_real squared = gap.x * gap.x + gap.y * gap.y, metres = EK_SQRT(squared);
-    const ek_real least = FIRST_GAP + GAP_SHARE * EK_SQRT(step.x * step.x + step.y * step.y);
-    const ek_real usual_gap = slam->usual_gap > least ? slam->usual_gap : least;
+    const ek_pose gap = ek_se2_between(*predicted, matched);
+    const ek_real squared = gap.x * gap.x + gap.y * gap.y, metres = EK_SQRT(squared), usual_gap = usual_gap_of(slam, *predicted);
     const ek_real over = share_over(metres, APART * usual_gap), apart = over > share ? over : share;
     const ek_real turn = slam->usual_turn > FIRST_TURN ? slam->usual_turn : FIRST_TURN;
     slam->usual_gap = take_mean(slam->usual_gap, metres, EK_R(2.0) * usual_gap);

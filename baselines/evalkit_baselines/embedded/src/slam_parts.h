@@ -8,7 +8,9 @@
 #define ek_slam_prepare EK_NAME(slam_prepare)
 #define ek_slam_observe_wheels EK_NAME(slam_observe_wheels)
 #define ek_slam_match EK_NAME(slam_match)
+#define ek_slam_match_directly EK_NAME(slam_match_directly)
 #define ek_slam_gate EK_NAME(slam_gate)
+#define ek_slam_is_good EK_NAME(slam_is_good)
 #define ek_slam_is_believed EK_NAME(slam_is_believed)
 #define ek_slam_doubt EK_NAME(slam_doubt)
 #define ek_slam_init EK_NAME(slam_init)
@@ -44,8 +46,16 @@ void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *o
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,
                         ek_match *match);
 
+/* Match the projected scan with the map in few iterations, all points with near pairs, from `pose`, where good odometry puts
+ * it; `open`: the direction that is left to the odometry. 1 if nothing about the answer is doubted: *pose is then the answer. 0:
+ * the scan has to be matched in two stages. */
+int ek_slam_match_directly(ek_slam *slam, const ek_openness *open, ek_pose *pose, ek_match *match);
+
 /* How far a match of this scan may be from its guess, by the predicted motion since the last scan. */
 ek_gate ek_slam_gate(const ek_slam *slam, int measured, ek_pose last_from_predicted);
+
+/* 1 where the odometry has been so good that no match far from it is believed. */
+int ek_slam_is_good(const ek_gate *gate);
 
 /* 0 where a match of so many points contradicts the odometry that its guess comes from. */
 int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_pose answer, const ek_match *match);

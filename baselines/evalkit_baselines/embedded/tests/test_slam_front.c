@@ -171,6 +171,53 @@ static void without_odometry_the_map_is_tried_from_the_prediction(void)
     free(arena.memory);
 }
 
+/* The odometry is good where its limit is below half a metre; then a scan is matched from where it puts the robot, unless the
+ * answer has pairs for fewer than 80 % of the points, more than twice the usual error, or is more than three times as far away as
+ * usual, which is at least 1 cm and 5 % of the step. */
+static void a_scan_is_matched_directly_where_nothing_is_doubted(void)
+{
+    static const struct {
+        double x, y, usual_gap, usual_error;
+        size_t off, least; /* points without a pair, and pairs that are asked for */
+        int direct;
+    } cases[] = {{0.0, 0.028, 0.0, 0.01, 0, 10, 1},  {0.0, 0.05, 0.0, 0.01, 0, 10, 0},   {0.0, 0.05, 0.02, 0.01, 0, 10, 1},
+                 {0.4, 0.05, 0.0, 0.01, 0, 10, 1},  {0.4, 0.08, 0.0, 0.01, 0, 10, 1},   {0.4, 0.1, 0.0, 0.01, 0, 10, 0},
+                 {0.0, 0.028, 0.0, 0.01, 12, 10, 1}, {0.0, 0.028, 0.0, 0.01, 13, 10, 0},  {0.0, 0.028, 0.0, 0.01, 0, 60, 1},
+                 {0.0, 0.028, 0.0, 0.01, 0, 61, 0},  {0.0, 0.028, 0.0, 0.0001, 0, 10, 0}, {0.0, 0.028, 0.0, 0.01, 60, 10, 0}};
+    ek_arena arena = line_of(1u);
+    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+        const ek_pose truth = pose_of(1.0, 2.0, 0.3), guess = ek_se2_compose(truth, pose_of(0.0, cases[k].y, 0.0));
+        ek_pose pose = guess;
+        ek_match match;
+        see_outline(truth);
+        for (size_t i = 0; i < POINTS; i++) { /* 3 mm of noise; the last points lie nowhere */
+            slam.scan.hits[2u * i] += EK_R(i % 2u ? 0.003 : -0.003) + EK_R(i < POINTS - cases[k].off ? 0.0 : 90.0);
+        }
+        slam.gate = ek_slam_gate(&slam, 1, ORIGIN);
+        slam.motion.start_from_base = ek_se2_compose(guess, pose_of(-cases[k].x, 0.0, 0.0));
+        slam.usual_gap = EK_R(cases[k].usual_gap);
+        slam.usual_error = EK_R(cases[k].usual_error);
+        slam.parameters.min_inliers = (int32_t)cases[k].least;
+        CHECK(ek_slam_match_directly(&slam, &CLOSED, &pose, &match) == cases[k].direct && match.iterations <= 5);
+        CHECK_NEAR(pose.x, cases[k].direct ? truth.x : guess.x, cases[k].direct ? 4e-3 : 0.0);
+        CHECK_NEAR(pose.y, cases[k].direct ? truth.y : guess.y, cases[k].direct ? 4e-3 : 0.0);
+    }
+    slam.scan.count = 0u;
+    ek_pose pose = ORIGIN;
+    ek_match match;
+    CHECK(!ek_slam_match_directly(&slam, &CLOSED, &pose, &match));
+    for (int measured = 0; measured < 2; measured++) { /* unknown; 1 cm: 0.3 m; 3 cm: 0.5 m */
+        static const double usual[] = {0.01, 0.01, 0.03};
+        for (size_t k = 0; k < 3u; k++) {
+            slam.compared = k ? 50u : 49u;
+            slam.usual_gap = EK_R(usual[k]);
+            const ek_gate gate = ek_slam_gate(&slam, measured, ORIGIN);
+            CHECK(ek_slam_is_good(&gate) == (measured && k == 1u));
+        }
+    }
+    free(arena.memory);
+}
+
 /* The motion of the wheels is compared along its own direction, and not across it, where a step is at least 0.1 m long and
  * differs by at most a tenth. */
 static void steps_count_along_the_motion_of_the_wheels(void)
@@ -209,6 +256,7 @@ int main(void)
     a_part_of_a_scan_is_taken_evenly();
     a_poor_match_is_tried_again();
     without_odometry_the_map_is_tried_from_the_prediction();
+    a_scan_is_matched_directly_where_nothing_is_doubted();
     steps_count_along_the_motion_of_the_wheels();
     return verdict();
 }

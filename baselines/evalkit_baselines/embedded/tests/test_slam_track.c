@@ -203,7 +203,7 @@ static void only_two_odometries_in_a_row_raise_doubt(void)
         for (size_t i = 0; i < 2u * slam.scan.count; i++) {
             slam.scan.hits[i] += EK_R(i % 4u < 2u ? 0.004 : -0.004);
         }
-        CHECK(ek_slam_track(&slam, &prior, &estimate, &work) == EK_OK && estimate.scan_to_map_accepted && estimate.has_stages);
+        CHECK(ek_slam_track(&slam, &prior, &estimate, &work) == EK_OK && estimate.scan_to_map_accepted && estimate.has_scan_to_map);
         CHECK_NEAR(estimate.odom_from_base.x, 0.0, 0.02);
         slam.has_keyframe = 1; /* at the same place: no other one */
         CHECK(keep(&slam, &prior, pose_of(0.1, 0.0, 0.0), &estimate, &work) == EK_OK);

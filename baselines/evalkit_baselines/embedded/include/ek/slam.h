@@ -64,7 +64,8 @@ typedef struct {
     ek_pose start_from_base; /* in the frame of the corrected poses */
     ek_pose odom_from_base;  /* in the continuous frame of the front end: for ek_slam_correct */
     ek_match scan_to_scan, scan_to_map;
-    int32_t has_stages, scan_to_scan_accepted, scan_to_map_accepted;
+    int32_t has_scan_to_scan, has_scan_to_map; /* 0: not run; scans are matched with the map alone where odometry is good */
+    int32_t scan_to_scan_accepted, scan_to_map_accepted;
     int32_t set_aside; /* 1: the scan lies nowhere; its pose is that of the wheels, and nothing is matched with it */
     int32_t lost;      /* 1: it contradicts the last one that fitted, with odometry 2 s ago; the map begins anew */
     int32_t corrected; /* 1: earlier poses changed */
