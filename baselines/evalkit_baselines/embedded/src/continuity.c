@@ -83,31 +83,31 @@ static ek_view_ray nearest_ray(const ek_continuity *continuity, ek_real bearing,
 /* Select of every n-th point those that the scan before could see; returns their number. */
 static size_t select_seen(ek_continuity *continuity, size_t count, uint32_t every)
 {
-    const ek_pose world_from_sensor = continuity->sensor;
+    const ek_pose sensor = continuity->sensor;
+    const ek_real c = EK_COS(sensor.theta), s = EK_SIN(sensor.theta);
     size_t seen = 0u;
     for (uint32_t i = 0; i < count; i += every) {
-        const ek_real *const point = continuity->moved + 2u * (size_t)i;
-        const ek_pose at = {point[0], point[1], EK_R(0.0)};
-        const ek_pose view = ek_se2_between(world_from_sensor, at);
+        const ek_real *const point = continuity->moved + 2u * (size_t)i, dx = point[0] - sensor.x, dy = point[1] - sensor.y;
+        const ek_real x = c * dx + s * dy, y = c * dy - s * dx;
         ek_real gap;
-        const ek_view_ray ray = nearest_ray(continuity, EK_ATAN2(view.y, view.x), &gap);
-        const ek_real range = EK_SQRT(view.x * view.x + view.y * view.y);
+        const ek_view_ray ray = nearest_ray(continuity, EK_ATAN2(y, x), &gap);
+        const ek_real range = EK_SQRT(x * x + y * y);
         continuity->seen[seen] = i;
         seen += gap <= GAP && range <= ray.range + BEHIND;
     }
     return seen;
 }
 
-/* Share of the selected points that lie on the scan before, or on the map if there is one. */
-static ek_real share_on_scan(const ek_continuity *continuity, size_t seen, const ek_index *map)
+/* Whether enough of the selected points lie on the scan before, or on the map if there is one. */
+static int enough_lie_on(const ek_continuity *continuity, size_t seen, const ek_index *map)
 {
     size_t on = 0u;
-    for (size_t k = 0; k < seen; k++) {
+    for (size_t k = 0; k < seen && (ek_real)on / (ek_real)seen < MIN_SHARE; k++) {
         const ek_real *const point = continuity->moved + 2u * (size_t)continuity->seen[k];
         on += ek_index_nearest(&continuity->before, point[0], point[1], NEAR, NEAR).slot != EK_NONE ||
               (map && ek_index_nearest(map, point[0], point[1], NEAR, NEAR).slot != EK_NONE);
     }
-    return (ek_real)on / (ek_real)seen;
+    return (ek_real)on / (ek_real)seen >= MIN_SHARE;
 }
 
 int ek_continuity_is_lost(ek_continuity *continuity, const ek_real *xy, size_t count, ek_pose odom_from_base,
@@ -124,8 +124,8 @@ int ek_continuity_is_lost(ek_continuity *continuity, const ek_real *xy, size_t c
     if (continuity->started) {
         const size_t seen = select_seen(continuity, count, every);
         const int enough = seen * every >= MIN_POINTS;
-        lost = enough ? share_on_scan(continuity, seen, NULL) < MIN_SHARE : !has_odometry;
-        lost = lost && enough && has_odometry ? share_on_scan(continuity, seen, map) < MIN_SHARE : lost;
+        lost = enough ? !enough_lie_on(continuity, seen, NULL) : !has_odometry;
+        lost = lost && enough && has_odometry ? !enough_lie_on(continuity, seen, map) : lost;
     }
     ek_work_spend(work, POINT_WORK * (uint64_t)count);
     return lost;

@@ -90,6 +90,7 @@ static ek_status init_front(ek_slam *slam, ek_arena *arena, const ek_slam_parame
     for (size_t k = 0; status == EK_OK && k < 2u; k++) {
         status = ek_voxel_map_init(&slam->maps[k], arena, p->voxels, p->map_voxel, MAX_VOXEL_POINTS);
     }
+    slam->last_points = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->last_normals = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->map_normals = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
     slam->map_points = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
@@ -133,6 +134,23 @@ static ek_status index_lines(ek_index *index, ek_real *normals, const ek_real *x
 {
     const ek_status status = ek_index_build(index, xy, count);
     return status == EK_OK ? ek_normals_defer(index, NEIGHBOURS, normals) : status;
+}
+
+/* Keep points to match the next scan with. */
+static void keep_last(ek_slam *slam, size_t count)
+{
+    memcpy(slam->last_points, slam->scan.hits, 2u * count * sizeof(ek_real));
+    slam->last_count = count;
+    slam->last_indexed = 0;
+}
+
+static ek_status index_last(ek_slam *slam)
+{
+    if (slam->last_indexed) {
+        return EK_OK;
+    }
+    slam->last_indexed = 1;
+    return index_lines(&slam->last, slam->last_normals, slam->last_points, slam->last_count);
 }
 
 /* Take the part of the map around a pose, if the map has changed or the robot has moved on. */
@@ -200,6 +218,7 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
             return EK_OK;
         }
     }
+    status = status == EK_OK ? index_last(slam) : status;
     if (status == EK_OK) {
         status = run_stage(slam, &slam->last, &open, NULL, &last_from_base, &estimate->scan_to_scan,
                            &estimate->scan_to_scan_accepted);
@@ -303,27 +322,27 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, c
         slam->odom_from_front = pose;
         slam->has_keyframe = 1;
     }
-    const ek_status status = index_lines(&slam->last, slam->last_normals, slam->scan.hits, slam->scan.count);
+    keep_last(slam, slam->scan.count);
     ek_motion_store(&slam->motion, prior, pose);
     *task = ek_work_make(ek_slam_allowed_work(slam));
-    if (status == EK_OK && (keyframe || estimate->lost)) {
+    if (keyframe || estimate->lost) {
         const ek_step_kind kind = !estimate->lost ? EK_STEP_MATCHED : measured ? EK_STEP_MEASURED : EK_STEP_UNKNOWN;
         return ek_slam_insert(slam, pose, kind, kind == EK_STEP_MEASURED ? predicted : pose, task);
     }
-    if (status == EK_OK && fits) {
+    if (fits) {
         draw_between(slam, pose);
     }
-    return status;
+    return EK_OK;
 }
 
 /* Go on from the pose by the wheels alone. */
-static ek_status set_aside(ek_slam *slam, const ek_prior *prior, ek_pose predicted, ek_slam_estimate *estimate, ek_work *task)
+static void set_aside(ek_slam *slam, const ek_prior *prior, ek_pose predicted, ek_slam_estimate *estimate, ek_work *task)
 {
     estimate->odom_from_base = predicted;
     slam->motion.half_ns = 0; /* at the first beam */
     ek_motion_store(&slam->motion, prior, predicted);
     *task = ek_work_make(ek_slam_allowed_work(slam));
-    return index_lines(&slam->last, slam->last_normals, slam->scan.hits, 0u);
+    keep_last(slam, 0u);
 }
 
 ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate *estimate)
@@ -360,9 +379,10 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     ek_work task = ek_work_make(0);
     status = take_map(slam, estimate->odom_from_base, &work);
     judge(slam, &prior, sweep->has_odometry, estimate, &work);
-    if (status == EK_OK) {
-        status = estimate->set_aside ? set_aside(slam, &prior, predicted, estimate, &task)
-                                     : keep(slam, &prior, predicted, estimate, &task);
+    if (status == EK_OK && estimate->set_aside) {
+        set_aside(slam, &prior, predicted, estimate, &task);
+    } else if (status == EK_OK) {
+        status = keep(slam, &prior, predicted, estimate, &task);
     }
     estimate->odom_from_base = slam->motion.start_from_base;
     ek_slam_work(slam, &task);

@@ -275,7 +275,7 @@ static void wholes(void)
     continuity_of(2048u);
     voxels_of(16384u, 32768u);
     voxels_of(16384u, 32768u);
-    blocks(4u, 2048u, 2u * REAL); /* last_normals, moved, sums, stored */
+    blocks(5u, 2048u, 2u * REAL); /* last_points, last_normals, moved, sums, stored */
     blocks(2u, 12288u, 2u * REAL);
     block(12288u, WORD);
     blocks(2u, 2048u, REAL);

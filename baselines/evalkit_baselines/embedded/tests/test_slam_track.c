@@ -149,7 +149,7 @@ static void a_keyframe_is_far_enough_from_the_last(void)
         prior.stamp_ns = 2;
         estimate.odom_from_base = pose_of(cases[k][0], cases[k][1], cases[k][2]);
         CHECK(keep(&slam, &prior, ORIGIN, &estimate, &work) == EK_OK && slam.keyframes.count == (cases[k][3] > 0.0 ? 2u : 1u));
-        CHECK(!estimate.lost && slam.last.count == 1u && slam.motion.stamp_ns == 2);
+        CHECK(!estimate.lost && slam.last_count == 1u && slam.motion.stamp_ns == 2);
         CHECK_NEAR(slam.odom_from_front.x, cases[k][3] > 0.0 ? cases[k][0] : 0.0, 1e-7);
         free(arena.memory);
     }
@@ -196,7 +196,7 @@ static void only_two_odometries_in_a_row_raise_doubt(void)
         see_corner(ORIGIN);
         slam.map_changed = 1;
         ek_slam_draw(&slam, 0u, slam.scan.hits, slam.scan.count, ORIGIN, &work);
-        CHECK(index_lines(&slam.last, slam.last_normals, slam.scan.hits, slam.scan.count) == EK_OK);
+        keep_last(&slam, slam.scan.count);
         const ek_prior before = {1, had[k], ORIGIN}, prior = {2, has[k], pose_of(0.1, 0.0, 0.0)};
         ek_motion_store(&slam.motion, &before, ORIGIN);
         slam.usual_error = EK_R(1e-9);

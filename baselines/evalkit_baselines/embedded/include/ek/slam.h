@@ -96,7 +96,9 @@ typedef struct {
     ek_scan scan;
     ek_icp icp;
     ek_index last, map_index;
-    ek_real *last_normals, *map_normals, *map_points;
+    ek_real *last_points, *last_normals, *map_normals, *map_points;
+    size_t last_count;       /* points of the scan before, */
+    int32_t last_indexed;    /* which are indexed when they are matched */
     uint32_t *map_support;   /* points of each mean in map_points */
     ek_thinner thinner;
     ek_observer observer;
