@@ -36,7 +36,14 @@ from evalkit_baselines.slam.observability import ObservableIcp
 from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import smooth_ranges
-from evalkit_baselines.slam.second_try import FINE_ITERATIONS, PART_ITERATIONS, Coarse, CoarseToFine, SecondTry
+from evalkit_baselines.slam.second_try import (
+    DIRECT_EPSILON_M,
+    FINE_ITERATIONS,
+    PART_ITERATIONS,
+    Coarse,
+    CoarseToFine,
+    SecondTry,
+)
 
 DCS_PHI = 10.0
 _STORED_VOXEL_M = 0.03
@@ -93,6 +100,7 @@ class PaperSlam:
         coarse = _make_icp(settings.matcher, max_iterations=PART_ITERATIONS)
         brief = _make_icp(settings.matcher, **_NARROW, max_iterations=PART_ITERATIONS)
         fine = _make_icp(settings.matcher, **_NARROW, max_iterations=FINE_ITERATIONS)
+        direct = _make_icp(settings.matcher, **_NARROW, max_iterations=FINE_ITERATIONS, epsilon=DIRECT_EPSILON_M)
         of_scan, of_scan_again = Coarse(wide, coarse), Coarse(narrow, brief)
         self._tries = SecondTry(
             CoarseToFine(of_scan, fine),
@@ -102,7 +110,7 @@ class PaperSlam:
         )
         self._gate = OdometryGate()
         in_two_stages = Gated(ObservableIcp(self._tries), self._gate)
-        self._direct = Gated(ObservableIcp(fine), self._gate)
+        self._direct = Gated(ObservableIcp(direct), self._gate)
         self._front = FrontEnd(in_two_stages, in_two_stages, front_end, self._map)
         self._finder = LoopFinder(settings, wide, narrow)
         self._continuity = Continuity()

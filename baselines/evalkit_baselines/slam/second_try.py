@@ -44,6 +44,9 @@ COARSE_POINTS, FINE_ITERATIONS = 200, 5
 few iterations and with near pairs: a point beyond the end of the map would be paired with that end, and pull the scan
 back. Where odometry is good, every scan is matched with the map in this way first."""
 
+DIRECT_EPSILON_M = 1e-4
+"""Of the stop rule there."""
+
 TRIED_POINTS = 100
 """The same for the further tries: the best of them is matched to the end."""
 

@@ -14,6 +14,7 @@
 #define CLOSE EK_R(0.1)      /* m: or, on the map without odometry, the one that lies most closely on it, up to here */
 #define COARSE_POINTS 200u   /* a scan of twice as many points or more is matched first with every n-th of them, */
 #define FINE_ITERATIONS 5    /* then, with the map, with all; as every scan directly from good odometry */
+#define DIRECT_EPSILON EK_R(1e-4) /* m: of the stop rule there */
 #define TRIED_POINTS 100u    /* the same for the further tries: the best of them is matched to the end */
 #define PART_ITERATIONS 20   /* with a part of a scan */
 #define FARTHEST EK_R(0.5)   /* m, and 36 deg: a further try that ends farther from the guess does not count */
@@ -284,6 +285,7 @@ int ek_slam_match_directly(ek_slam *slam, const ek_openness *open, ek_pose *pose
     ek_icp_parameters fine = slam->parameters.matcher;
     const size_t count = slam->scan.count;
     limit_iterations(&fine, FINE_ITERATIONS);
+    fine.epsilon = DIRECT_EPSILON;
     fine.max_correspondence = slam->parameters.fine_correspondence;
     if (count == 0u ||
         match_points(slam, &slam->map_index, slam->scan.hits, count, *pose, &fine, match) != EK_OK) {
