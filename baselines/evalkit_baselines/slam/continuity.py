@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from evalkit.core.arrays import Bools
@@ -32,29 +34,35 @@ _BEHIND_M = 0.5
 """What lies so far behind a point was hidden by it."""
 
 
+class _Scan(NamedTuple):
+    """Points (N, 2) of a scan in the base frame, and the poses of the base and of the sensor on it."""
+
+    points: Floats
+    odom_from_base: Pose
+    base_from_sensor: Pose
+
+
 class Continuity:
-    """Compares every scan with the last one that had enough points, where that one could see."""
+    """Compares a scan with the one before, or with one before that where that has too few points."""
 
     def __init__(self) -> None:
+        self._last: _Scan | None = None
         self._before: Floats | None = None
         self._sensor = Pose()
-        self._now: tuple[Floats, Pose] | None = None
 
-    def is_lost(
-        self, points: Floats, odom_from_base: Pose, base_from_sensor: Pose, has_odometry: bool, local_map: Floats
-    ) -> bool:
+    def is_lost(self, points: Floats, odom_from_base: Pose, has_odometry: bool, local_map: Floats) -> bool:
         """Return whether points (N, 2) of the base frame lie neither on the scan before nor on the map (M, 2).
 
         Points that the scan before could not see do not count. With too few others, the odometry is believed; without
         odometry the track is lost, and the map does not help: after a gap an equal place is near enough for a match.
-        With odometry the scan before alone may be the wrong one. The scan is compared with the next one after ``keep``.
+        With odometry the scan before alone may be the wrong one.
         """
         from scipy.spatial import cKDTree  # noqa: PLC0415 - specs are listed without SciPy
 
+        self._take_last()
         moved = odom_from_base.transform(voxel_means(points, _VOXEL_M))
-        self._now = None if len(moved) < MIN_POINTS else (moved, odom_from_base @ base_from_sensor)
         before, sensor = self._before, self._sensor
-        if self._now is None or before is None:
+        if len(moved) < MIN_POINTS or before is None:
             return False
         every = max(len(moved) // _SAMPLES, 1)
         asked = moved[::every]
@@ -68,10 +76,18 @@ class Continuity:
         distance, _ = cKDTree(local_map).query(seen, distance_upper_bound=NEAR_M)
         return float((on_before | np.isfinite(np.asarray(distance))).mean()) < MIN_SHARE
 
-    def keep(self) -> None:
-        """Compare the next scans with the last one, if it had enough points."""
-        if self._now is not None:
-            self._before, self._sensor = self._now
+    def keep(self, points: Floats, odom_from_base: Pose, base_from_sensor: Pose) -> None:
+        """Compare the next scans with this one, points (N, 2) of the base frame."""
+        self._last = _Scan(points, odom_from_base, base_from_sensor)
+
+    def _take_last(self) -> None:
+        """Prepare the scan that was kept last, if it has enough points; many are replaced before they are needed."""
+        if self._last is None:
+            return
+        moved = self._last.odom_from_base.transform(voxel_means(self._last.points, _VOXEL_M))
+        if len(moved) >= MIN_POINTS:
+            self._before, self._sensor = moved, self._last.odom_from_base @ self._last.base_from_sensor
+        self._last = None
 
 
 def _could_see(before: Floats, now: Floats) -> Bools:

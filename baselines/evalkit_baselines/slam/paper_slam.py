@@ -143,21 +143,20 @@ class PaperSlam:
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         step = Pose.of(self._odom_from_base[-1]).inverse() @ predicted if measured else None
         self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m)
-        matched = self._match_directly(frame, predicted) if self._gate.is_good else None
-        if matched is None:
+        direct = self._match_directly(frame, predicted) if self._gate.is_good else None
+        if direct is None:
             self._tries.begin_scan(self._doubt.usual_m, None if measured else predicted)
-            matched = self._front.match(frame)
+        matched = direct or self._front.match(frame)
         estimate, points, pose = matched.estimate, matched.source.points, matched.start_from_points
         match = estimate.stages.get("s2m")
-        near = self._map.cloud(pose).points
-        lost = self._is_lost(frame, points, pose, near)
+        lost = direct is None and self._is_lost(frame, points, pose)
         if not lost or self._fitted_ns is None:
             self._fitted_ns = frame.scan.stamp_ns
         if lost and measured and frame.scan.stamp_ns - self._fitted_ns <= PATIENCE_NS:
             self._front.set_aside(frame, predicted)
             return self._answer(frame, replace(estimate, pose=predicted, accepted=False))
         self._front.keep(frame, matched)
-        self._continuity.keep()
+        self._continuity.keep(points, pose, frame.base_from_sensor)
         fits = False
         if match is not None and match.accepted:
             last, hits = Pose.of(self._odom_from_base[-1]), int(frame.scan.hits.sum())
@@ -209,9 +208,10 @@ class PaperSlam:
         """Return all candidates so far."""
         return tuple(recorded.closure for recorded in self._candidates)
 
-    def _is_lost(self, frame: Frame, points: Floats, odom_from_base: Pose, near: Floats) -> bool:
-        has_odometry = frame.odom_from_base is not None
-        return self._continuity.is_lost(points, odom_from_base, frame.base_from_sensor, has_odometry, near)
+    def _is_lost(self, frame: Frame, points: Floats, odom_from_base: Pose) -> bool:
+        """Return whether a scan lies neither on the one before nor on the map; a direct match lies on the map."""
+        near, has_odometry = self._map.cloud(odom_from_base).points, frame.odom_from_base is not None
+        return self._continuity.is_lost(points, odom_from_base, has_odometry, near)
 
     def _insert(self, stamp_ns: int, new: NewKeyframe, wheels: Pose | None, kind: Step, odom_from_base: Pose) -> None:
         """Add a keyframe; ``odom_from_base``: where the graph has it, after a lost track not where it matched."""

@@ -5,6 +5,7 @@
 #define NEAR EK_R(0.25) /* m: a point within it lies on the scan before; as in the reference, like the others */
 #define MIN_SHARE EK_R(0.7)
 #define MIN_POINTS 20u
+#define VOXEL EK_R(0.1)
 #define GAP (EK_R(5.0) * EK_PI / EK_R(180.0))
 #define BEHIND EK_R(0.5) /* m */
 #define SAMPLES 200u   /* points that are asked: every n-th, so that so many are left, and less than twice as many */
@@ -110,42 +111,41 @@ static int enough_lie_on(const ek_continuity *continuity, size_t seen, const ek_
     return (ek_real)on / (ek_real)seen >= MIN_SHARE;
 }
 
-int ek_continuity_is_lost(ek_continuity *continuity, const ek_real *xy, size_t count, ek_pose odom_from_base,
-                          ek_pose base_from_sensor, int has_odometry, const ek_index *map, ek_work *work)
+void ek_continuity_keep(ek_continuity *continuity, ek_thinner *thinner, const ek_real *xy, size_t count,
+                        ek_pose odom_from_base, ek_pose base_from_sensor, ek_work *work)
 {
-    const uint32_t every = count / SAMPLES > 1u ? (uint32_t)(count / SAMPLES) : 1u;
-    continuity->now = count < MIN_POINTS ? 0u : count;
-    continuity->now_sensor = ek_se2_compose(odom_from_base, base_from_sensor);
-    if (count < MIN_POINTS) {
-        return 0;
-    }
-    int lost = 0;
-    transform(odom_from_base, xy, count, continuity->moved);
-    if (continuity->started) {
-        const size_t seen = select_seen(continuity, count, every);
-        const int enough = seen * every >= MIN_POINTS;
-        lost = enough ? !enough_lie_on(continuity, seen, NULL) : !has_odometry;
-        lost = lost && enough && has_odometry ? !enough_lie_on(continuity, seen, map) : lost;
-    }
-    ek_work_spend(work, POINT_WORK * (uint64_t)count);
-    return lost;
-}
-
-void ek_continuity_keep(ek_continuity *continuity)
-{
-    const size_t count = continuity->now;
-    if (count == 0u) {
+    ek_real *const moved = continuity->moved;
+    const size_t cells = ek_thin(thinner, xy, count, VOXEL, moved, work);
+    if (cells < MIN_POINTS) {
         return;
     }
-    continuity->sensor = continuity->now_sensor;
-    continuity->started = ek_index_build(&continuity->before, continuity->moved, count) == EK_OK;
-    transform(ek_se2_inverse(continuity->sensor), continuity->moved, count, continuity->moved);
-    for (size_t i = 0; i < count; i++) {
-        const ek_real x = continuity->moved[2u * i], y = continuity->moved[2u * i + 1u];
+    continuity->sensor = ek_se2_compose(odom_from_base, base_from_sensor);
+    transform(odom_from_base, moved, cells, moved);
+    ek_index_build(&continuity->before, moved, cells);
+    transform(ek_se2_inverse(continuity->sensor), moved, cells, moved);
+    for (size_t i = 0; i < cells; i++) {
+        const ek_real x = moved[2u * i], y = moved[2u * i + 1u];
         continuity->ray[i].bearing = EK_ATAN2(y, x);
         continuity->ray[i].range = EK_SQRT(x * x + y * y);
     }
-    continuity->rays = count;
-    continuity->now = 0u;
+    continuity->rays = cells;
     sort_rays(continuity);
+    ek_work_spend(work, POINT_WORK * (uint64_t)cells);
+}
+
+int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const ek_real *xy, size_t count,
+                          ek_pose odom_from_base, int has_odometry, const ek_index *map, ek_work *work)
+{
+    const size_t cells = ek_thin(thinner, xy, count, VOXEL, continuity->moved, work);
+    const uint32_t every = cells / SAMPLES > 1u ? (uint32_t)(cells / SAMPLES) : 1u;
+    if (cells < MIN_POINTS || continuity->before.count == 0u) {
+        return 0;
+    }
+    transform(odom_from_base, continuity->moved, cells, continuity->moved);
+    ek_work_spend(work, POINT_WORK * (uint64_t)cells);
+    const size_t seen = select_seen(continuity, cells, every);
+    if (seen * every < MIN_POINTS) {
+        return !has_odometry;
+    }
+    return !enough_lie_on(continuity, seen, NULL) && !(has_odometry && enough_lie_on(continuity, seen, map));
 }

@@ -32,7 +32,6 @@ ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, cons
     ek_openness open = {EK_R(1.0), EK_R(0.0), EK_R(0.0)};
     const size_t cells = ek_thin(thinner, xy, count, VOXEL, observer->thinned, work);
     const uint32_t every = cells / SAMPLES > 1u ? (uint32_t)(cells / SAMPLES) : 1u;
-    observer->count = cells;
     if (cells < NEIGHBOURS) {
         return open;
     }

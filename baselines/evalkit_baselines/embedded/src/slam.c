@@ -136,12 +136,14 @@ static ek_status index_lines(ek_index *index, ek_real *normals, const ek_real *x
     return status == EK_OK ? ek_normals_defer(index, NEIGHBOURS, normals) : status;
 }
 
-/* Keep points to match the next scan with. */
-static void keep_last(ek_slam *slam, size_t count)
+/* Keep the scan, at its pose, to match and compare the next one with. */
+static void keep_last(ek_slam *slam, ek_pose odom_from_base)
 {
-    memcpy(slam->last_points, slam->scan.hits, 2u * count * sizeof(ek_real));
-    slam->last_count = count;
-    slam->last_indexed = 0;
+    memcpy(slam->last_points, slam->scan.hits, 2u * slam->scan.count * sizeof(ek_real));
+    slam->last_count = slam->scan.count;
+    slam->last_indexed = slam->last_compared = 0;
+    slam->last_odom_from_base = odom_from_base;
+    slam->last_base_from_sensor = slam->parameters.scan.base_from_sensor;
 }
 
 static ek_status index_last(ek_slam *slam)
@@ -199,13 +201,13 @@ static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openn
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work)
 {
     ek_pose last_from_base = ek_motion_predict(&slam->motion, prior), pose = estimate->odom_from_base;
-    const ek_openness open =
-        ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
     if (!slam->motion.started) {
         return EK_OK;
     }
     slam->tried = 0;
     slam->matching = 0u;
+    const ek_openness open =
+        ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
     const int measured = is_measured(slam, prior);
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_points, last_from_base);
     slam->gate = ek_slam_gate(slam, measured, ek_se2_between(slam->motion.start_from_base, predicted));
@@ -281,13 +283,30 @@ int64_t ek_slam_spare_work(const ek_slam *slam, int64_t allowed)
     return matching < (uint64_t)most ? most - (int64_t)matching : 0;
 }
 
-/* Whether the scan is set aside, or the track is lost; the scan was measured last by the observer, which thinned it. */
+static int is_direct(const ek_slam_estimate *estimate)
+{
+    return estimate->has_scan_to_map && !estimate->has_scan_to_scan;
+}
+
+/* Whether the scan lies neither on the one before nor on the map; one that was matched directly lies on the map. */
+static int is_lost(ek_slam *slam, int has_odometry, const ek_slam_estimate *estimate, ek_work *work)
+{
+    if (is_direct(estimate)) {
+        return 0;
+    }
+    if (!slam->last_compared) {
+        ek_continuity_keep(&slam->continuity, &slam->thinner, slam->last_points, slam->last_count,
+                           slam->last_odom_from_base, slam->last_base_from_sensor, work);
+        slam->last_compared = 1;
+    }
+    return ek_continuity_is_lost(&slam->continuity, &slam->thinner, slam->scan.hits, slam->scan.count,
+                                 estimate->odom_from_base, has_odometry, &slam->map_index, work);
+}
+
+/* Whether the scan is set aside, or the track is lost. */
 static void judge(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_slam_estimate *estimate, ek_work *work)
 {
-    const ek_pose pose = estimate->odom_from_base;
-    const int lost =
-        ek_continuity_is_lost(&slam->continuity, slam->observer.thinned, slam->observer.count, pose,
-                              slam->parameters.scan.base_from_sensor, has_odometry, &slam->map_index, work);
+    const int lost = is_lost(slam, has_odometry, estimate, work);
     if (!lost || !slam->motion.started) {
         slam->fitted_ns = prior->stamp_ns;
     }
@@ -315,14 +334,13 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, c
     const int far = moved.x * moved.x + moved.y * moved.y >= p->keyframe_distance * p->keyframe_distance;
     const int keyframe = !slam->has_keyframe || far || EK_FABS(moved.theta) >= p->keyframe_angle;
     const int measured = is_measured(slam, prior);
-    ek_continuity_keep(&slam->continuity);
     const int fits = estimate->scan_to_map_accepted &&
                      ek_slam_doubt(slam, measured ? &predicted : NULL, pose, &estimate->scan_to_map);
     if (keyframe) {
         slam->odom_from_front = pose;
         slam->has_keyframe = 1;
     }
-    keep_last(slam, slam->scan.count);
+    keep_last(slam, pose);
     ek_motion_store(&slam->motion, prior, pose);
     *task = ek_work_make(ek_slam_allowed_work(slam));
     if (keyframe || estimate->lost) {
@@ -342,7 +360,8 @@ static void set_aside(ek_slam *slam, const ek_prior *prior, ek_pose predicted, e
     slam->motion.half_ns = 0; /* at the first beam */
     ek_motion_store(&slam->motion, prior, predicted);
     *task = ek_work_make(ek_slam_allowed_work(slam));
-    keep_last(slam, 0u);
+    slam->last_count = 0u;
+    slam->last_indexed = 0;
 }
 
 ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate *estimate)
@@ -377,7 +396,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     }
     slam->wheels = wheels;
     ek_work task = ek_work_make(0);
-    status = take_map(slam, estimate->odom_from_base, &work);
+    status = is_direct(estimate) ? EK_OK : take_map(slam, estimate->odom_from_base, &work);
     judge(slam, &prior, sweep->has_odometry, estimate, &work);
     if (status == EK_OK && estimate->set_aside) {
         set_aside(slam, &prior, predicted, estimate, &task);

@@ -82,18 +82,15 @@ static void a_match_counts_along_the_open_direction_by_what_the_walls_say(void)
     }
 }
 
-/* Ask about the scan, thinned. */
 static int ask(size_t count, ek_pose pose, int has_odometry, const ek_index *known)
 {
-    static ek_real thinned[2u * POINTS];
-    const size_t cells = ek_thin(&thinner, xy, count, EK_R(0.1), thinned, &work);
-    return ek_continuity_is_lost(&continuity, thinned, cells, pose, ORIGIN, has_odometry, known, &work);
+    return ek_continuity_is_lost(&continuity, &thinner, xy, count, pose, has_odometry, known, &work);
 }
 
 static int is_lost(size_t count, ek_pose pose, int has_odometry, const ek_index *known)
 {
     const int lost = ask(count, pose, has_odometry, known);
-    ek_continuity_keep(&continuity);
+    ek_continuity_keep(&continuity, &thinner, xy, count, pose, ORIGIN, &work);
     return lost;
 }
 
@@ -101,7 +98,7 @@ static void a_scan_is_lost_where_it_contradicts_the_one_before(void)
 {
     const ek_pose moved = pose_of(0.2, 0.0, 0.0), away = pose_of(0.9, 0.7, 0.0);
     for (int has_odometry = 0; has_odometry < 2; has_odometry++) {
-        continuity.started = 0;
+        continuity.before.count = 0u;
         CHECK(!is_lost(room(3.0, -3.14159, 3.14159, 400u), ORIGIN, has_odometry, NULL)); /* the first one never is */
         CHECK(!is_lost(room(3.0, -3.14159, 3.14159, 400u), moved, has_odometry, NULL));  /* on the walls */
         CHECK(!is_lost(5u, away, has_odometry, NULL) && continuity.rays > 100u);         /* too few: not even kept */
@@ -114,7 +111,7 @@ static void a_scan_is_lost_where_it_contradicts_the_one_before(void)
     }
     /* on the map where the scan before was not: with odometry that is enough */
     for (int has_odometry = 0; has_odometry < 2; has_odometry++) {
-        continuity.started = 0;
+        continuity.before.count = 0u;
         CHECK(!is_lost(room(3.0, -3.14159, 3.14159, 400u), ORIGIN, has_odometry, NULL));
         CHECK(ek_index_build(&map, xy, room(2.0, -3.14159, 3.14159, 400u)) == EK_OK);
         CHECK(is_lost(room(2.0, -3.14159, 3.14159, 400u), ORIGIN, has_odometry, &map) == !has_odometry);
@@ -131,7 +128,7 @@ static void a_scan_of_other_places_is_believed_with_odometry_only(void)
                                        {-3.14159, 3.14159, 3.0}};
     for (size_t k = 0; k < 3u; k++) {
         for (int has_odometry = 0; has_odometry < 2; has_odometry++) {
-            continuity.started = 0;
+            continuity.before.count = 0u;
             CHECK(!is_lost(room(3.0, cases[k][0], cases[k][1], 300u), ORIGIN, has_odometry, NULL));
             const size_t count = k == 0u ? room(3.0, 1.74159, 4.54159, 300u) : room(cases[k][2], -3.14159, 3.14159, 400u);
             CHECK(is_lost(count, ORIGIN, has_odometry, NULL) == (k < 2u && !has_odometry));
@@ -151,7 +148,7 @@ static void rays_are_sorted_by_bearing(void)
             xy[2u * k] = EK_R(3.0 * cos(angle));
             xy[2u * k + 1u] = EK_R(3.0 * sin(angle));
         }
-        continuity.started = 0;
+        continuity.before.count = 0u;
         CHECK(!is_lost(count, ORIGIN, 0, NULL) && continuity.rays == count);
         for (size_t k = 0; k < count; k++) {
             CHECK_NEAR(continuity.ray[k].range, 3.0, 1e-5);

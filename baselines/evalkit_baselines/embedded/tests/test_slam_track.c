@@ -196,7 +196,7 @@ static void only_two_odometries_in_a_row_raise_doubt(void)
         see_corner(ORIGIN);
         slam.map_changed = 1;
         ek_slam_draw(&slam, 0u, slam.scan.hits, slam.scan.count, ORIGIN, &work);
-        keep_last(&slam, slam.scan.count);
+        keep_last(&slam, ORIGIN);
         const ek_prior before = {1, had[k], ORIGIN}, prior = {2, has[k], pose_of(0.1, 0.0, 0.0)};
         ek_motion_store(&slam.motion, &before, ORIGIN);
         slam.usual_error = EK_R(1e-9);

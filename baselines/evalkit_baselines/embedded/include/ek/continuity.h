@@ -9,7 +9,7 @@
 
 #include "ek/index.h"
 #include "ek/se2.h"
-#include "ek/work.h"
+#include "ek/thin.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -21,15 +21,12 @@ typedef struct {
 } ek_view_ray;
 
 typedef struct {
-    ek_index before; /* points of the scan before, at its pose */
+    ek_index before; /* points of the scan before, at its pose; empty: there is none */
     size_t rays;
     ek_view_ray *ray, *other; /* of the scan before, by bearing; working memory of the sort */
-    ek_real *moved;           /* points of the scan asked about last, at its pose */
+    ek_real *moved;           /* points, thinned */
     uint32_t *seen;
     ek_pose sensor;           /* pose of the scan before */
-    int32_t started;
-    size_t now;               /* points of the scan asked about last; 0: too few to compare the next one with */
-    ek_pose now_sensor;       /* its pose */
 } ek_continuity;
 
 #define ek_continuity_init EK_NAME(continuity_init)
@@ -39,15 +36,16 @@ typedef struct {
 /* Initialise for scans of up to `capacity` points in an arena (or measure it). Returns what ek_index_init returns. */
 ek_status ek_continuity_init(ek_continuity *continuity, ek_arena *arena, size_t capacity);
 
-/* 1 if a scan contradicts the one before, each at its own pose: count pairs x y of the base frame (m), thinned to 0.1 m,
- * finite and within EK_MAX_COORDINATE; 200 of them are asked, or up to twice as many. Points that the scan before
- * could not see do not count; with too few others the odometry is believed, and without odometry the track is lost. At
- * most 60 operations a point. */
-int ek_continuity_is_lost(ek_continuity *continuity, const ek_real *xy, size_t count, ek_pose odom_from_base,
-                          ek_pose base_from_sensor, int has_odometry, const ek_index *map, ek_work *work);
+/* Compare scans with this one from now on: count pairs x y of the base frame (m), finite and within EK_MAX_COORDINATE, at
+ * most `capacity`. One of too few points changes nothing. At most 60 operations a point. */
+void ek_continuity_keep(ek_continuity *continuity, ek_thinner *thinner, const ek_real *xy, size_t count,
+                        ek_pose odom_from_base, ek_pose base_from_sensor, ek_work *work);
 
-/* Compare the next scans with the one asked about last. */
-void ek_continuity_keep(ek_continuity *continuity);
+/* 1 if a scan contradicts the one that was kept, each at its own pose; 200 points are asked, or up to twice as many, of the
+ * scan thinned to 0.1 m. Points that the scan before could not see do not count; with too few others the odometry is
+ * believed, and without odometry the track is lost. At most 60 operations a point. */
+int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const ek_real *xy, size_t count,
+                          ek_pose odom_from_base, int has_odometry, const ek_index *map, ek_work *work);
 
 #ifdef __cplusplus
 }

@@ -21,8 +21,7 @@ typedef struct {
 
 typedef struct {
     ek_index index;
-    size_t count; /* of the points below */
-    ek_real *thinned, *normals; /* of the cloud that was measured last */
+    ek_real *thinned, *normals;
 } ek_observer;
 
 #define ek_observer_init EK_NAME(observer_init)

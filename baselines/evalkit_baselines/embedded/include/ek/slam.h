@@ -98,7 +98,9 @@ typedef struct {
     ek_index last, map_index;
     ek_real *last_points, *last_normals, *map_normals, *map_points;
     size_t last_count;       /* points of the scan before, */
-    int32_t last_indexed;    /* which are indexed when they are matched */
+    int32_t last_indexed;    /* which are indexed when they are matched, */
+    int32_t last_compared;   /* and prepared when another scan is compared with them */
+    ek_pose last_odom_from_base, last_base_from_sensor;
     uint32_t *map_support;   /* points of each mean in map_points */
     ek_thinner thinner;
     ek_observer observer;
