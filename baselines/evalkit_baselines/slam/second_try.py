@@ -4,7 +4,8 @@ Pairs far apart lead ICP to a wrong place. A guess by odometry is off by 20 deg 
 and the clocks of lidar and wheels do not agree, which is farther than ICP finds back.
 
 Without odometry, something near that covers a part of a scan leads ICP away from a prediction that may be right. Where
-the match with the scan before fits poorly, that with the map begins from the prediction too.
+the match with the scan before fits poorly, that with the map begins from the prediction too. A scan drawn at a wrong
+heading holds the next ones there, at two or three times the usual error: a doubted match with the map is tried again.
 """
 
 from __future__ import annotations
@@ -99,9 +100,9 @@ class SecondTry:
     """A Registration: ``wide``, and where that fits poorly the better of it and ``narrow``.
 
     ``narrow`` starts from the best of several headings by ``brief``, with a part of a large scan. Only the first poor
-    answer of a scan is tried again, whichever stage it is of: ``begin_scan``. Without odometry both stages of
-    a scan may be: the second one, with the map, already where its answer is doubted. ``scan_to_scan``: what the first
-    stage has instead of ``wide`` and ``narrow``, since its answer is only where the second one begins.
+    answer of a scan is tried again, whichever stage it is of: ``begin_scan``. Without odometry both stages of a scan
+    may be: the second one, with the map, already where its answer is doubted. ``scan_to_scan``: what the first stage
+    has instead of ``wide`` and ``narrow``, since its answer is only where the second one begins.
     """
 
     wide: Registration
@@ -129,7 +130,7 @@ class SecondTry:
         predicted = self._predicted if self._stage > 1 else None
         poor_m = min(POOR_M, UNUSUAL * self._usual_m) if self._usual_m > 0.0 else POOR_M
         closely = predicted is not None
-        if closely and self._tried:
+        if closely and (self._tried or self._usual_m > 0.0):
             poor_m = DOUBTED * self._usual_m
         fits = not first.error > poor_m and first.inliers >= MIN_SHARE * len(source)
         if fits or not len(target) or (self._tried and not closely):

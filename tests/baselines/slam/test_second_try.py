@@ -97,15 +97,25 @@ def test_without_odometry_the_map_is_tried_from_the_prediction_where_the_scan_be
     assert brief.calls[10:] == [guess]
 
 
-@pytest.mark.parametrize(("error", "again"), [(0.0199, False), (0.0201, True)])
-def test_without_odometry_twice_the_usual_error_is_enough_for_the_map_where_the_scan_before_was_tried(error, again):
-    narrow, brief, wide = Answer(Pose(), 0.01), Answer(Pose(), 0.01), Answer(Pose(), 0.2)
+@pytest.mark.parametrize("first", [0.01, 0.2])
+@pytest.mark.parametrize(
+    ("error", "predicted", "again"),
+    [(0.0199, Pose(), False), (0.0201, Pose(), True), (0.0399, None, False), (0.0401, None, True)],
+)
+def test_without_odometry_twice_the_usual_error_is_enough_for_the_map_instead_of_four_times(
+    first, error, predicted, again
+):
+    narrow, brief, wide = Answer(Pose(), 0.01), Answer(Pose(), 0.01), Answer(Pose(), first)
     tries = SecondTry(wide, narrow, brief)
-    tries.begin_scan(0.01, Pose())
+    tries.begin_scan(0.01, predicted)
     tries.register(CORNER, CORNER, Pose())
+    tried = len(brief.calls)
+    assert tried == (5 if first == 0.2 else 0)
     wide.error = error
     tries.register(CORNER, CORNER, Pose())
-    assert len(brief.calls) == (11 if again else 5)
+    if tried and predicted is None:  # one try a scan
+        again = False
+    assert len(brief.calls) - tried == (0 if not again else 6 if tried else 5)
 
 
 def test_without_odometry_a_poor_match_with_the_map_alone_is_tried_from_its_guess():

@@ -198,7 +198,8 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, co
     const ek_status status = match_coarse_to_fine(slam, target, guess, &narrow, part_suffices, match);
     const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)count, closely = predicted != NULL;
     const ek_real unusual = UNUSUAL * slam->usual_error, most = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
-    const ek_real poor = closely && slam->tried ? DOUBTED * slam->usual_error : most;
+    const int doubted = closely && (slam->tried || slam->usual_error > EK_R(0.0));
+    const ek_real poor = doubted ? DOUBTED * slam->usual_error : most;
     if (status != EK_OK || target->count == 0u || (paired && !(match->error > poor)) || (slam->tried && !closely)) {
         return status;
     }

@@ -39,8 +39,8 @@ void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *o
 
 /* Match the projected scan with a target, a large one first with a part of its points. The first answer of a scan that
  * fits poorly (`tried` says that there was one) is tried again with near pairs from five headings. `predicted`: of the
- * match with the map, without odometry, the pose at constant velocity, else NULL. Where the match with the scan before was
- * tried again, one of more than twice the usual error is too, from headings at `predicted` and from `guess`. `part_suffices`:
+ * match with the map, without odometry, the pose at constant velocity, else NULL: one of more than twice the usual error is
+ * tried again, too. Where the match with the scan before was, from headings at `predicted` and from `guess`. `part_suffices`:
  * of the match with the scan before, whose answer is only where that with the map begins: a part of a large scan is matched,
  * and its pairs, if enough, are counted as those of all points. */
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,

@@ -146,6 +146,29 @@ static void a_poor_match_is_tried_again(void)
     free(arena.memory);
 }
 
+/* Without odometry the map is tried again already from twice the usual error on, with it from four times. */
+static void without_odometry_a_doubted_match_with_the_map_is_tried_again(void)
+{
+    static const double factors[] = {1.9, 2.1, 3.9, 4.1};
+    ek_arena arena = line_of(1u);
+    ek_match match;
+    for (int measured = 0; measured < 2; measured++) {
+        for (size_t k = 0; k < 4u; k++) {
+            see_outline(ORIGIN);
+            for (size_t i = 0; i < POINTS; i++) {
+                slam.scan.hits[2u * i] += EK_R(i % 2u ? 0.01 : -0.01);
+            }
+            slam.usual_error = EK_R(0.0);
+            slam.tried = 0;
+            CHECK(ek_slam_match(&slam, &slam.map_index, ORIGIN, measured ? NULL : &ORIGIN, 0, &match) == EK_OK && !slam.tried);
+            slam.usual_error = match.error / EK_R(factors[k]);
+            CHECK(ek_slam_match(&slam, &slam.map_index, ORIGIN, measured ? NULL : &ORIGIN, 0, &match) == EK_OK);
+            CHECK(slam.tried == (k > (measured ? 2u : 0u)));
+        }
+    }
+    free(arena.memory);
+}
+
 /* Without odometry the map is tried again where the scan before was, from the prediction and from the guess. */
 static void without_odometry_the_map_is_tried_from_the_prediction(void)
 {
@@ -255,6 +278,7 @@ int main(void)
     a_try_ends_near_its_guess();
     a_part_of_a_scan_is_taken_evenly();
     a_poor_match_is_tried_again();
+    without_odometry_a_doubted_match_with_the_map_is_tried_again();
     without_odometry_the_map_is_tried_from_the_prediction();
     a_scan_is_matched_directly_where_nothing_is_doubted();
     steps_count_along_the_motion_of_the_wheels();
