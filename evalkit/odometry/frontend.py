@@ -199,7 +199,7 @@ class FrontEnd:
     def keep(self, frame: Frame, matched: Matched) -> None:
         """Go on from a scan: the next one is matched with it, and a keyframe enters the local map."""
         pose = matched.start_from_points
-        if self._last is None or self._is_keyframe(pose):
+        if self._last is None or self.is_keyframe(pose):
             self._local_map.add(matched.source.points, pose, frame.base_from_sensor)
             self._start_from_keyframe = pose
         self._last = matched.source
@@ -233,7 +233,8 @@ class FrontEnd:
         estimate = StageEstimate(accepted, bool(match.converged), match.iterations, match.error, match.inliers)
         return _StageAnswer(match.target_from_source if accepted else guess, estimate, match.cost)
 
-    def _is_keyframe(self, start_from_base: Pose) -> bool:
+    def is_keyframe(self, start_from_base: Pose) -> bool:
+        """Return whether a scan at a pose, which is not the first one, enters the local map."""
         if self._settings.local_map in EVERY_SCAN:
             return True
         moved = self._start_from_keyframe.inverse() @ start_from_base

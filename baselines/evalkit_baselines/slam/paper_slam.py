@@ -32,7 +32,7 @@ from evalkit_baselines.slam.keyframes import DOUBTED_M, DriftModel, Edge, Keyfra
 from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
 from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder, LoopSettings
 from evalkit_baselines.slam.match_doubt import MatchDoubt
-from evalkit_baselines.slam.observability import ObservableIcp
+from evalkit_baselines.slam.observability import ObservableIcp, Openness
 from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import smooth_ranges
@@ -109,8 +109,8 @@ class PaperSlam:
             scan_to_scan=(of_scan, of_scan_again),
         )
         self._gate = OdometryGate()
-        in_two_stages = Gated(ObservableIcp(self._tries), self._gate)
-        self._direct = Gated(ObservableIcp(direct), self._gate)
+        self._icps = ObservableIcp(self._tries), ObservableIcp(direct)
+        in_two_stages, self._direct = (Gated(icp, self._gate) for icp in self._icps)
         self._front = FrontEnd(in_two_stages, in_two_stages, front_end, self._map)
         self._finder = LoopFinder(settings, wide, narrow)
         self._continuity = Continuity()
@@ -142,6 +142,8 @@ class PaperSlam:
         frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         step = Pose.of(self._odom_from_base[-1]).inverse() @ predicted if measured else None
+        for icp in self._icps:
+            icp.known = self._openness_at(predicted)
         self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m)
         direct = self._match_directly(frame, predicted) if self._gate.is_good else None
         if direct is None:
@@ -169,6 +171,13 @@ class PaperSlam:
         elif fits:
             self._map.add_between(points, pose)
         return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
+
+    def _openness_at(self, predicted: Pose) -> Openness | None:
+        """Return what the walls leave open at the last keyframe, in the frame of the scan; None far from it."""
+        open_ = self._keyframes.openness
+        if open_ is None or self._front.is_keyframe(predicted):
+            return None
+        return open_.turn(self._odom_from_keyframe[-1][2]).turn(-predicted.theta)
 
     def _match_directly(self, frame: Frame, predicted: Pose) -> Matched | None:
         """Match a scan with the map from where good odometry puts it; None if anything about the answer is doubted."""

@@ -347,5 +347,8 @@ def test_an_icp_keeps_its_guess_along_a_bare_corridor_and_its_answer_across():
 
     along = np.column_stack([np.linspace(-6.0, 6.0, 200), np.ones(200)])
     cloud = Cloud(np.concatenate([along, along * [1.0, -1.0]]))
-    answer = ObservableIcp(Icp()).register(cloud, cloud, Pose(1.0, 0.0, 0.0)).target_from_source
+    icp = ObservableIcp(Icp())
+    answer = icp.register(cloud, cloud, Pose(1.0, 0.0, 0.0)).target_from_source
     assert answer.row == pytest.approx([1.0, 0.3, 0.0])
+    icp.known = measure_openness(cloud.points).turn(np.pi / 2.0)  # known instead: the walls run along y
+    assert icp.register(cloud, cloud, Pose(1.0, 0.0, 0.0)).target_from_source.row == pytest.approx([0.4, 0.0, 0.0])

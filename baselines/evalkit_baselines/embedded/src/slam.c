@@ -198,6 +198,23 @@ static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openn
     return status;
 }
 
+/* Whether a scan at a pose is a keyframe: the first one, or far enough from the last. */
+static int is_keyframe(const ek_slam *slam, ek_pose odom_from_base)
+{
+    const ek_slam_parameters *const p = &slam->parameters;
+    const ek_pose moved = ek_se2_between(slam->odom_from_front, odom_from_base);
+    const int far = moved.x * moved.x + moved.y * moved.y >= p->keyframe_distance * p->keyframe_distance;
+    return !slam->has_keyframe || far || EK_FABS(moved.theta) >= p->keyframe_angle;
+}
+
+/* What the walls leave open, in the frame of the scan: as at the last keyframe, or measured far from it. */
+static ek_openness find_openness(ek_slam *slam, ek_pose predicted, ek_work *work)
+{
+    return is_keyframe(slam, predicted)
+               ? ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work)
+               : ek_openness_turn(&slam->open, -predicted.theta);
+}
+
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work)
 {
     ek_pose last_from_base = ek_motion_predict(&slam->motion, prior), pose = estimate->odom_from_base;
@@ -206,10 +223,9 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     }
     slam->tried = 0;
     slam->matching = 0u;
-    const ek_openness open =
-        ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
     const int measured = is_measured(slam, prior);
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_points, last_from_base);
+    const ek_openness open = find_openness(slam, predicted, work);
     slam->gate = ek_slam_gate(slam, measured, ek_se2_between(slam->motion.start_from_base, predicted));
     ek_status status = EK_OK;
     if (ek_slam_is_good(&slam->gate)) {
@@ -329,10 +345,8 @@ static void draw_between(ek_slam *slam, ek_pose odom_from_base)
  * lost. */
 static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, const ek_slam_estimate *estimate, ek_work *task)
 {
-    const ek_slam_parameters *const p = &slam->parameters;
-    const ek_pose pose = estimate->odom_from_base, moved = ek_se2_between(slam->odom_from_front, pose);
-    const int far = moved.x * moved.x + moved.y * moved.y >= p->keyframe_distance * p->keyframe_distance;
-    const int keyframe = !slam->has_keyframe || far || EK_FABS(moved.theta) >= p->keyframe_angle;
+    const ek_pose pose = estimate->odom_from_base;
+    const int keyframe = is_keyframe(slam, pose);
     const int measured = is_measured(slam, prior);
     const int fits = estimate->scan_to_map_accepted &&
                      ek_slam_doubt(slam, measured ? &predicted : NULL, pose, &estimate->scan_to_map);

@@ -113,6 +113,7 @@ typedef struct {
     int32_t map_changed, has_keyframe, tried;
     uint64_t matching;       /* points times iterations of matching this scan */
     ek_pose odom_from_front; /* of the front end's last keyframe */
+    ek_openness open;        /* at the last keyframe of the graph, in the continuous frame */
     ek_keyframes keyframes;
     ek_pose *odom_from_keyframe;
     ek_pose odom_from_start, next_odom_from_start;
