@@ -28,6 +28,7 @@ static ek_pipeline_parameters parameters_of(ek_input *input)
     parameters.frontend.voxels = 1u + (map >> 2 & 31u) * 4u;
     parameters.frontend.scan_to_scan.metric = parameters.frontend.scan_to_map.metric =
         map >> 7 ? EK_METRIC_LINE : EK_METRIC_POINT;
+    parameters.frontend.scan_to_scan.share_noise = parameters.frontend.scan_to_map.share_noise = map >> 6 & 1;
     parameters.deskew = flags >> 4 & 1;
     parameters.map = flags >> 5 & 1;
     parameters.clear_no_returns = flags >> 6 & 1;

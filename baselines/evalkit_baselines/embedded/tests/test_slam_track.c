@@ -109,7 +109,7 @@ static void what_is_open_is_measured_far_from_the_last_keyframe_only(void)
         const ek_openness open = find_openness(&slam, predicted, &work);
         if (cases[k][2] > 0.0) {
             const ek_pose world = ek_se2_compose(pose_of(0.0, 0.0, predicted.theta), pose_of(open.x, open.y, 0.0));
-            CHECK_NEAR(open.ratio, 0.01, 0.0);
+            CHECK_NEAR(open.ratio, 0.01, 1e-8);
             CHECK_NEAR(world.x, 0.6, 1e-6);
             CHECK_NEAR(world.y, 0.8, 1e-6);
         } else {
