@@ -25,6 +25,10 @@
 #define ek_slam_odom_from_start EK_NAME(slam_odom_from_start)
 #define ek_slam_work EK_NAME(slam_work)
 
+/* The voxels of the maps are turned against the continuous frame: walls that run along rows of voxels, as they do where a
+ * robot starts along a wall, bend the map. */
+#define EK_GRID_ANGLE EK_R(0.4) /* rad */
+
 /* Initialise in an arena (or measure it). */
 ek_status ek_slam_init(ek_slam *slam, ek_arena *arena, const ek_slam_parameters *parameters);
 

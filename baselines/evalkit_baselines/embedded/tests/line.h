@@ -50,6 +50,14 @@ static inline ek_arena line_of(size_t keyframes)
     return arena;
 }
 
+/* Where the mean of a voxel lies in the continuous frame; the voxels are turned. */
+static inline ek_pose drawn_at(const ek_voxel *voxel)
+{
+    const ek_real points = (ek_real)voxel->points;
+    const ek_pose turned = {EK_R(0.0), EK_R(0.0), EK_GRID_ANGLE}, mean = {voxel->x / points, voxel->y / points, EK_R(0.0)};
+    return ek_se2_between(turned, mean);
+}
+
 /* An edge between two keyframes with the same information in all directions. */
 static inline ek_loop_edge edge_of(uint32_t first, uint32_t second, ek_pose motion, double information)
 {
