@@ -43,10 +43,11 @@ class _Scan(NamedTuple):
 
 
 class Continuity:
-    """Compares a scan with the one before, or with one before that where that has too few points."""
+    """Compares a scan with the one before; where that has too few points, with the last one that was compared so."""
 
     def __init__(self) -> None:
         self._last: _Scan | None = None
+        self._is_outdated = False  # _before is older than the scan before
         self._before: Floats | None = None
         self._sensor = Pose()
 
@@ -77,13 +78,19 @@ class Continuity:
         return float((on_before | np.isfinite(np.asarray(distance))).mean()) < MIN_SHARE
 
     def keep(self, points: Floats, odom_from_base: Pose, base_from_sensor: Pose) -> None:
-        """Compare the next scans with this one, points (N, 2) of the base frame."""
+        """Compare the next scans with this one, points (N, 2) of the base frame.
+
+        If the one before was never compared, and this one has too few points, there is none to compare with.
+        """
+        self._is_outdated = self._last is not None
         self._last = _Scan(points, odom_from_base, base_from_sensor)
 
     def _take_last(self) -> None:
         """Prepare the scan that was kept last, if it has enough points; many are replaced before they are needed."""
         if self._last is None:
             return
+        if self._is_outdated:
+            self._before = None
         moved = self._last.odom_from_base.transform(voxel_means(self._last.points, _VOXEL_M))
         if len(moved) >= MIN_POINTS:
             self._before, self._sensor = moved, self._last.odom_from_base @ self._last.base_from_sensor

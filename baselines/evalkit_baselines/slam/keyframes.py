@@ -94,7 +94,7 @@ class Keyframes:
     loops: list[Edge] = field(default_factory=list)
     _poses: Floats = field(default_factory=lambda: np.zeros((256, 3)))
     _apart_m: Floats = field(default_factory=lambda: np.zeros(256))
-    _open: tuple[Openness | None, Openness | None] = (None, None)  # at the last two keyframes
+    _ratios: tuple[float, float] = (0.0, 0.0)  # openness of the last two keyframes
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -135,7 +135,7 @@ class Keyframes:
             self.steps.append(Edge(row - 1, row, last_from_keyframe, information))
             self._apart_m[:row] += _graph_length(kind, length)
         self._apart_m[row] = 0.0
-        self._open = (self._open[1], openness)
+        self._ratios = (self._ratios[1], openness.ratio)
         self.stamps_ns.append(stamp_ns)
         self.clouds.append(points)
         self.path_m.append((self.path_m[-1] if row else 0.0) + length)
@@ -144,12 +144,11 @@ class Keyframes:
 
     def is_last_step_seen(self) -> bool:
         """Return whether the walls fix the position at the last two keyframes in all directions."""
-        return all(each is not None and each.ratio >= SEEING for each in self._open)
+        return min(self._ratios) >= SEEING
 
-    @property
-    def openness(self) -> Openness | None:
-        """What the walls leave open at the last keyframe, in its frame; None: there is none."""
-        return self._open[1]
+    def is_last_closed(self) -> bool:
+        """Return whether the walls leave no direction open at the last keyframe."""
+        return self._ratios[1] >= SEEING
 
     def graph(self) -> PoseGraph:
         """Return the pose graph; steps first, then loops."""

@@ -36,10 +36,6 @@ class Openness:
     direction: Floats
     ratio: float
 
-    def turn(self, angle_rad: float) -> Openness:
-        """Return the same in a frame that is turned clockwise by an angle."""
-        return Openness(Pose(0.0, 0.0, angle_rad).transform(self.direction[None])[0], self.ratio)
-
 
 def measure_openness(points: Floats) -> Openness:
     """Return the weakest direction of points (N, 2); with fewer than eight all directions are open (ratio 0)."""
@@ -55,17 +51,19 @@ def measure_openness(points: Floats) -> Openness:
 class ObservableIcp:
     """A Registration: an ICP whose answer along an open direction is the guess.
 
-    ``known``: what is open in the frame of the next scans; None: each is measured.
+    ``is_closed``: nothing is known to be open, and the source is not measured.
     """
 
     icp: Registration
-    known: Openness | None = None
+    is_closed: bool = False
     _recent: CloudCache[Openness] = field(default_factory=CloudCache, repr=False, compare=False)
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
         match = self.icp.register(target, source, guess)
-        open_ = self.known or self._recent.get(source, lambda cloud: measure_openness(cloud.points))
+        if self.is_closed:
+            return match
+        open_ = self._recent.get(source, lambda cloud: measure_openness(cloud.points))
         trust = float(np.clip((open_.ratio - BLIND) / (SEEING - BLIND), 0.0, 1.0))
         if trust == 1.0:
             return match

@@ -32,7 +32,7 @@ from evalkit_baselines.slam.keyframes import DOUBTED_M, DriftModel, Edge, Keyfra
 from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
 from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder, LoopSettings
 from evalkit_baselines.slam.match_doubt import MatchDoubt
-from evalkit_baselines.slam.observability import ObservableIcp, Openness
+from evalkit_baselines.slam.observability import ObservableIcp
 from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import smooth_ranges
@@ -142,8 +142,10 @@ class PaperSlam:
         frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         step = Pose.of(self._odom_from_base[-1]).inverse() @ predicted if measured else None
+        # near a keyframe where nothing is open; one where something is may keep a pose at its guess, and so itself near
+        is_closed = self._keyframes.is_last_closed() and not self._front.is_keyframe(predicted)
         for icp in self._icps:
-            icp.known = self._openness_at(predicted)
+            icp.is_closed = is_closed
         self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m)
         direct = self._match_directly(frame, predicted) if self._gate.is_good else None
         if direct is None:
@@ -171,13 +173,6 @@ class PaperSlam:
         elif fits:
             self._map.add_between(points, pose)
         return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
-
-    def _openness_at(self, predicted: Pose) -> Openness | None:
-        """Return what the walls leave open at the last keyframe, in the frame of the scan; None far from it."""
-        open_ = self._keyframes.openness
-        if open_ is None or self._front.is_keyframe(predicted):
-            return None
-        return open_.turn(self._odom_from_keyframe[-1][2]).turn(-predicted.theta)
 
     def _match_directly(self, frame: Frame, predicted: Pose) -> Matched | None:
         """Match a scan with the map from where good odometry puts it; None if anything about the answer is doubted."""
@@ -218,7 +213,7 @@ class PaperSlam:
         return tuple(recorded.closure for recorded in self._candidates)
 
     def _is_lost(self, frame: Frame, points: Floats, odom_from_base: Pose) -> bool:
-        """Return whether a scan lies neither on the one before nor on the map; a direct match lies on the map."""
+        """Return whether a scan lies neither on the one before nor on the map."""
         near, has_odometry = self._map.cloud(odom_from_base).points, frame.odom_from_base is not None
         return self._continuity.is_lost(points, odom_from_base, has_odometry, near)
 

@@ -131,7 +131,7 @@ class SecondTry:
         poor_m = min(POOR_M, UNUSUAL * self._usual_m) if self._usual_m > 0.0 else POOR_M
         closely = predicted is not None
         if closely and (self._tried or self._usual_m > 0.0):
-            poor_m = DOUBTED * self._usual_m
+            poor_m = min(poor_m, DOUBTED * self._usual_m)
         fits = not first.error > poor_m and first.inliers >= MIN_SHARE * len(source)
         if fits or not len(target) or (self._tried and not closely):
             return first

@@ -273,6 +273,18 @@ def test_where_odometry_is_good_a_scan_is_matched_with_the_map_alone_and_a_slip_
 
 
 @pytest.mark.parametrize("make", [paper_slam.make, embedded_slam.make])
+@pytest.mark.parametrize("odometry", ["none", "standing"])
+def test_a_first_scan_without_returns_leaves_no_direction_open_for_the_scans_after_it(make, odometry):
+    true = ring_drive(1.0)[:60]
+    frames = list(make_frames(RING, true))
+    odom = {"none": None, "standing": Pose()}[odometry]
+    empty = replace(frames[0].scan, ranges=np.full_like(frames[0].scan.ranges, np.inf))
+    frames = [replace(frame, odom_from_base=odom) for frame in [replace(frames[0], scan=empty), *frames[1:]]]
+    _, estimates = run(make, frames)
+    assert errors_m(rows(estimates)[1:], true[1:]).max() < 0.1
+
+
+@pytest.mark.parametrize("make", [paper_slam.make, embedded_slam.make])
 @pytest.mark.parametrize("beams", [399, 400, 800])
 def test_of_a_large_scan_points_half_a_metre_from_the_map_have_no_pair(make, beams):
     angles = np.arange(beams) * 2.0 * np.pi / beams

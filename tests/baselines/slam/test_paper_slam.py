@@ -8,6 +8,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.world import World, closed_outline
 from evalkit_baselines.slam import paper_slam
+from evalkit_baselines.slam.continuity import Continuity
 from evalkit_baselines.slam.keyframes import DOUBTED_M, DriftModel, Edge, Keyframes, Step
 from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder
 from evalkit_baselines.slam.observability import ObservableIcp, measure_openness
@@ -350,5 +351,19 @@ def test_an_icp_keeps_its_guess_along_a_bare_corridor_and_its_answer_across():
     icp = ObservableIcp(Icp())
     answer = icp.register(cloud, cloud, Pose(1.0, 0.0, 0.0)).target_from_source
     assert answer.row == pytest.approx([1.0, 0.3, 0.0])
-    icp.known = measure_openness(cloud.points).turn(np.pi / 2.0)  # known instead: the walls run along y
-    assert icp.register(cloud, cloud, Pose(1.0, 0.0, 0.0)).target_from_source.row == pytest.approx([0.4, 0.0, 0.0])
+    icp.is_closed = True
+    assert icp.register(cloud, cloud, Pose(1.0, 0.0, 0.0)).target_from_source.row == pytest.approx([0.4, 0.3, 0.0])
+
+
+def test_a_scan_of_too_few_points_after_one_that_was_not_compared_leaves_none_to_compare_with():
+    angles, away = np.linspace(-np.pi, np.pi, 400, endpoint=False), Pose(20.0, 0.0, 0.0)
+    room = np.column_stack([3.0 * np.cos(angles), 3.0 * np.sin(angles)])
+    for between, lost in (([], True), ([room], False)):
+        continuity = Continuity()
+        continuity.keep(room, Pose(), Pose())
+        assert not continuity.is_lost(room, Pose(), False, room)
+        for scan in [*between, room[:12]]:
+            continuity.keep(scan, away, Pose())
+        assert (
+            continuity.is_lost(room, away, False, room) is lost
+        )  # with nothing in between: the first one saw nothing there

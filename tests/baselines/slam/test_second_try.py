@@ -97,6 +97,18 @@ def test_without_odometry_the_map_is_tried_from_the_prediction_where_the_scan_be
     assert brief.calls[10:] == [guess]
 
 
+@pytest.mark.parametrize("predicted", [None, Pose()])
+@pytest.mark.parametrize(("error", "again"), [(0.099, False), (0.101, True)])
+def test_more_than_ten_centimetres_are_tried_again_however_usual_they_are(error, again, predicted):
+    narrow, brief, wide = Answer(Pose(), 0.01), Answer(Pose(), 0.01), Answer(Pose(), 0.01)
+    tries = SecondTry(wide, narrow, brief)
+    tries.begin_scan(0.06, predicted)
+    tries.register(CORNER, CORNER, Pose())
+    wide.error = error
+    tries.register(CORNER, CORNER, Pose())
+    assert bool(brief.calls) is again
+
+
 @pytest.mark.parametrize("first", [0.01, 0.2])
 @pytest.mark.parametrize(
     ("error", "predicted", "again"),

@@ -61,13 +61,6 @@ ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, cons
     return open;
 }
 
-ek_openness ek_openness_turn(const ek_openness *open, ek_real angle)
-{
-    const ek_real c = EK_COS(angle), s = EK_SIN(angle);
-    const ek_openness turned = {c * open->x - s * open->y, s * open->x + c * open->y, open->ratio};
-    return turned;
-}
-
 ek_real ek_openness_trust(const ek_openness *open)
 {
     const ek_real trust = (open->ratio - BLIND) / (SEEING - BLIND);

@@ -141,6 +141,7 @@ static void keep_last(ek_slam *slam, ek_pose odom_from_base)
 {
     memcpy(slam->last_points, slam->scan.hits, 2u * slam->scan.count * sizeof(ek_real));
     slam->last_count = slam->scan.count;
+    slam->last_outdated = !slam->last_compared;
     slam->last_indexed = slam->last_compared = 0;
     slam->last_odom_from_base = odom_from_base;
     slam->last_base_from_sensor = slam->parameters.scan.base_from_sensor;
@@ -151,8 +152,9 @@ static ek_status index_last(ek_slam *slam)
     if (slam->last_indexed) {
         return EK_OK;
     }
-    slam->last_indexed = 1;
-    return index_lines(&slam->last, slam->last_normals, slam->last_points, slam->last_count);
+    const ek_status status = index_lines(&slam->last, slam->last_normals, slam->last_points, slam->last_count);
+    slam->last_indexed = status == EK_OK;
+    return status;
 }
 
 /* Take the part of the map around a pose, if the map has changed or the robot has moved on. */
@@ -214,12 +216,14 @@ static int is_keyframe(const ek_slam *slam, ek_pose odom_from_base)
     return !slam->has_keyframe || far || EK_FABS(moved.theta) >= p->keyframe_angle;
 }
 
-/* What the walls leave open, in the frame of the scan: as at the last keyframe, or measured far from it. */
+/* What the walls leave open. Near a keyframe where they left nothing open they do not either; what they left open there is
+ * measured again: a scan that is left to its guess may never get far from that keyframe. */
 static ek_openness find_openness(ek_slam *slam, ek_pose predicted, ek_work *work)
 {
-    return is_keyframe(slam, predicted)
-               ? ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work)
-               : ek_openness_turn(&slam->open, -predicted.theta);
+    const ek_openness closed = {EK_R(1.0), EK_R(0.0), EK_R(1.0)};
+    return slam->is_closed && !is_keyframe(slam, predicted)
+               ? closed
+               : ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
 }
 
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work)
@@ -318,6 +322,9 @@ static int is_lost(ek_slam *slam, int has_odometry, const ek_slam_estimate *esti
         return 0;
     }
     if (!slam->last_compared) {
+        if (slam->last_outdated) { /* if the one before has too few points, there is none to compare with */
+            slam->continuity.before.count = 0u;
+        }
         ek_continuity_keep(&slam->continuity, &slam->thinner, slam->last_points, slam->last_count,
                            slam->last_odom_from_base, slam->last_base_from_sensor, work);
         slam->last_compared = 1;

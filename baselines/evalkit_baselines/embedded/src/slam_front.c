@@ -199,7 +199,7 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, co
     const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)count, closely = predicted != NULL;
     const ek_real unusual = UNUSUAL * slam->usual_error, most = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
     const int doubted = closely && (slam->tried || slam->usual_error > EK_R(0.0));
-    const ek_real poor = doubted ? DOUBTED * slam->usual_error : most;
+    const ek_real poor = doubted && DOUBTED * slam->usual_error < most ? DOUBTED * slam->usual_error : most;
     if (status != EK_OK || target->count == 0u || (paired && !(match->error > poor)) || (slam->tried && !closely)) {
         return status;
     }

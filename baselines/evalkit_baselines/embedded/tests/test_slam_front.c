@@ -165,6 +165,16 @@ static void without_odometry_a_doubted_match_with_the_map_is_tried_again(void)
             CHECK(ek_slam_match(&slam, &slam.map_index, ORIGIN, measured ? NULL : &ORIGIN, 0, &match) == EK_OK);
             CHECK(slam.tried == (k > (measured ? 2u : 0u)));
         }
+        for (size_t k = 0; k < 2u; k++) { /* above 0.1 m always, however usual that is */
+            see_outline(ORIGIN);
+            for (size_t i = 0; i < POINTS; i++) {
+                slam.scan.hits[2u * i] += EK_R(i % 2u ? 0.3 : -0.3);
+            }
+            slam.usual_error = EK_R(k ? 10.0 : 0.0);
+            slam.tried = 0;
+            CHECK(ek_slam_match(&slam, &slam.map_index, ORIGIN, measured ? NULL : &ORIGIN, 0, &match) == EK_OK);
+            CHECK(slam.tried);
+        }
     }
     free(arena.memory);
 }

@@ -26,7 +26,6 @@ typedef struct {
 
 #define ek_observer_init EK_NAME(observer_init)
 #define ek_observer_measure EK_NAME(observer_measure)
-#define ek_openness_turn EK_NAME(openness_turn)
 #define ek_openness_trust EK_NAME(openness_trust)
 #define ek_openness_limit EK_NAME(openness_limit)
 
@@ -37,9 +36,6 @@ ek_status ek_observer_init(ek_observer *observer, ek_arena *arena, size_t capaci
  * cells all directions are open. At most 200 operations a point. */
 ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, const ek_real *xy, size_t count,
                                 ek_work *work);
-
-/* The same in a frame that is turned clockwise by an angle (rad). */
-ek_openness ek_openness_turn(const ek_openness *open, ek_real angle);
 
 /* Share, 0 to 1, of a match that counts along the open direction. */
 ek_real ek_openness_trust(const ek_openness *open);

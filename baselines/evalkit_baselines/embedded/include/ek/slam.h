@@ -99,7 +99,8 @@ typedef struct {
     ek_real *last_points, *last_normals, *map_normals, *map_points;
     size_t last_count;       /* points of the scan before, */
     int32_t last_indexed;    /* which are indexed when they are matched, */
-    int32_t last_compared;   /* and prepared when another scan is compared with them */
+    int32_t last_compared;   /* and prepared when another scan is compared with them; */
+    int32_t last_outdated;   /* 1: the scan that was prepared last is older than the one before */
     ek_pose last_odom_from_base, last_base_from_sensor;
     uint32_t *map_support;   /* points of each mean in map_points */
     ek_thinner thinner;
@@ -113,7 +114,7 @@ typedef struct {
     int32_t map_changed, has_keyframe, tried;
     uint64_t matching;       /* points times iterations of matching this scan */
     ek_pose odom_from_front; /* of the front end's last keyframe */
-    ek_openness open;        /* at the last keyframe of the graph, in the continuous frame */
+    int32_t is_closed;       /* 1: the walls left no direction open at the last scan that was to be a keyframe of the graph */
     ek_keyframes keyframes;
     ek_pose *odom_from_keyframe;
     ek_pose odom_from_start, next_odom_from_start;
