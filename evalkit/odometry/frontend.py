@@ -155,7 +155,7 @@ class FrontEnd:
         local_map: LocalMap | None = None,
     ) -> None:
         """Make the front end; ``local_map`` replaces the one of the settings."""
-        self._scan_to_scan, self._scan_to_map = scan_to_scan, scan_to_map
+        self._registrations: dict[Stage, Registration] = {"s2s": scan_to_scan, "s2m": scan_to_map}
         self._settings = settings
         self._local_map = _make_local_map(settings) if local_map is None else local_map
         self._motion = Motion(settings.prior, settings.deskew)
@@ -183,12 +183,12 @@ class FrontEnd:
                 and self._settings.scan_to_scan
                 and (self._settings.scan_to_scan_with_odometry or not self._motion.is_measured(frame))
             ):
-                stages["s2s"] = self._register(self._scan_to_scan, self._last, source, last_from_base)
+                stages["s2s"] = self._register("s2s", self._last, source, last_from_base)
                 last_from_base = stages["s2s"].pose
             start_from_points = start_from_last @ last_from_base
             if self._settings.scan_to_map:
                 local_map = self._local_map.cloud(start_from_points)
-                stages["s2m"] = self._register(with_map or self._scan_to_map, local_map, source, start_from_points)
+                stages["s2m"] = self._register("s2m", local_map, source, start_from_points, with_map)
                 start_from_points = stages["s2m"].pose
         estimates: dict[Stage, StageEstimate] = {name: stage.estimate for name, stage in stages.items()}
         accepted = any(stage.accepted for stage in estimates.values()) if estimates else None
@@ -227,8 +227,10 @@ class FrontEnd:
             points = voxel_means(points, self._settings.source_voxel_m)
         return Cloud(points, "base")
 
-    def _register(self, registration: Registration, target: Cloud, source: Cloud, guess: Pose) -> _StageAnswer:
-        match = registration.register(target, source, guess)
+    def _register(
+        self, stage: Stage, target: Cloud, source: Cloud, guess: Pose, registration: Registration | None = None
+    ) -> _StageAnswer:
+        match = (registration or self._registrations[stage]).register(target, source, guess)
         accepted = match.inliers >= self._settings.min_inliers
         estimate = StageEstimate(accepted, bool(match.converged), match.iterations, match.error, match.inliers)
         return _StageAnswer(match.target_from_source if accepted else guess, estimate, match.cost)

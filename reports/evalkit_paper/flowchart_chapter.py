@@ -50,7 +50,7 @@ TWO_STAGES: Words = {
     "VoxelMap.cloud": "local map: lasting voxels",
     "GridMap.cloud": "local map: occupied cells",
     "FrontEnd._register s2m": "ICP with the local map (S2M)",
-    "FrontEnd._is_keyframe": "new keyframe?",
+    "FrontEnd.is_keyframe": "new keyframe?",
     "KeyframeMap.add": "add its points to the local map",
     "VoxelMap.add": "add its points to the local map",
     "GridMap.add": "add it to the local map",
