@@ -28,16 +28,6 @@ ek_status ek_continuity_init(ek_continuity *continuity, ek_arena *arena, size_t 
     return status;
 }
 
-static void transform(ek_pose pose, const ek_real *from, size_t count, ek_real *to)
-{
-    const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta);
-    for (size_t i = 0; i < 2u * count; i += 2u) {
-        const ek_real x = from[i], y = from[i + 1u];
-        to[i] = c * x - s * y + pose.x;
-        to[i + 1u] = s * x + c * y + pose.y;
-    }
-}
-
 /* Sort the rays by bearing: merge runs of doubling length; stable. */
 static void sort_rays(ek_continuity *continuity)
 {
@@ -120,9 +110,9 @@ void ek_continuity_keep(ek_continuity *continuity, ek_thinner *thinner, const ek
         return;
     }
     continuity->sensor = ek_se2_compose(odom_from_base, base_from_sensor);
-    transform(odom_from_base, moved, cells, moved);
+    ek_se2_transform(odom_from_base, moved, cells, moved);
     ek_index_build(&continuity->before, moved, cells);
-    transform(ek_se2_inverse(continuity->sensor), moved, cells, moved);
+    ek_se2_transform(ek_se2_inverse(continuity->sensor), moved, cells, moved);
     for (size_t i = 0; i < cells; i++) {
         const ek_real x = moved[2u * i], y = moved[2u * i + 1u];
         continuity->ray[i].bearing = EK_ATAN2(y, x);
@@ -141,7 +131,7 @@ int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const 
     if (cells < MIN_POINTS || continuity->before.count == 0u) {
         return 0;
     }
-    transform(odom_from_base, continuity->moved, cells, continuity->moved);
+    ek_se2_transform(odom_from_base, continuity->moved, cells, continuity->moved);
     ek_work_spend(work, POINT_WORK * (uint64_t)cells);
     const size_t seen = select_seen(continuity, cells, every);
     if (seen * every < MIN_POINTS) {

@@ -145,22 +145,17 @@ static ek_status defer_normals(const ek_frontend *frontend, ek_index *index, ek_
 static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t count, ek_pose start_from_base)
 {
     const uint32_t keyframes = frontend->parameters.keyframes, full = frontend->keyframe_count == keyframes;
-    const ek_real c = EK_COS(start_from_base.theta), s = EK_SIN(start_from_base.theta);
     if (is_lasting(frontend)) {
         frontend->keyframe_count += 1u - full;
         ek_lasting_map_add(&frontend->lasting, xy, count, start_from_base);
         return EK_OK;
     }
-    ek_real *const into = frontend->keyframe;
-    for (size_t i = 0; i < count; i++) {
-        into[2u * i] = c * xy[2u * i] - s * xy[2u * i + 1u] + start_from_base.x;
-        into[2u * i + 1u] = s * xy[2u * i] + c * xy[2u * i + 1u] + start_from_base.y;
-    }
+    ek_se2_transform(start_from_base, xy, count, frontend->keyframe);
     const size_t removed = full ? frontend->keyframe_counts[frontend->oldest_keyframe] : 0u;
     frontend->keyframe_counts[(frontend->oldest_keyframe + frontend->keyframe_count) % keyframes] = count;
     frontend->oldest_keyframe = (frontend->oldest_keyframe + full) % keyframes;
     frontend->keyframe_count += 1u - full;
-    const ek_status status = ek_index_update(&frontend->updater, &frontend->local_map, removed, into, count);
+    const ek_status status = ek_index_update(&frontend->updater, &frontend->local_map, removed, frontend->keyframe, count);
     return status == EK_OK ? defer_normals(frontend, &frontend->local_map, frontend->local_normals) : status;
 }
 

@@ -57,6 +57,16 @@ ek_pose ek_se2_fraction(ek_pose a_from_b, ek_real share)
     return part;
 }
 
+void ek_se2_transform(ek_pose to_from_from, const ek_real *from, size_t count, ek_real *to)
+{
+    const ek_real c = EK_COS(to_from_from.theta), s = EK_SIN(to_from_from.theta);
+    for (size_t i = 0; i < 2u * count; i += 2u) {
+        const ek_real x = from[i], y = from[i + 1u];
+        to[i] = c * x - s * y + to_from_from.x;
+        to[i + 1u] = s * x + c * y + to_from_from.y;
+    }
+}
+
 int ek_se2_is_finite(ek_pose pose)
 {
     return isfinite(pose.x) && isfinite(pose.y) && isfinite(pose.theta);

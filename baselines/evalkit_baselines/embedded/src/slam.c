@@ -164,19 +164,14 @@ static ek_status take_map(ek_slam *slam, ek_pose near, ek_work *work)
     if (!slam->map_changed && x * x + y * y <= RECENTRE * radius * RECENTRE * radius) {
         return EK_OK;
     }
-    const ek_real c = EK_COS(EK_GRID_ANGLE), s = EK_SIN(EK_GRID_ANGLE), u = c * near.x - s * near.y, v = s * near.x + c * near.y;
-    ek_real *const means = slam->map_points;
-    const size_t count = ek_voxel_map_cloud(&slam->maps[slam->drawn], u, v, radius, means, slam->map_support,
-                                            slam->parameters.map_points, work);
-    for (size_t k = 0; k < 2u * count; k += 2u) { /* back to the continuous frame */
-        const ek_real along = means[k], up = means[k + 1u];
-        means[k] = c * along + s * up;
-        means[k + 1u] = c * up - s * along;
-    }
+    const ek_pose centre = ek_se2_compose(ek_grid_from_odom, near);
+    const size_t count = ek_voxel_map_cloud(&slam->maps[slam->drawn], centre.x, centre.y, radius, slam->map_points,
+                                            slam->map_support, slam->parameters.map_points, work);
+    ek_se2_transform(ek_se2_inverse(ek_grid_from_odom), slam->map_points, count, slam->map_points);
     slam->centre_x = near.x;
     slam->centre_y = near.y;
     slam->map_changed = 0;
-    const ek_status status = index_lines(&slam->map_index, slam->map_normals, means, count);
+    const ek_status status = index_lines(&slam->map_index, slam->map_normals, slam->map_points, count);
     slam->map_index.support = slam->map_support;
     return status;
 }
@@ -221,7 +216,7 @@ static int is_keyframe(const ek_slam *slam, ek_pose odom_from_base)
 static ek_openness find_openness(ek_slam *slam, ek_pose predicted, ek_work *work)
 {
     const ek_openness closed = {EK_R(1.0), EK_R(0.0), EK_R(1.0)};
-    return slam->is_closed && !is_keyframe(slam, predicted)
+    return slam->wheels.seen && !is_keyframe(slam, predicted)
                ? closed
                : ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
 }

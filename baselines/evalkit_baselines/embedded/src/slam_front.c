@@ -142,6 +142,16 @@ static ek_status match_points(ek_slam *slam, const ek_index *target, const ek_re
     return status;
 }
 
+/* Match all points with near pairs, in few iterations. */
+static ek_status match_all(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_icp_parameters *parameters,
+                           ek_match *match)
+{
+    ek_icp_parameters fine = *parameters;
+    limit_iterations(&fine, FINE_ITERATIONS);
+    fine.max_correspondence = slam->parameters.fine_correspondence;
+    return match_points(slam, target, slam->scan.hits, slam->scan.count, guess, &fine, match);
+}
+
 /* Match a part of a large scan, then, unless the part suffices, all of it with near pairs: points beyond the end of the map
  * have none. Where the part suffices and has enough pairs, its share of pairs is taken for that of all points. */
 static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_pose guess,
@@ -149,7 +159,7 @@ static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_
 {
     const size_t count = take_part(slam, COARSE_POINTS);
     const int large = count < slam->scan.count;
-    ek_icp_parameters coarse = *parameters, fine = *parameters;
+    ek_icp_parameters coarse = *parameters;
     if (large) {
         limit_iterations(&coarse, PART_ITERATIONS);
     }
@@ -158,9 +168,7 @@ static ek_status match_coarse_to_fine(ek_slam *slam, const ek_index *target, ek_
         const int enough = match->inliers >= slam->parameters.min_inliers;
         match->inliers = enough ? (int32_t)((uint64_t)match->inliers * slam->scan.count / count) : match->inliers;
     } else if (status == EK_OK && large) {
-        limit_iterations(&fine, FINE_ITERATIONS);
-        fine.max_correspondence = slam->parameters.fine_correspondence;
-        status = match_points(slam, target, slam->scan.hits, slam->scan.count, match->target_from_source, &fine, match);
+        status = match_all(slam, target, match->target_from_source, parameters, match);
     }
     return status;
 }
@@ -283,13 +291,10 @@ static ek_real usual_gap_of(const ek_slam *slam, ek_pose predicted)
 
 int ek_slam_match_directly(ek_slam *slam, const ek_openness *open, ek_pose *pose, ek_match *match)
 {
-    ek_icp_parameters fine = slam->parameters.matcher;
+    ek_icp_parameters matcher = slam->parameters.matcher;
     const size_t count = slam->scan.count;
-    limit_iterations(&fine, FINE_ITERATIONS);
-    fine.epsilon = DIRECT_EPSILON;
-    fine.max_correspondence = slam->parameters.fine_correspondence;
-    if (count == 0u ||
-        match_points(slam, &slam->map_index, slam->scan.hits, count, *pose, &fine, match) != EK_OK) {
+    matcher.epsilon = DIRECT_EPSILON;
+    if (count == 0u || match_all(slam, &slam->map_index, *pose, &matcher, match) != EK_OK) {
         return 0;
     }
     const ek_pose limited = ek_openness_limit(open, match->target_from_source, *pose), gap = ek_se2_between(*pose, limited);

@@ -11,8 +11,7 @@
 
 void ek_slam_draw(ek_slam *slam, uint32_t map, const ek_real *xy, size_t count, ek_pose odom_from_points, ek_work *work)
 {
-    const ek_pose grid_from_odom = {EK_R(0.0), EK_R(0.0), EK_GRID_ANGLE};
-    ek_voxel_map_add(&slam->maps[map], &slam->thinner, xy, count, ek_se2_compose(grid_from_odom, odom_from_points),
+    ek_voxel_map_add(&slam->maps[map], &slam->thinner, xy, count, ek_se2_compose(ek_grid_from_odom, odom_from_points),
                      slam->moved, slam->sums, slam->counts, work);
     slam->map_changed |= map == slam->drawn;
 }
@@ -174,7 +173,6 @@ ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, ek_step_kind kin
     const size_t count = ek_thin(&slam->thinner, slam->scan.hits, slam->scan.count, STORED_VOXEL, slam->stored, work);
     const ek_openness open = ek_observer_measure(&slam->observer, &slam->thinner, slam->stored, count, work);
     const ek_pose step = row ? ek_se2_between(slam->odom_from_keyframe[row - 1u], graph_pose) : identity;
-    slam->is_closed = ek_openness_trust(&open) >= EK_R(1.0);
     ek_slam_observe_wheels(slam, step, &open, kind == EK_STEP_MATCHED);
     ek_status status = ek_keyframes_add(keyframes, slam->stored, count, step, kind, &open, slam->doubt, work);
     if (status != EK_OK) { /* no room: from now on an odometry on the lasting map */

@@ -27,7 +27,7 @@
 
 /* The voxels of the maps are turned against the continuous frame: walls that run along rows of voxels, as they do where a
  * robot starts along a wall, bend the map. */
-#define EK_GRID_ANGLE EK_R(0.4) /* rad */
+static const ek_pose ek_grid_from_odom = {EK_R(0.0), EK_R(0.0), EK_R(0.4)};
 
 /* Initialise in an arena (or measure it). */
 ek_status ek_slam_init(ek_slam *slam, ek_arena *arena, const ek_slam_parameters *parameters);

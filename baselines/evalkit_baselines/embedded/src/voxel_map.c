@@ -74,11 +74,7 @@ static void add_to_voxel(ek_voxel_map *map, int32_t column, int32_t row, const e
 void ek_voxel_map_add(ek_voxel_map *map, ek_thinner *thinner, const ek_real *xy, size_t count, ek_pose map_from_points,
                       ek_real *moved, ek_real *sums, uint32_t *counts, ek_work *work)
 {
-    const ek_real c = EK_COS(map_from_points.theta), s = EK_SIN(map_from_points.theta);
-    for (size_t i = 0; i < count; i++) {
-        moved[2u * i] = c * xy[2u * i] - s * xy[2u * i + 1u] + map_from_points.x;
-        moved[2u * i + 1u] = s * xy[2u * i] + c * xy[2u * i + 1u] + map_from_points.y;
-    }
+    ek_se2_transform(map_from_points, xy, count, moved);
     const size_t cells = ek_thin_sums(thinner, moved, count, map->size, sums, counts, work);
     size_t first = 0u;
     for (size_t k = 0; k < cells; k++) {

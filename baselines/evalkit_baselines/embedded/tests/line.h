@@ -54,8 +54,8 @@ static inline ek_arena line_of(size_t keyframes)
 static inline ek_pose drawn_at(const ek_voxel *voxel)
 {
     const ek_real points = (ek_real)voxel->points;
-    const ek_pose turned = {EK_R(0.0), EK_R(0.0), EK_GRID_ANGLE}, mean = {voxel->x / points, voxel->y / points, EK_R(0.0)};
-    return ek_se2_between(turned, mean);
+    const ek_pose mean = {voxel->x / points, voxel->y / points, EK_R(0.0)};
+    return ek_se2_between(ek_grid_from_odom, mean);
 }
 
 /* An edge between two keyframes with the same information in all directions. */

@@ -8,8 +8,23 @@ static void check_pose(ek_pose found, double x, double y, double theta)
     CHECK_NEAR(found.theta, theta, TOLERANCE);
 }
 
+/* A quarter of a turn and a step, in place, too. */
+static void points_are_turned_and_moved(void)
+{
+    const ek_pose motion = {EK_R(3.0), EK_R(-1.0), EK_R(0.5) * EK_PI};
+    ek_real points[] = {EK_R(2.0), EK_R(1.0), EK_R(0.0), EK_R(5.0)}, moved[4];
+    ek_se2_transform(motion, points, 2u, moved);
+    ek_se2_transform(motion, points, 1u, points);
+    const double expected[] = {2.0, 1.0, -2.0, -1.0};
+    for (size_t k = 0; k < 4u; k++) {
+        CHECK_NEAR(moved[k], expected[k], 1e-6);
+        CHECK_NEAR(points[k], k < 2u ? expected[k] : k == 2u ? 0.0 : 5.0, 1e-6);
+    }
+}
+
 int main(void)
 {
+    points_are_turned_and_moved();
     const ek_pose quarter = {EK_R(1.0), EK_R(0.0), EK_PI / EK_R(2.0)}, ahead = {EK_R(1.0), EK_R(0.0), EK_R(0.0)};
     check_pose(ek_se2_compose(quarter, ahead), 1.0, 1.0, (double)EK_PI / 2.0);
     check_pose(ek_se2_compose(quarter, ek_se2_inverse(quarter)), 0.0, 0.0, 0.0);

@@ -107,7 +107,7 @@ static void what_is_open_is_not_measured_near_a_closed_keyframe(void)
     slam.odom_from_front = pose_of(3.0, 2.0, 0.5);
     slam.scan.count = CORNER; /* one wall */
     for (int closed = 0; closed < 2; closed++) {
-        slam.is_closed = closed;
+        slam.wheels.seen = closed;
         for (size_t k = 0; k < 4u; k++) {
             const ek_pose predicted = ek_se2_compose(slam.odom_from_front, pose_of(cases[k][0], 0.0, cases[k][1]));
             const ek_openness open = find_openness(&slam, predicted, &work);

@@ -21,6 +21,7 @@ typedef struct {
 #define ek_se2_inverse EK_NAME(se2_inverse)
 #define ek_se2_between EK_NAME(se2_between)
 #define ek_se2_fraction EK_NAME(se2_fraction)
+#define ek_se2_transform EK_NAME(se2_transform)
 #define ek_se2_is_finite EK_NAME(se2_is_finite)
 
 /* Wrap an angle to [-pi, pi) (rad). */
@@ -37,6 +38,9 @@ ek_pose ek_se2_between(ek_pose w_from_a, ek_pose w_from_b);
 
 /* The fraction `share` (0 to 1) of a motion along its constant-velocity arc: exp(share * log(a_from_b)). */
 ek_pose ek_se2_fraction(ek_pose a_from_b, ek_real share);
+
+/* Transform `count` pairs x y (m) by a motion; `to` may be `from`. */
+void ek_se2_transform(ek_pose to_from_from, const ek_real *from, size_t count, ek_real *to);
 
 /* 1 if all three numbers are finite. */
 int ek_se2_is_finite(ek_pose pose);

@@ -77,7 +77,8 @@ typedef struct {
 /* Scale of the wheel odometry: matched path over that of the wheels, both since about 50 m (odometry_scale.py). */
 typedef struct {
     ek_real matched, driven;      /* m */
-    int32_t has_last, has_keyframe, seen;
+    int32_t has_last, has_keyframe;
+    int32_t seen;                 /* 1: the walls left no direction open at the last keyframe */
     ek_pose last, scaled;         /* raw and scaled odometry at the last scan */
     ek_pose now;                  /* raw odometry of this scan */
     ek_pose keyframe;             /* raw odometry at the last keyframe */
@@ -114,7 +115,6 @@ typedef struct {
     int32_t map_changed, has_keyframe, tried;
     uint64_t matching;       /* points times iterations of matching this scan */
     ek_pose odom_from_front; /* of the front end's last keyframe */
-    int32_t is_closed;       /* 1: the walls left no direction open at the last scan that was to be a keyframe of the graph */
     ek_keyframes keyframes;
     ek_pose *odom_from_keyframe;
     ek_pose odom_from_start, next_odom_from_start;
