@@ -14,7 +14,7 @@ from evalkit.core.scan import Frame
 MEMORY_M = 50.0
 """Path over which the scale is averaged."""
 
-PRIOR_M = 5.0
+PRIOR_M = 1.0
 """Path at scale 1 that is assumed to have been driven before."""
 
 MAX_ERROR = 0.1

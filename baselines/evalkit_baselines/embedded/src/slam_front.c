@@ -3,7 +3,7 @@
 #include "slam_parts.h"
 
 #define MEMORY EK_R(50.0)    /* m: path over which the scale is averaged */
-#define PRIOR EK_R(5.0)      /* m: path at scale 1 that is assumed to have been driven before */
+#define PRIOR EK_R(1.0)      /* m: path at scale 1 that is assumed to have been driven before */
 #define MAX_ERROR EK_R(0.1)  /* a motion whose length differs by a larger share does not count */
 #define MIN_STEP EK_R(0.1)   /* m */
 #define SEEING EK_R(0.065)

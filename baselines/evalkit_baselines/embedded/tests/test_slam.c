@@ -896,14 +896,14 @@ static void a_match_has_the_covariance_of_a_plain_computation(size_t upright)
     free(arena.memory);
 }
 
-/* Wheels that measure 5 % too much: 5 m at scale 1 are assumed before, and the scale remembers 50 m. */
+/* Wheels that measure 5 % too much: 1 m at scale 1 is assumed before, and the scale remembers 50 m. */
 static void the_scale_of_the_wheels_is_learned(void)
 {
     const ek_openness closed = {EK_R(1.0), EK_R(0.0), EK_R(1.0)}, open = {EK_R(1.0), EK_R(0.0), EK_R(0.0)};
     const ek_slam_parameters p = parameters_of(0);
     ek_arena arena = start(&p);
     ek_wheels *const wheels = &slam.wheels;
-    double matched = 5.0, driven = 5.0;
+    double matched = 1.0, driven = 1.0;
     wheels->has_last = 1;
     ek_slam_observe_wheels(&slam, pose_of(0.0, 0.0, 0.0), &closed, 1); /* the first keyframe */
     for (int k = 1; k <= 60; k++) {
