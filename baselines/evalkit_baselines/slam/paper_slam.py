@@ -33,7 +33,7 @@ from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
 from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder, LoopSettings
 from evalkit_baselines.slam.match_doubt import MatchDoubt
 from evalkit_baselines.slam.observability import ObservableIcp
-from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate
+from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate, is_uneven
 from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import smooth_ranges
 from evalkit_baselines.slam.second_try import (
@@ -123,6 +123,7 @@ class PaperSlam:
         self._corrected = False
         self._scale = OdometryScale()
         self._doubt = MatchDoubt()
+        self._uneven = False  # the robot turned unevenly within the last scan, and not within the one before
         self._wheels: Pose | None = None  # raw odometry at the last keyframe
         self._fitted_ns: int | None = None  # stamp of the last scan that was not lost
 
@@ -130,9 +131,10 @@ class PaperSlam:
         """Match one scan; a new keyframe may close a loop, which corrects this pose and all earlier ones.
 
         A scan that lies neither on the one before nor on the map is set aside where there is wheel odometry: that gives
-        its pose, and nothing is matched with it. After a while, or without odometry, the track is lost: the map begins
-        anew until a loop closure connects it with the old one. In between, the pose is that of the wheel odometry,
-        which the graph doubts. Neither answer is accepted. Raises ValueError where time does not advance.
+        its pose, and nothing is matched with it. So is a scan within which the robot turned unevenly, where the
+        odometry is good, unless the one before was. After a while, or without odometry, the track is lost: the map
+        begins anew until a loop closure connects it with the old one. In between, the pose is that of the wheel
+        odometry, which the graph doubts. Neither answer is accepted. Raises ValueError where time does not advance.
         """
         if self._stamps_ns and frame.scan.stamp_ns <= self._stamps_ns[-1]:
             found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {self._stamps_ns[-1]} ns"
@@ -147,6 +149,10 @@ class PaperSlam:
         for icp in self._icps:
             icp.is_closed = is_closed
         self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m)
+        elapsed_ns = frame.scan.stamp_ns - self._stamps_ns[-1] if self._stamps_ns else 0
+        self._uneven = not self._uneven and step is not None and is_uneven(frame, step, elapsed_ns)
+        if self._uneven and self._gate.is_good:
+            return self._set_aside(frame, OdometryEstimate(predicted))
         direct = self._match_directly(frame, predicted) if self._gate.is_good else None
         if direct is None:
             self._tries.begin_scan(self._doubt.usual_m, None if measured else predicted)
@@ -157,8 +163,7 @@ class PaperSlam:
         if not lost or self._fitted_ns is None:
             self._fitted_ns = frame.scan.stamp_ns
         if lost and measured and frame.scan.stamp_ns - self._fitted_ns <= PATIENCE_NS:
-            self._front.set_aside(frame, predicted)
-            return self._answer(frame, replace(estimate, pose=predicted, accepted=False))
+            return self._set_aside(frame, replace(estimate, pose=predicted))
         self._front.keep(frame, matched)
         self._continuity.keep(points, pose, frame.base_from_sensor)
         fits = False
@@ -181,6 +186,11 @@ class PaperSlam:
         points = len(matched.source)
         usual = match.accepted and self._doubt.is_usual(last, predicted, matched.start_from_points, match, points)
         return matched if usual else None
+
+    def _set_aside(self, frame: Frame, predicted: OdometryEstimate) -> OdometryEstimate:
+        """Answer with the pose that wheel odometry predicts: nothing is matched with this scan."""
+        self._front.set_aside(frame, predicted.pose)
+        return self._answer(frame, replace(predicted, accepted=False))
 
     def _answer(self, frame: Frame, estimate: OdometryEstimate) -> OdometryEstimate:
         """Note the pose of a scan in the frame of the front end, and return it in that of the corrected poses."""

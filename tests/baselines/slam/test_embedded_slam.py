@@ -20,6 +20,7 @@ from evalkit.metrics.metric import Evidence
 from evalkit.metrics.recovery import add_recovery
 from evalkit.metrics.track import find_lost_track
 from evalkit.metrics.trajectory import match_trajectories
+from evalkit.plugins import registry
 from evalkit_baselines.slam import embedded_slam, paper_slam
 
 pytest.importorskip("evalkit_baselines.embedded._core64")
@@ -270,6 +271,22 @@ def test_where_odometry_is_good_a_scan_is_matched_with_the_map_alone_and_a_slip_
     else:
         assert both == list(range(1, 80))
     assert errors_m(rows(estimates), true).max() < 0.04
+
+
+@pytest.mark.parametrize("make", [paper_slam.make, embedded_slam.make])
+def test_a_scan_within_which_the_robot_begins_or_ends_to_turn_has_the_pose_of_good_odometry(make):
+    """The turns begin and end within scans 45, 48, 106 and 110; what is usual is known after 50 matches."""
+    sequence = registry.dataset("symmetric-office").make(seed=3, laps=0.55)
+    true = sequence.truth().trajectory.poses
+    turns = se2.wrap(np.diff(true[:, 2]))
+    changed = np.flatnonzero(np.abs(np.diff(turns)) > np.radians(3.0)) + 1
+    assert changed.tolist() == [45, 46, 48, 49, 106, 107, 110, 111]  # beside each of them the rate changes, too
+    _, estimates = run(make, list(sequence.frames()))
+    assert [row for row, estimate in enumerate(estimates) if estimate.accepted is False] == [106, 110]
+    assert [row for row, estimate in enumerate(estimates) if not estimate.stages] == [0, 106, 110]
+    off_deg = np.degrees(np.abs(se2.between(rows(estimates), se2.between(true[0], true))[:, 2]))
+    assert off_deg[[45, 48]].min() > 2.0  # bent
+    assert off_deg[50:].max() < 0.3
 
 
 @pytest.mark.parametrize("make", [paper_slam.make, embedded_slam.make])

@@ -11,6 +11,7 @@
 #define PERIOD_MS 100           /* of the scans that `work` is meant for: a slower lidar leaves more time for loops */
 #define MAX_PERIOD_MS 2000
 #define SPARE 3                 /* times `work`: for the search while the track is lost, less the work of matching */
+#define UNEVEN (EK_PI / EK_R(180.0)) /* rad: a sweep whose turn differs more from that at the rate since the last scan */
 #define PATIENCE_NS 2000000000u /* scans that lie nowhere are set aside until so long after the last one that did */
 #define NEAR_LIMIT (EK_R(0.25) * EK_MAX_COORDINATE)
 
@@ -234,8 +235,12 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     const ek_openness open = find_openness(slam, predicted, work);
     slam->gate = ek_slam_gate(slam, measured, ek_se2_between(slam->motion.start_from_base, predicted));
     ek_status status = EK_OK;
+    estimate->set_aside = estimate->set_aside && ek_slam_is_good(&slam->gate);
     if (ek_slam_is_good(&slam->gate)) {
         estimate->odom_from_base = predicted;
+        if (estimate->set_aside) {
+            return EK_OK;
+        }
         status = take_map(slam, predicted, work);
         if (status == EK_OK && ek_slam_match_directly(slam, &open, &estimate->odom_from_base, &estimate->scan_to_map)) {
             estimate->has_scan_to_map = estimate->scan_to_map_accepted = 1;
@@ -258,6 +263,16 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     estimate->has_scan_to_scan = estimate->has_scan_to_map = 1;
     estimate->odom_from_base = pose;
     return status;
+}
+
+/* Whether the robot turned unevenly within a sweep, which deskewing at constant velocity bends: by wheel odometry. */
+static int is_uneven(const ek_slam *slam, const ek_sweep *sweep)
+{
+    const ek_real sweep_ns = (ek_real)sweep->time_increment_ns * (ek_real)(sweep->beams - 1u);
+    const ek_real since_ns = (ek_real)((uint64_t)sweep->stamp_ns - (uint64_t)slam->motion.stamp_ns);
+    const ek_real turn = ek_se2_between(slam->motion.odom_from_base, sweep->odom_from_base).theta;
+    return slam->motion.has_last_odometry && sweep->has_odometry && sweep->has_motion && sweep_ns > EK_R(0.0) &&
+           EK_FABS(turn * sweep_ns / since_ns - sweep->start_from_end.theta) > UNEVEN;
 }
 
 static ek_status check_sweep(const ek_slam *slam, const ek_sweep *sweep)
@@ -412,15 +427,20 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     estimate->odom_from_base = identity;
     estimate->scan_to_scan = estimate->scan_to_map = none;
     slam->corrected = 0;
+    const int uneven = !slam->uneven && is_uneven(slam, &prepared);
+    estimate->set_aside = uneven;
     status = ek_slam_track(slam, &prior, estimate, &work);
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_points, ek_motion_predict(&slam->motion, &prior));
     if (status != EK_OK || !is_near(estimate->odom_from_base) || !is_near(predicted)) {
         return status == EK_OK ? EK_OUT_OF_RANGE : status;
     }
     slam->wheels = wheels;
+    slam->uneven = uneven;
     ek_work task = ek_work_make(0);
-    status = is_direct(estimate) ? EK_OK : take_map(slam, estimate->odom_from_base, &work);
-    judge(slam, &prior, sweep->has_odometry, estimate, &work);
+    if (!estimate->set_aside) {
+        status = is_direct(estimate) ? EK_OK : take_map(slam, estimate->odom_from_base, &work);
+        judge(slam, &prior, sweep->has_odometry, estimate, &work);
+    }
     if (status == EK_OK && estimate->set_aside) {
         set_aside(slam, &prior, predicted, estimate, &task);
     } else if (status == EK_OK) {

@@ -69,7 +69,8 @@ int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_po
  * between the two. Averages what is usual. */
 int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match);
 
-/* Match the projected scan with the last one and with the map; fills stages and odom_from_base. */
+/* Match the projected scan with the last one and with the map; fills stages and odom_from_base. One that is to be set aside is
+ * not matched where the odometry is good, and is not set aside where it is not. */
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work);
 
 /* Draw points, in their own frame, into one of the two maps. */

@@ -66,7 +66,8 @@ typedef struct {
     ek_match scan_to_scan, scan_to_map;
     int32_t has_scan_to_scan, has_scan_to_map; /* 0: not run; scans are matched with the map alone where odometry is good */
     int32_t scan_to_scan_accepted, scan_to_map_accepted;
-    int32_t set_aside; /* 1: the scan lies nowhere; its pose is that of the wheels, and nothing is matched with it */
+    int32_t set_aside; /* 1: the scan lies nowhere, or the robot turned unevenly within it, where odometry is good; its pose
+                        * is that of the wheels, and nothing is matched with it */
     int32_t lost;      /* 1: it contradicts the last one that fitted, with odometry 2 s ago; the map begins anew */
     int32_t corrected; /* 1: earlier poses changed */
     int32_t full;      /* 1: no memory for another keyframe: no loop is closed any more */
@@ -132,6 +133,7 @@ typedef struct {
     uint32_t compared;       /* scans with odometry before this one, as far as they are counted */
     ek_gate gate;            /* of this scan */
     int64_t fitted_ns;       /* stamp of the last scan that fitted */
+    int32_t uneven;          /* 1: the robot turned unevenly within the last scan, and not within the one before */
     ek_real *smoothed, *scratch;
     int32_t undecided, corrected, full, rounds;
     ek_real mu, built_at;
