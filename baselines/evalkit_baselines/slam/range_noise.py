@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from evalkit.core.arrays import Bools
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 
@@ -35,7 +36,7 @@ def smooth_ranges(scan: Scan) -> Scan:
     A beam whose window has a beam without a valid return, or reaches beyond the ends of the scan, keeps its range.
     """
     beams = count_beams(scan.angles)
-    if beams < 3 or len(scan.ranges) < beams or not estimate_noise(scan.ranges) > MIN_NOISE_M:
+    if beams < 3 or len(scan.ranges) < beams or not is_noisy(scan.ranges):
         return scan
     half = beams // 2
     windows = np.lib.stride_tricks.sliding_window_view(scan.ranges, beams)
@@ -46,17 +47,18 @@ def smooth_ranges(scan: Scan) -> Scan:
 
 
 def count_beams(angles: Floats) -> int:
-    """Return the number of neighbouring beams in a median, odd: 1 where beams (B,) in rad are too wide."""
-    if len(angles) < 2:
-        return 1
-    step = float(np.median(np.abs(np.diff(angles))))
-    fitting = MAX_BEAMS if step * (MAX_BEAMS - 1) <= MAX_SPAN_RAD else int(MAX_SPAN_RAD / step) + 1
-    return fitting - 1 + fitting % 2
+    """Return the number of neighbouring beams in a median, odd: 1 where most angles (B,) in rad are too far apart."""
+    steps = np.abs(np.diff(angles))
+    fitting = (beams for beams in (MAX_BEAMS, 3) if _is_most(steps * (beams - 1) <= MAX_SPAN_RAD))
+    return next(fitting, 1)
 
 
-def estimate_noise(ranges: Floats) -> float:
-    """Return 1 sigma of the noise of ranges (B,) in m, robust against steps; 0 without three valid neighbours."""
-    triples = np.lib.stride_tricks.sliding_window_view(ranges, 3) if len(ranges) > 2 else np.zeros((0, 3))
-    triples = triples[np.isfinite(triples).all(axis=1)]
-    bend = np.abs(triples[:, 0] + triples[:, 2] - 2.0 * triples[:, 1])
-    return float(np.median(bend)) / _SIGMA_OF_SECOND_DIFFERENCE if len(bend) else 0.0
+def is_noisy(ranges: Floats) -> bool:
+    """Return whether most valid ranges (B,) in m bend by more than those of a wall with noise of ``MIN_NOISE_M``."""
+    known = np.where(np.isfinite(ranges), ranges, np.nan)
+    bend = np.abs(known[:-2] + known[2:] - 2.0 * known[1:-1])
+    return _is_most(bend[~np.isnan(bend)] > MIN_NOISE_M * _SIGMA_OF_SECOND_DIFFERENCE)
+
+
+def _is_most(flags: Bools) -> bool:
+    return 2 * int(np.count_nonzero(flags)) > len(flags)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.scan import Scan
-from evalkit_baselines.slam.range_noise import count_beams, estimate_noise, smooth_ranges
+from evalkit_baselines.slam.range_noise import count_beams, is_noisy, smooth_ranges
 
 
 def make_scan(ranges, step_deg=0.225):
@@ -17,14 +17,15 @@ def test_the_median_spans_at_most_1_2_deg_and_five_beams(step_deg, beams):
     assert count_beams(np.radians(step_deg) * np.arange(100)) == beams
 
 
-def test_the_noise_is_estimated_beside_steps_and_missing_returns():
+@pytest.mark.parametrize(("noise_m", "expected"), [(0.019, False), (0.021, True), (0.05, True)])
+def test_noise_is_judged_beside_steps_and_missing_returns(noise_m, expected):
     rng = np.random.default_rng(0)
-    ranges = 3.0 + 0.05 * rng.standard_normal(4000)
+    ranges = 3.0 + noise_m * rng.standard_normal(20_000)
     ranges[::100] = np.inf
     ranges[1000:2000] += 4.0
-    assert estimate_noise(ranges) == pytest.approx(0.05, rel=0.05)
-    assert estimate_noise(np.full(10, np.inf)) == 0.0
-    assert estimate_noise(np.zeros(2)) == 0.0
+    assert is_noisy(ranges) is expected
+    assert not is_noisy(np.full(10, np.inf))
+    assert not is_noisy(np.zeros(2))
 
 
 def test_a_step_between_two_walls_stays_and_the_noise_becomes_smaller():

@@ -100,7 +100,6 @@ static ek_status init_front(ek_slam *slam, ek_arena *arena, const ek_slam_parame
     slam->sums = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->stored = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->smoothed = (ek_real *)ek_arena_alloc(arena, p->points, sizeof(ek_real));
-    slam->scratch = (ek_real *)ek_arena_alloc(arena, p->points, sizeof(ek_real));
     slam->counts = (uint32_t *)ek_arena_alloc(arena, p->points, sizeof(uint32_t));
     return status;
 }

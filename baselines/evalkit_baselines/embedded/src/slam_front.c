@@ -66,7 +66,7 @@ ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *
         prepared.start_from_end = scaled(sweep->start_from_end, scale);
     }
     if (sweep->ranges && sweep->angles && sweep->beams <= slam->parameters.points &&
-        ek_smooth_ranges(sweep->ranges, sweep->angles, sweep->beams, slam->smoothed, slam->scratch)) {
+        ek_smooth_ranges(sweep->ranges, sweep->angles, sweep->beams, slam->smoothed)) {
         prepared.ranges = slam->smoothed;
     }
     return prepared;

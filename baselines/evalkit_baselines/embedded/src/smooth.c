@@ -1,110 +1,74 @@
 #include "ek/smooth.h"
 
-#define MAX_BEAMS 5u
 #define MAX_SPAN (EK_R(1.2) * EK_PI / EK_R(180.0))
 #define MIN_NOISE EK_R(0.02)                            /* m */
 #define SECOND_DIFFERENCE EK_R(1.6521477960523424)      /* 0.6745 sqrt 6: median of |a + c - 2 b| for noise of 1 sigma */
 
-/* The k-th smallest number; smaller ones end before it (Hoare's selection). */
-static ek_real select_number(ek_real *numbers, size_t count, size_t k)
+/* Number of neighbouring beams in a median, odd: 5, 3 or 1, so that most of these span at most MAX_SPAN. */
+static size_t count_beams(const ek_real *angles, size_t beams)
 {
-    size_t low = 0u, high = count - 1u;
-    while (low < high) {
-        const ek_real pivot = numbers[low + (high - low) / 2u];
-        size_t i = low, j = high;
-        for (;;) {
-            while (numbers[i] < pivot) {
-                i++;
-            }
-            while (numbers[j] > pivot) {
-                j--;
-            }
-            if (i >= j) {
-                break;
-            }
-            const ek_real swap = numbers[i];
-            numbers[i++] = numbers[j];
-            numbers[j--] = swap;
-        }
-        if (k <= j) { /* up to j no number is larger than any behind it */
-            high = j;
-        } else {
-            low = j + 1u;
-        }
+    size_t five = 0u, three = 0u;
+    for (size_t k = 1; k < beams; k++) {
+        const ek_real step = EK_FABS(angles[k] - angles[k - 1u]);
+        five += (size_t)(EK_R(4.0) * step <= MAX_SPAN);
+        three += (size_t)(EK_R(2.0) * step <= MAX_SPAN);
     }
-    return numbers[k];
+    return 2u * five >= beams ? 5u : 2u * three >= beams ? 3u : 1u;
 }
 
-static ek_real median(ek_real *numbers, size_t count)
+/* 1 if the second differences of most neighbours exceed what noise of MIN_NOISE has; steps and invalid ranges are few. */
+static int is_noisy(const ek_real *ranges, size_t beams)
 {
-    const ek_real upper = select_number(numbers, count, count / 2u);
-    if (count % 2u) {
-        return upper;
+    size_t valid = 0u, large = 0u;
+    for (size_t k = 2; k < beams; k++) {
+        const ek_real bend = EK_FABS(ranges[k - 2u] + ranges[k] - EK_R(2.0) * ranges[k - 1u]);
+        const int finite = bend < (ek_real)INFINITY;
+        valid += (size_t)finite;
+        large += (size_t)(finite & (bend > SECOND_DIFFERENCE * MIN_NOISE));
     }
-    ek_real lower = numbers[0];
-    for (size_t k = 1; k < count / 2u; k++) {
-        lower = numbers[k] > lower ? numbers[k] : lower;
-    }
-    return EK_R(0.5) * (lower + upper);
+    return 2u * large > valid;
 }
 
-/* Number of neighbouring beams in a median, odd. */
-static size_t count_beams(const ek_real *angles, size_t beams, ek_real *scratch)
+static inline ek_real least(ek_real a, ek_real b)
 {
-    if (beams < 2u) {
-        return 1u;
-    }
-    for (size_t k = 0; k + 1u < beams; k++) {
-        scratch[k] = EK_FABS(angles[k + 1u] - angles[k]);
-        if (!isfinite(scratch[k])) {
-            return 1u;
-        }
-    }
-    const ek_real step = median(scratch, beams - 1u);
-    if (step * EK_R(4.0) <= MAX_SPAN) {
-        return MAX_BEAMS;
-    }
-    const size_t fitting = (size_t)(MAX_SPAN / step) + 1u;
-    return fitting - 1u + fitting % 2u;
+    return a < b ? a : b;
 }
 
-static ek_real estimate_noise(const ek_real *ranges, size_t beams, ek_real *scratch)
+static inline ek_real most(ek_real a, ek_real b)
 {
-    size_t count = 0u;
-    for (size_t k = 0; k + 2u < beams; k++) {
-        const ek_real bend = EK_FABS(ranges[k] + ranges[k + 2u] - EK_R(2.0) * ranges[k + 1u]);
-        scratch[count] = bend;
-        count += isfinite(bend) ? 1u : 0u;
-    }
-    return count ? median(scratch, count) / SECOND_DIFFERENCE : EK_R(0.0);
+    return a > b ? a : b;
 }
 
-/* Median of an odd number of ranges, at most MAX_BEAMS; `own` if one is invalid, or if there is none. */
-static ek_real middle_of(const ek_real *ranges, size_t count, ek_real own)
+static inline ek_real middle_of_3(ek_real a, ek_real b, ek_real c)
 {
-    ek_real sorted[MAX_BEAMS] = {own};
-    for (size_t k = 0; k < count; k++) {
-        size_t at = k;
-        if (!isfinite(ranges[k])) {
-            return own;
-        }
-        for (; at > 0u && sorted[at - 1u] > ranges[k]; at--) {
-            sorted[at] = sorted[at - 1u];
-        }
-        sorted[at] = ranges[k];
-    }
-    return sorted[count / 2u];
+    return most(least(a, b), least(most(a, b), c));
 }
 
-int ek_smooth_ranges(const ek_real *ranges, const ek_real *angles, size_t beams, ek_real *smoothed, ek_real *scratch)
+/* Medians of 3 or 5 ranges around each but the first and last `half`; the own range where one of them is invalid. */
+static void take_medians(const ek_real *EK_RESTRICT ranges, size_t beams, size_t half, ek_real *EK_RESTRICT smoothed)
 {
-    const size_t window = count_beams(angles, beams, scratch), half = window / 2u;
-    if (window < 3u || beams < window || !(estimate_noise(ranges, beams, scratch) > MIN_NOISE)) {
+    for (size_t k = half; half == 1u && k + half < beams; k++) {
+        const ek_real a = ranges[k - 1u], b = ranges[k], c = ranges[k + 1u];
+        smoothed[k] = (a - a) + (b - b) + (c - c) == EK_R(0.0) ? middle_of_3(a, b, c) : b;
+    }
+    for (size_t k = half; half == 2u && k + half < beams; k++) {
+        const ek_real a = ranges[k - 2u], b = ranges[k - 1u], c = ranges[k], d = ranges[k + 1u], e = ranges[k + 2u];
+        const ek_real low = most(least(a, b), least(d, e)), high = least(most(a, b), most(d, e));
+        const ek_real invalid = (a - a) + (b - b) + (c - c) + (d - d) + (e - e); /* 0, or nan */
+        smoothed[k] = invalid == EK_R(0.0) ? middle_of_3(low, high, c) : c;
+    }
+}
+
+int ek_smooth_ranges(const ek_real *ranges, const ek_real *angles, size_t beams, ek_real *smoothed)
+{
+    const size_t half = count_beams(angles, beams) / 2u;
+    if (half == 0u || beams < 2u * half + 1u || !is_noisy(ranges, beams)) {
         return 0;
     }
-    for (size_t k = 0; k < beams; k++) {
-        const int inside = k >= half && k + half < beams;
-        smoothed[k] = inside ? middle_of(ranges + k - half, window, ranges[k]) : ranges[k];
+    for (size_t k = 0; k < half; k++) {
+        smoothed[k] = ranges[k];
+        smoothed[beams - 1u - k] = ranges[beams - 1u - k];
     }
+    take_medians(ranges, beams, half, smoothed);
     return 1;
 }

@@ -134,7 +134,7 @@ typedef struct {
     ek_gate gate;            /* of this scan */
     int64_t fitted_ns;       /* stamp of the last scan that fitted */
     int32_t uneven;          /* 1: the robot turned unevenly within the last scan, and not within the one before */
-    ek_real *smoothed, *scratch;
+    ek_real *smoothed;
     int32_t undecided, corrected, full, rounds;
     ek_real mu, built_at;
     size_t redrawn;

@@ -13,10 +13,9 @@ extern "C" {
 
 #define ek_smooth_ranges EK_NAME(smooth_ranges)
 
-/* Smooth ranges (m; nan or infinite: invalid) of beams at angles (rad) into `smoothed`, which has room for as many;
- * `scratch` too. 1: done; 0: beams are wide or the noise is small, and `smoothed` is not used. The time is linear in the
- * beams for nearly all scans. */
-int ek_smooth_ranges(const ek_real *ranges, const ek_real *angles, size_t beams, ek_real *smoothed, ek_real *scratch);
+/* Smooth ranges (m; nan or infinite: invalid) of beams at angles (rad) into `smoothed`, another array with room for as many.
+ * 1: done; 0: beams are wide or the noise is small, and `smoothed` is not used. */
+int ek_smooth_ranges(const ek_real *ranges, const ek_real *angles, size_t beams, ek_real *smoothed);
 
 #ifdef __cplusplus
 }
