@@ -33,16 +33,14 @@ ek_status ek_lasting_map_init(ek_lasting_map *map, ek_arena *arena, size_t voxel
     map->changed = 1;
     map->capacity = count_around(voxels, voxel, radius);
     const size_t cells = map->capacity < MAX_CELLS / CELLS_PER_POINT ? CELLS_PER_POINT * map->capacity : MAX_CELLS;
-    status = ek_thinner_init(&map->thinner, arena, points);
-    status = status == EK_OK ? ek_index_init(&map->around, arena, map->capacity, cells) : status;
+    status = ek_index_init(&map->around, arena, map->capacity, cells);
     map->means = (ek_real *)ek_arena_alloc(arena, map->capacity, 2u * sizeof(ek_real));
     if (neighbours) {
         map->support = (uint32_t *)ek_arena_alloc(arena, map->capacity, sizeof(uint32_t));
         map->normals = (ek_real *)ek_arena_alloc(arena, map->capacity, 2u * sizeof(ek_real));
     }
     map->moved = (ek_real *)ek_arena_alloc(arena, points, 2u * sizeof(ek_real));
-    map->sums = (ek_real *)ek_arena_alloc(arena, points, 2u * sizeof(ek_real));
-    map->counts = (uint32_t *)ek_arena_alloc(arena, points, sizeof(uint32_t));
+    map->cells = (int32_t *)ek_arena_alloc(arena, points, 2u * sizeof(int32_t));
     return status;
 }
 
@@ -58,7 +56,7 @@ void ek_lasting_map_clear(ek_lasting_map *map)
 void ek_lasting_map_add(ek_lasting_map *map, const ek_real *xy, size_t count, ek_pose start_from_base)
 {
     ek_work work = ek_work_make(INT64_MAX);
-    ek_voxel_map_add(&map->voxels, &map->thinner, xy, count, start_from_base, map->moved, map->sums, map->counts, &work);
+    ek_voxel_map_add(&map->voxels, xy, count, start_from_base, map->moved, map->cells, &work);
     map->changed = 1;
 }
 

@@ -97,10 +97,9 @@ static ek_status init_front(ek_slam *slam, ek_arena *arena, const ek_slam_parame
     slam->map_points = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
     slam->map_support = (uint32_t *)ek_arena_alloc(arena, p->map_points, sizeof(uint32_t));
     slam->moved = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
-    slam->sums = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
+    slam->cells = (int32_t *)ek_arena_alloc(arena, p->points, 2u * sizeof(int32_t));
     slam->stored = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->smoothed = (ek_real *)ek_arena_alloc(arena, p->points, sizeof(ek_real));
-    slam->counts = (uint32_t *)ek_arena_alloc(arena, p->points, sizeof(uint32_t));
     return status;
 }
 

@@ -11,8 +11,8 @@
 
 void ek_slam_draw(ek_slam *slam, uint32_t map, const ek_real *xy, size_t count, ek_pose odom_from_points, ek_work *work)
 {
-    ek_voxel_map_add(&slam->maps[map], &slam->thinner, xy, count, ek_se2_compose(ek_grid_from_odom, odom_from_points),
-                     slam->moved, slam->sums, slam->counts, work);
+    ek_voxel_map_add(&slam->maps[map], xy, count, ek_se2_compose(ek_grid_from_odom, odom_from_points), slam->moved,
+                     slam->cells, work);
     slam->map_changed |= map == slam->drawn;
 }
 

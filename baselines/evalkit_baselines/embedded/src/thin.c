@@ -78,27 +78,6 @@ static void sort_by_cell(ek_thinner *thinner, const ek_real *xy, size_t count, e
     ek_work_spend(work, 8u * (uint64_t)count);
 }
 
-size_t ek_thin_sums(ek_thinner *thinner, const ek_real *xy, size_t count, ek_real size, ek_real *sums, uint32_t *counts,
-                    ek_work *work)
-{
-    size_t cells = 0u;
-    if (count == 0u) {
-        return 0u;
-    }
-    sort_by_cell(thinner, xy, count, size, work);
-    for (size_t i = 0; i < count; i++) {
-        const ek_real *const point = xy + 2u * (size_t)thinner->order[i];
-        if (i == 0u || thinner->key[i] != thinner->key[i - 1u]) {
-            sums[2u * cells] = sums[2u * cells + 1u] = EK_R(0.0);
-            counts[cells++] = 0u;
-        }
-        sums[2u * cells - 2u] += point[0];
-        sums[2u * cells - 1u] += point[1];
-        counts[cells - 1u]++;
-    }
-    return cells;
-}
-
 size_t ek_thin(ek_thinner *thinner, const ek_real *xy, size_t count, ek_real size, ek_real *means, ek_work *work)
 {
     size_t cells = 0u;

@@ -51,37 +51,52 @@ static size_t find_entry(const ek_voxel_map *map, int32_t column, int32_t row)
     return at;
 }
 
-static void add_to_voxel(ek_voxel_map *map, int32_t column, int32_t row, const ek_real *sum, uint32_t points)
+/* Add the sums of some points of the present cloud to the voxel of a cell. */
+static void add_to_voxel(ek_voxel_map *map, const int32_t *cell, ek_real x, ek_real y, uint32_t points)
 {
-    const size_t at = find_entry(map, column, row);
+    const size_t at = find_entry(map, cell[0], cell[1]);
     if (!map->entry[at]) {
         if (map->count == map->capacity) {
             map->dropped++;
             return;
         }
-        const ek_voxel fresh = {column, row, 0u, EK_R(0.0), EK_R(0.0)};
+        const ek_voxel fresh = {cell[0], cell[1], 0u, map->cloud, EK_R(0.0), EK_R(0.0)};
         map->voxel[map->count++] = fresh;
         map->entry[at] = (uint32_t)map->count;
     }
     ek_voxel *const voxel = map->voxel + map->entry[at] - 1u;
-    if (voxel->points < map->max_points) {
+    if (voxel->points < map->max_points || voxel->cloud == map->cloud) {
+        voxel->cloud = map->cloud;
         voxel->points += points;
-        voxel->x += sum[0];
-        voxel->y += sum[1];
+        voxel->x += x;
+        voxel->y += y;
     }
 }
 
-void ek_voxel_map_add(ek_voxel_map *map, ek_thinner *thinner, const ek_real *xy, size_t count, ek_pose map_from_points,
-                      ek_real *moved, ek_real *sums, uint32_t *counts, ek_work *work)
+/* Cells of coordinates: the largest whole number of sides that is not above each. */
+static void number_cells(const ek_real *EK_RESTRICT coordinates, size_t count, ek_real size, int32_t *EK_RESTRICT cells)
+{
+    for (size_t k = 0; k < count; k++) {
+        const ek_real sides = coordinates[k] / size;
+        const int32_t whole = (int32_t)sides;
+        cells[k] = whole - (sides < (ek_real)whole);
+    }
+}
+
+void ek_voxel_map_add(ek_voxel_map *map, const ek_real *xy, size_t count, ek_pose map_from_points, ek_real *moved,
+                      int32_t *cells, ek_work *work)
 {
     ek_se2_transform(map_from_points, xy, count, moved);
-    const size_t cells = ek_thin_sums(thinner, moved, count, map->size, sums, counts, work);
-    size_t first = 0u;
-    for (size_t k = 0; k < cells; k++) {
-        const ek_real *const point = moved + 2u * (size_t)thinner->order[first];
-        add_to_voxel(map, (int32_t)EK_FLOOR(point[0] / map->size), (int32_t)EK_FLOOR(point[1] / map->size),
-                     sums + 2u * k, counts[k]);
-        first += counts[k];
+    number_cells(moved, 2u * count, map->size, cells);
+    map->cloud++;
+    for (size_t first = 0, next; first < count; first = next) { /* neighbouring beams often end in one voxel */
+        const int32_t *const cell = cells + 2u * first;
+        ek_real x = moved[2u * first], y = moved[2u * first + 1u];
+        for (next = first + 1u; next < count && cells[2u * next] == cell[0] && cells[2u * next + 1u] == cell[1]; next++) {
+            x += moved[2u * next];
+            y += moved[2u * next + 1u];
+        }
+        add_to_voxel(map, cell, x, y, (uint32_t)(next - first));
     }
     ek_work_spend(work, 6u * (uint64_t)count);
 }

@@ -341,22 +341,23 @@ static void the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two
 
 static void a_full_map_drops_new_voxels_and_a_full_voxel_new_points(void)
 {
-    const ek_real three[] = {EK_R(0.2), EK_R(0.2), EK_R(0.6), EK_R(0.4), EK_R(1.5), EK_R(0.5)};
+    const ek_real four[] = {EK_R(0.2), EK_R(0.2), EK_R(1.5), EK_R(0.5), EK_R(0.6), EK_R(0.4), EK_R(0.4), EK_R(0.3)};
     const ek_real later[] = {EK_R(0.9), EK_R(0.9), EK_R(2.5), EK_R(0.5)};
-    ek_real moved[6], sums[6], means[6];
-    uint32_t counts[3], points[3];
+    ek_real moved[8], means[6];
+    int32_t cells[8];
+    uint32_t points[3];
     ek_voxel_map voxels;
     ek_arena arena = memory_of(4096u);
-    CHECK(ek_voxel_map_init(&voxels, &arena, 2u, EK_R(1.0), 2u) == EK_OK && ek_arena_check(&arena) == EK_OK);
-    ek_voxel_map_add(&voxels, &thinner, three, 3u, pose_of(10.0, 0.0, 0.0), moved, sums, counts, &work);
+    CHECK(ek_voxel_map_init(&voxels, &arena, 2u, EK_R(1.0), 1u) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    ek_voxel_map_add(&voxels, four, 4u, pose_of(10.0, 0.0, 0.0), moved, cells, &work);
     CHECK(voxels.count == 2u && voxels.dropped == 0u);
-    ek_voxel_map_add(&voxels, &thinner, later, 2u, pose_of(10.0, 0.0, 0.0), moved, sums, counts, &work);
+    ek_voxel_map_add(&voxels, later, 2u, pose_of(10.0, 0.0, 0.0), moved, cells, &work);
     CHECK(voxels.count == 2u && voxels.dropped == 1u);
     CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(5.0), means, points, 3u, &work) == 2u);
-    CHECK_NEAR(means[0], 10.4, TOLERANCE); /* of the first two points, and not of the third */
+    CHECK_NEAR(means[0], 10.4, TOLERANCE); /* of all three points of the first cloud, and none of the second */
     CHECK_NEAR(means[1], 0.3, TOLERANCE);
     CHECK_NEAR(means[2], 11.5, TOLERANCE);
-    CHECK(points[0] == 2u && points[1] == 1u);
+    CHECK(points[0] == 3u && points[1] == 1u);
     CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(5.0), means, points, 1u, &work) == 1u);
     CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(1.0), means, points, 3u, &work) == 1u);
     ek_voxel_map_clear(&voxels);

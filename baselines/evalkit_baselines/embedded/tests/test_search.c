@@ -10,8 +10,7 @@
 static ek_thinner thinner;
 static ek_score_grid grid;
 static ek_search search;
-static ek_real target[2u * CAPACITY], source[2u * CAPACITY], means[2u * CAPACITY], sums[2u * CAPACITY];
-static uint32_t counts[CAPACITY];
+static ek_real target[2u * CAPACITY], source[2u * CAPACITY], means[2u * CAPACITY];
 static ek_work work;
 
 static void means_of_cells_are_those_of_a_hand_calculation(void)
@@ -23,9 +22,6 @@ static void means_of_cells_are_those_of_a_hand_calculation(void)
     CHECK_NEAR(means[1], 0.25, TOLERANCE);
     CHECK_NEAR(means[3], -1.5, TOLERANCE);
     CHECK_NEAR(means[5], 0.25, TOLERANCE);
-    CHECK(ek_thin_sums(&thinner, xy, 4u, EK_R(1.0), sums, counts, &work) == 3u);
-    CHECK(counts[0] == 2u && counts[1] == 1u && counts[2] == 1u);
-    CHECK_NEAR(sums[0], -0.75, TOLERANCE);
     CHECK(ek_thin(&thinner, xy, 0u, EK_R(1.0), means, &work) == 0u);
 }
 
@@ -304,7 +300,6 @@ static void far_points_are_left_out_and_far_cells_are_sorted(void)
         CHECK_NEAR(means[2u * k], corners[2u * order[k]], 0.0);
         CHECK_NEAR(means[2u * k + 1u], corners[2u * order[k] + 1u], 0.0);
     }
-    CHECK(ek_thin_sums(&thinner, corners, 0u, EK_R(1.0), sums, counts, &work) == 0u);
 }
 
 static void a_target_that_does_not_fit_is_cropped_around_the_place(void)

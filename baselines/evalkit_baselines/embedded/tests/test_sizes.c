@@ -138,12 +138,11 @@ static void finder_of(size_t points, size_t cells)
 static void lasting_map_of(size_t around, size_t points, int lines)
 {
     voxels_of(16384u, 32768u);
-    thinner_of(points);
     index_of(around, cells_of(around, (size_t)1 << 18));
     blocks(lines ? 2u : 1u, around, 2u * REAL);
     blocks(lines ? 1u : 0u, around, WORD);
-    blocks(2u, points, 2u * REAL);
-    block(points, WORD);
+    block(points, 2u * REAL);
+    block(points, 2u * WORD);
 }
 
 static void frontend_of(size_t points, size_t keyframes, int lines)
@@ -275,11 +274,11 @@ static void wholes(void)
     continuity_of(2048u);
     voxels_of(16384u, 32768u);
     voxels_of(16384u, 32768u);
-    blocks(5u, 2048u, 2u * REAL); /* last_points, last_normals, moved, sums, stored */
+    blocks(4u, 2048u, 2u * REAL); /* last_points, last_normals, moved, stored */
+    block(2048u, 2u * WORD);
     blocks(2u, 12288u, 2u * REAL);
     block(12288u, WORD);
-    blocks(2u, 2048u, REAL);
-    block(2048u, WORD);
+    block(2048u, REAL);
     keyframes_of(2000u, 1000000u, 64u);
     finder_of(16384u, (size_t)512 * 512);
     block(2000u, sizeof(ek_pose));

@@ -16,16 +16,16 @@ extern "C" {
 #define EK_VOXEL_POINTS 20u /* a voxel with so many points takes no more */
 
 typedef struct {
-    ek_voxel_map voxels; /* voxels.dropped: cells of keyframes for which there was no room */
-    ek_thinner thinner;
+    ek_voxel_map voxels; /* voxels.dropped: times that points of a new cell had no room */
     ek_index around;     /* the means of the voxels around the centre */
     size_t capacity;     /* points of `around` */
     ek_real radius;      /* m */
     ek_real centre_x, centre_y; /* m */
     int32_t changed;     /* 1: take the part around the robot again */
     uint32_t neighbours; /* that define a normal; 0: no normals */
-    ek_real *means, *normals, *moved, *sums;
-    uint32_t *support, *counts; /* support: points of each mean, for lines */
+    ek_real *means, *normals, *moved;
+    int32_t *cells;
+    uint32_t *support;   /* points of each mean, for lines */
 } ek_lasting_map;
 
 #define ek_lasting_map_init EK_NAME(lasting_map_init)

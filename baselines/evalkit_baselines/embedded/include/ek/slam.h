@@ -110,8 +110,8 @@ typedef struct {
     ek_continuity continuity;
     ek_voxel_map maps[2];    /* the map, and the one that is being drawn */
     uint32_t drawn;          /* which of them is the map */
-    ek_real *moved, *sums, *stored;
-    uint32_t *counts;
+    ek_real *moved, *stored;
+    int32_t *cells;
     ek_real centre_x, centre_y; /* of the part of the map around the robot */
     int32_t map_changed, has_keyframe, tried;
     uint64_t matching;       /* points times iterations of matching this scan */

@@ -18,19 +18,14 @@ typedef struct {
 } ek_thinner;
 
 #define ek_thinner_init EK_NAME(thinner_init)
-#define ek_thin_sums EK_NAME(thin_sums)
 #define ek_thin EK_NAME(thin)
 
 /* Initialise working memory in an arena (or measure it). EK_OUT_OF_RANGE: capacity 0 or above 2^30. */
 ek_status ek_thinner_init(ek_thinner *thinner, ek_arena *arena, size_t capacity);
 
-/* Sum the points of each cell of side `size` (m, 0.001 or more): count pairs x y, finite and within EK_MAX_COORDINATE, at
- * most `capacity`. Writes the sums (pairs, not over the points) and the number of points of each cell, returns the number of
- * cells. The same cloud gives the same sums to the bit. At most 8 operations a point. */
-size_t ek_thin_sums(ek_thinner *thinner, const ek_real *xy, size_t count, ek_real size, ek_real *sums, uint32_t *counts,
-                    ek_work *work);
-
-/* As ek_thin_sums, with the means of the cells instead of sums and numbers; `means` has room for count pairs. */
+/* Write the mean of the points of each cell of side `size` (m, 0.001 or more): count pairs x y, finite and within
+ * EK_MAX_COORDINATE, at most `capacity`; `means` has room for as many. Returns the number of cells. The same cloud gives the same
+ * means to the bit. At most 8 operations a point. */
 size_t ek_thin(ek_thinner *thinner, const ek_real *xy, size_t count, ek_real size, ek_real *means, ek_work *work);
 
 #ifdef __cplusplus

@@ -6,8 +6,9 @@
 #ifndef EK_VOXEL_MAP_H
 #define EK_VOXEL_MAP_H
 
+#include "ek/arena.h"
 #include "ek/se2.h"
-#include "ek/thin.h"
+#include "ek/work.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -15,18 +16,18 @@ extern "C" {
 
 typedef struct {
     int32_t column, row;
-    uint32_t points;
-    ek_real x, y; /* sums (m) */
+    uint32_t points, cloud; /* cloud: the last one that it took points of */
+    ek_real x, y;           /* sums (m) */
 } ek_voxel;
 
 typedef struct {
     size_t capacity, count; /* voxels */
     size_t mask;            /* entries of the hash table - 1 */
     ek_real size;           /* m */
-    uint32_t max_points;
+    uint32_t max_points, cloud;
     ek_voxel *voxel;        /* in the order of their first points */
     uint32_t *entry;        /* hash table: 1 + voxel, 0: free */
-    uint64_t dropped;       /* cells of scans for which there was no room */
+    uint64_t dropped;       /* times that points of a new cell had no room */
 } ek_voxel_map;
 
 #define ek_voxel_map_init EK_NAME(voxel_map_init)
@@ -41,10 +42,10 @@ ek_status ek_voxel_map_init(ek_voxel_map *map, ek_arena *arena, size_t capacity,
 /* Remove all voxels. */
 void ek_voxel_map_clear(ek_voxel_map *map);
 
-/* Add points at a pose: count pairs x y (m), which stay within EK_MAX_COORDINATE; `moved`, `sums` and `counts` are working
- * memory for as many. At most 14 operations a point. */
-void ek_voxel_map_add(ek_voxel_map *map, ek_thinner *thinner, const ek_real *xy, size_t count, ek_pose map_from_points,
-                      ek_real *moved, ek_real *sums, uint32_t *counts, ek_work *work);
+/* Add points at a pose: count pairs x y (m), which stay within EK_MAX_COORDINATE; `moved` and `cells` are working memory for as
+ * many pairs. A voxel takes all points of a cloud or none. 6 operations a point. */
+void ek_voxel_map_add(ek_voxel_map *map, const ek_real *xy, size_t count, ek_pose map_from_points, ek_real *moved,
+                      int32_t *cells, ek_work *work);
 
 /* Write the means within a radius (m) of a place, at most `capacity` pairs, and the number of points of each (`points`; NULL:
  * not wanted); returns the number of means. 1 operation a voxel. */
