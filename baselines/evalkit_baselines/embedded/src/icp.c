@@ -573,7 +573,7 @@ static int32_t select_pairs(const ek_icp *icp, size_t padded, const ek_real *dis
 }
 
 /* Weigh the pairs of each target point: with c source points of variance 1 each and a target point that is the mean of n
- * such points, the sum of their residuals has the variance c + c^2 / n; so each weighs 1 / (1 + c / n). */
+ * such points, the sum of their residuals has the variance c + c^2 / n; so each weighs n / (n + c). */
 static void share_noise(ek_icp *icp, const ek_index *target, size_t padded)
 {
     uint32_t *const pairs = icp->owner;
@@ -584,12 +584,10 @@ static void share_noise(ek_icp *icp, const ek_index *target, size_t padded)
         pairs[icp->nearest[i]] += icp->weight[i] > EK_R(0.0);
     }
     for (size_t i = 0; i < padded; i++) {
-        icp->share[i] = EK_R(0.0);
-        if (icp->weight[i] > EK_R(0.0)) {
-            const uint32_t slot = icp->nearest[i], points = target->support ? target->support[target->id[slot]] : 1u;
-            const ek_real independent = (ek_real)(points < MAX_SUPPORT ? points : MAX_SUPPORT);
-            icp->share[i] = EK_R(1.0) / (EK_R(1.0) + (ek_real)pairs[slot] / independent);
-        }
+        const uint32_t slot = icp->weight[i] > EK_R(0.0) ? icp->nearest[i] : 0u;
+        const uint32_t points = target->support ? target->support[target->id[slot]] : 1u;
+        const ek_real independent = (ek_real)(points < MAX_SUPPORT ? points : MAX_SUPPORT);
+        icp->share[i] = icp->weight[i] * independent / (independent + (ek_real)pairs[slot]);
     }
 }
 

@@ -5,6 +5,7 @@
 
 #define MAX_COUNT ((size_t)1 << 30)
 #define MAX_DISTANCE EK_R(1000.0) /* m */
+#define PER(number) (EK_R(1.0) / EK_R(number))
 #define SMALL_TURN EK_R(0.1)  /* rad per scan: below, a short series is exact */
 
 ek_status ek_scan_check(const ek_scan_parameters *parameters)
@@ -74,9 +75,9 @@ static void move_along_arc(const ek_arc *arc, ek_real share, ek_real *x, ek_real
     const ek_real a = share * arc->theta, a2 = a * a;
     ek_real s, c1;
     if (EK_FABS(arc->theta) < SMALL_TURN) {
-        s = share * (EK_R(1.0) - a2 / EK_R(6.0) * (EK_R(1.0) - a2 / EK_R(20.0) * (EK_R(1.0) - a2 / EK_R(42.0))));
+        s = share * (EK_R(1.0) - a2 * PER(6.0) * (EK_R(1.0) - a2 * PER(20.0) * (EK_R(1.0) - a2 * PER(42.0))));
         c1 = share * a * EK_R(0.5) *
-             (EK_R(1.0) - a2 / EK_R(12.0) * (EK_R(1.0) - a2 / EK_R(30.0) * (EK_R(1.0) - a2 / EK_R(56.0))));
+             (EK_R(1.0) - a2 * PER(12.0) * (EK_R(1.0) - a2 * PER(30.0) * (EK_R(1.0) - a2 * PER(56.0))));
     } else {
         const ek_real half_sine = EK_SIN(EK_R(0.5) * a);
         s = EK_SIN(a) / arc->theta;

@@ -3,8 +3,8 @@
 #include <string.h>
 
 #define MAX_COUNT ((size_t)1 << 30)
-#define DIGIT_BITS 11u
-#define DIGITS ((uint32_t)1 << DIGIT_BITS)
+#define MAX_DIGIT_BITS 11u
+#define MAX_DIGITS ((uint32_t)1 << MAX_DIGIT_BITS)
 
 ek_status ek_thinner_init(ek_thinner *thinner, ek_arena *arena, size_t capacity)
 {
@@ -19,8 +19,15 @@ ek_status ek_thinner_init(ek_thinner *thinner, ek_arena *arena, size_t capacity)
     thinner->other_key = (uint64_t *)ek_arena_alloc(arena, capacity, sizeof(uint64_t));
     thinner->order = (uint32_t *)ek_arena_alloc(arena, capacity, sizeof(uint32_t));
     thinner->other_order = (uint32_t *)ek_arena_alloc(arena, capacity, sizeof(uint32_t));
-    thinner->digits = (uint32_t *)ek_arena_alloc(arena, DIGITS + 1u, sizeof(uint32_t));
+    thinner->digits = (uint32_t *)ek_arena_alloc(arena, MAX_DIGITS + 1u, sizeof(uint32_t));
     return EK_OK;
+}
+
+/* The largest whole number that is not above one. */
+static inline int64_t floor_of(ek_real number)
+{
+    const int64_t whole = (int64_t)number;
+    return whole - (number < (ek_real)whole);
 }
 
 /* Number the cells of the points row by row; returns the largest number. */
@@ -29,7 +36,7 @@ static uint64_t number_cells(ek_thinner *thinner, const ek_real *xy, size_t coun
     int64_t left = INT64_MAX, low = INT64_MAX, high = INT64_MIN;
     uint64_t largest = 0u;
     for (size_t i = 0; i < count; i++) {
-        const int64_t x = (int64_t)EK_FLOOR(xy[2u * i] / size), y = (int64_t)EK_FLOOR(xy[2u * i + 1u] / size);
+        const int64_t x = floor_of(xy[2u * i] / size), y = floor_of(xy[2u * i + 1u] / size);
         thinner->key[i] = (uint64_t)x;
         thinner->other_key[i] = (uint64_t)y;
         left = x < left ? x : left;
@@ -46,18 +53,19 @@ static uint64_t number_cells(ek_thinner *thinner, const ek_real *xy, size_t coun
 }
 
 /* One stable pass of the radix sort, of keys up to `largest`; swaps the arrays. */
-static void sort_by_digit(ek_thinner *thinner, size_t count, unsigned shift, uint64_t largest)
+static void sort_by_digit(ek_thinner *thinner, size_t count, unsigned shift, unsigned bits, uint64_t largest)
 {
-    uint32_t *const digits = thinner->digits, used = largest >> shift < DIGITS ? (uint32_t)(largest >> shift) + 1u : DIGITS;
+    const uint32_t every = ((uint32_t)1 << bits) - 1u;
+    uint32_t *const digits = thinner->digits, used = largest >> shift < every ? (uint32_t)(largest >> shift) + 1u : every + 1u;
     memset(digits, 0, (used + 1u) * sizeof *digits);
     for (size_t i = 0; i < count; i++) {
-        digits[(thinner->key[i] >> shift & (DIGITS - 1u)) + 1u]++;
+        digits[(thinner->key[i] >> shift & every) + 1u]++;
     }
     for (uint32_t digit = 1; digit < used; digit++) {
         digits[digit] += digits[digit - 1u];
     }
     for (size_t i = 0; i < count; i++) {
-        const uint32_t to = digits[thinner->key[i] >> shift & (DIGITS - 1u)]++;
+        const uint32_t to = digits[thinner->key[i] >> shift & every]++;
         thinner->other_key[to] = thinner->key[i];
         thinner->other_order[to] = thinner->order[i];
     }
@@ -72,8 +80,13 @@ static void sort_by_digit(ek_thinner *thinner, size_t count, unsigned shift, uin
 static void sort_by_cell(ek_thinner *thinner, const ek_real *xy, size_t count, ek_real size, ek_work *work)
 {
     const uint64_t largest = number_cells(thinner, xy, count, size);
-    for (unsigned shift = 0u; shift < 64u && largest >> shift; shift += DIGIT_BITS) {
-        sort_by_digit(thinner, count, shift, largest);
+    unsigned bits = 0u;
+    while (bits < 64u && largest >> bits) {
+        bits++;
+    }
+    const unsigned passes = (bits + MAX_DIGIT_BITS - 1u) / MAX_DIGIT_BITS, digit = passes ? (bits + passes - 1u) / passes : 0u;
+    for (unsigned pass = 0; pass < passes; pass++) {
+        sort_by_digit(thinner, count, pass * digit, digit, largest);
     }
     ek_work_spend(work, 8u * (uint64_t)count);
 }
