@@ -196,10 +196,10 @@ class FrontEnd:
         start_from_base = self._motion.find_first_beam(frame, start_from_points)
         return Matched(OdometryEstimate(start_from_base, estimates, accepted, cost), source, start_from_points)
 
-    def keep(self, frame: Frame, matched: Matched) -> None:
+    def keep(self, frame: Frame, matched: Matched, may_be_keyframe: bool = True) -> None:
         """Go on from a scan: the next one is matched with it, and a keyframe enters the local map."""
         pose = matched.start_from_points
-        if self._last is None or self.is_keyframe(pose):
+        if self._last is None or (may_be_keyframe and self.is_keyframe(pose)):
             self._local_map.add(matched.source.points, pose, frame.base_from_sensor)
             self._start_from_keyframe = pose
         self._last = matched.source

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
-from evalkit.core.scan import Cloud, Frame
+from evalkit.core.scan import Cloud
 from evalkit.plugins.protocols import Registration
 from evalkit_baselines.slam.second_try import MIN_SHARE, UNUSUAL
 
@@ -34,20 +34,6 @@ POOR_SHARE = 0.5
 
 MIN_POINTS = 40
 """Where the odometry is good enough for a limit below ``WIDE``, a match of a scan with fewer points is not believed."""
-
-UNEVEN_RAD = math.radians(1.0)
-"""A turn within a sweep that differs by more from that at the rate since the last scan is uneven."""
-
-
-def is_uneven(frame: Frame, step: Pose, elapsed_ns: int) -> bool:
-    """Return whether the robot turned unevenly within a sweep, which deskewing at constant velocity bends.
-
-    By wheel odometry: ``step`` is the motion since the last scan, ``elapsed_ns`` ago.
-    """
-    sweep_ns = frame.scan.time_increment_ns * (len(frame.scan.ranges) - 1)
-    if frame.start_from_end is None or sweep_ns == 0:
-        return False
-    return abs(step.theta * sweep_ns / elapsed_ns - frame.start_from_end.theta) > UNEVEN_RAD
 
 
 @dataclass

@@ -33,7 +33,7 @@ from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
 from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder, LoopSettings
 from evalkit_baselines.slam.match_doubt import MatchDoubt
 from evalkit_baselines.slam.observability import ObservableIcp
-from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate, is_uneven
+from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import smooth_ranges
 from evalkit_baselines.slam.second_try import (
@@ -44,6 +44,7 @@ from evalkit_baselines.slam.second_try import (
     CoarseToFine,
     SecondTry,
 )
+from evalkit_baselines.slam.uneven_turns import UnevenTurns
 
 DCS_PHI = 10.0
 _STORED_VOXEL_M = 0.03
@@ -123,7 +124,7 @@ class PaperSlam:
         self._corrected = False
         self._scale = OdometryScale()
         self._doubt = MatchDoubt()
-        self._uneven = False  # the robot turned unevenly within the last scan, and not within the one before
+        self._turns = UnevenTurns()
         self._wheels: Pose | None = None  # raw odometry at the last keyframe
         self._fitted_ns: int | None = None  # stamp of the last scan that was not lost
 
@@ -131,10 +132,11 @@ class PaperSlam:
         """Match one scan; a new keyframe may close a loop, which corrects this pose and all earlier ones.
 
         A scan that lies neither on the one before nor on the map is set aside where there is wheel odometry: that gives
-        its pose, and nothing is matched with it. So is a scan within which the robot turned unevenly, where the
-        odometry is good, unless the one before was. After a while, or without odometry, the track is lost: the map
-        begins anew until a loop closure connects it with the old one. In between, the pose is that of the wheel
-        odometry, which the graph doubts. Neither answer is accepted. Raises ValueError where time does not advance.
+        its pose, and nothing is matched with it. So is a scan within which the robot turned unevenly, where good
+        odometry was right over such turns; in any case it does not enter the map. After a while, or without odometry,
+        the track is lost: the map begins anew until a loop closure connects it with the old one. In between, the pose
+        is that of the wheel odometry, which the graph doubts. Neither answer is accepted. Raises ValueError where time
+        does not advance.
         """
         if self._stamps_ns and frame.scan.stamp_ns <= self._stamps_ns[-1]:
             found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {self._stamps_ns[-1]} ns"
@@ -143,15 +145,17 @@ class PaperSlam:
         wheels = frame.odom_from_base
         frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
-        step = Pose.of(self._odom_from_base[-1]).inverse() @ predicted if measured else None
+        last = Pose.of(self._odom_from_base[-1]) if self._stamps_ns else None
+        step = last.inverse() @ predicted if measured and last is not None else None
         # near a keyframe where nothing is open; one where something is may keep a pose at its guess, and so itself near
         is_closed = self._keyframes.is_last_closed() and not self._front.is_keyframe(predicted)
         for icp in self._icps:
             icp.is_closed = is_closed
         self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m)
         elapsed_ns = frame.scan.stamp_ns - self._stamps_ns[-1] if self._stamps_ns else 0
-        self._uneven = not self._uneven and step is not None and is_uneven(frame, step, elapsed_ns)
-        if self._uneven and self._gate.is_good:
+        uneven = self._turns.measure(frame, step, elapsed_ns)
+        if uneven and self._turns.is_odometry_right and self._gate.is_good:
+            self._turns.note(uneven, frame.odom_from_base, last, None)
             return self._set_aside(frame, OdometryEstimate(predicted))
         direct = self._match_directly(frame, predicted) if self._gate.is_good else None
         if direct is None:
@@ -160,22 +164,24 @@ class PaperSlam:
         estimate, points, pose = matched.estimate, matched.source.points, matched.start_from_points
         match = estimate.stages.get("s2m")
         lost = direct is None and self._is_lost(frame, points, pose)
+        is_matched = match is not None and match.accepted and not lost
+        self._turns.note(uneven, frame.odom_from_base, last, pose if is_matched else None)
         if not lost or self._fitted_ns is None:
             self._fitted_ns = frame.scan.stamp_ns
         if lost and measured and frame.scan.stamp_ns - self._fitted_ns <= PATIENCE_NS:
             return self._set_aside(frame, replace(estimate, pose=predicted))
-        self._front.keep(frame, matched)
+        self._front.keep(frame, matched, may_be_keyframe=not uneven)
         self._continuity.keep(points, pose, frame.base_from_sensor)
         fits = False
-        if match is not None and match.accepted:
-            last, hits = Pose.of(self._odom_from_base[-1]), int(frame.scan.hits.sum())
+        if match is not None and match.accepted and last is not None:
+            hits = int(frame.scan.hits.sum())
             fits = self._doubt.observe(last, predicted if measured else None, pose, match, hits)
         new = self._map.take() or (NewKeyframe(points, pose) if lost else None)
         if new is not None:
             new = NewKeyframe(voxel_means(new.points, _STORED_VOXEL_M), new.odom_from_base)
             kind = Step.MATCHED if not lost else Step.MEASURED if measured else Step.UNKNOWN
             self._insert(frame.scan.stamp_ns, new, wheels, kind, predicted if kind is Step.MEASURED else pose)
-        elif fits:
+        elif fits and not uneven:
             self._map.add_between(points, pose)
         return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
 

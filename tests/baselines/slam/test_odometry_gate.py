@@ -7,8 +7,8 @@ import pytest
 
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
-from evalkit.core.scan import Cloud, Frame, Scan
-from evalkit_baselines.slam.odometry_gate import MIN_POINTS, NARROW, WIDE, Gated, OdometryGate, is_uneven
+from evalkit.core.scan import Cloud
+from evalkit_baselines.slam.odometry_gate import MIN_POINTS, NARROW, WIDE, Gated, OdometryGate
 
 GUESS = Pose(1.0, -2.0, 0.5)
 
@@ -93,23 +93,3 @@ def test_a_jump_of_half_a_turn_is_far():
     gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), None)
     cloud = Cloud(np.ones((MIN_POINTS, 2)))
     assert gated.register(cloud, cloud, GUESS).target_from_source == GUESS
-
-
-@pytest.mark.parametrize(
-    ("turned_deg", "within_deg", "increment_ms", "expected"),
-    [
-        (8.0, 3.9, 10, False),  # 40 ms of 80 ms: at 100 deg/s the sweep turns by 4 deg
-        (8.0, 5.1, 10, True),
-        (8.0, 2.9, 10, True),
-        (-8.0, -5.1, 10, True),
-        (8.0, None, 10, False),
-        (8.0, 5.1, 0, False),
-    ],
-)
-def test_a_turn_one_degree_off_that_at_the_rate_since_the_last_scan_is_uneven(
-    turned_deg, within_deg, increment_ms, expected
-):
-    scan = Scan(0, np.ones(5), np.arange(5.0), 0.0, 10.0, increment_ms * 1_000_000)
-    within = None if within_deg is None else Pose(0.0, 0.0, math.radians(within_deg))
-    step = Pose(0.1, 0.0, math.radians(turned_deg))
-    assert is_uneven(Frame(scan, Pose(), Pose(), within), step, 80_000_000) is expected

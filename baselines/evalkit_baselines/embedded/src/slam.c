@@ -11,7 +11,6 @@
 #define PERIOD_MS 100           /* of the scans that `work` is meant for: a slower lidar leaves more time for loops */
 #define MAX_PERIOD_MS 2000
 #define SPARE 3                 /* times `work`: for the search while the track is lost, less the work of matching */
-#define UNEVEN (EK_PI / EK_R(180.0)) /* rad: a sweep whose turn differs more from that at the rate since the last scan */
 #define PATIENCE_NS 2000000000u /* scans that lie nowhere are set aside until so long after the last one that did */
 #define NEAR_LIMIT (EK_R(0.25) * EK_MAX_COORDINATE)
 
@@ -263,16 +262,6 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     return status;
 }
 
-/* Whether the robot turned unevenly within a sweep, which deskewing at constant velocity bends: by wheel odometry. */
-static int is_uneven(const ek_slam *slam, const ek_sweep *sweep)
-{
-    const ek_real sweep_ns = (ek_real)sweep->time_increment_ns * (ek_real)(sweep->beams - 1u);
-    const ek_real since_ns = (ek_real)((uint64_t)sweep->stamp_ns - (uint64_t)slam->motion.stamp_ns);
-    const ek_real turn = ek_se2_between(slam->motion.odom_from_base, sweep->odom_from_base).theta;
-    return slam->motion.has_last_odometry && sweep->has_odometry && sweep->has_motion && sweep_ns > EK_R(0.0) &&
-           EK_FABS(turn * sweep_ns / since_ns - sweep->start_from_end.theta) > UNEVEN;
-}
-
 static ek_status check_sweep(const ek_slam *slam, const ek_sweep *sweep)
 {
     if (sweep->has_odometry && !ek_se2_is_finite(sweep->odom_from_base)) {
@@ -363,12 +352,12 @@ static void draw_between(ek_slam *slam, ek_pose odom_from_base)
     slam->map_changed = changed;
 }
 
-/* Keep the scan: as the one before, in the map if it fits, and as a keyframe if the base has moved enough or the track was
- * lost. */
+/* Keep the scan: as the one before, and unless it is uneven, in the map if it fits, and as a keyframe if the base has moved enough;
+ * in any case if the track was lost. */
 static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, const ek_slam_estimate *estimate, ek_work *task)
 {
     const ek_pose pose = estimate->odom_from_base;
-    const int keyframe = is_keyframe(slam, pose);
+    const int even = !(slam->uneven.by > EK_R(0.0)), keyframe = even && is_keyframe(slam, pose);
     const int measured = is_measured(slam, prior);
     const int fits = estimate->scan_to_map_accepted &&
                      ek_slam_doubt(slam, measured ? &predicted : NULL, pose, &estimate->scan_to_map);
@@ -383,7 +372,7 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, c
         const ek_step_kind kind = !estimate->lost ? EK_STEP_MATCHED : measured ? EK_STEP_MEASURED : EK_STEP_UNKNOWN;
         return ek_slam_insert(slam, pose, kind, kind == EK_STEP_MEASURED ? predicted : pose, task);
     }
-    if (fits) {
+    if (fits && even) {
         draw_between(slam, pose);
     }
     return EK_OK;
@@ -425,20 +414,20 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     estimate->odom_from_base = identity;
     estimate->scan_to_scan = estimate->scan_to_map = none;
     slam->corrected = 0;
-    const int uneven = !slam->uneven && is_uneven(slam, &prepared);
-    estimate->set_aside = uneven;
+    const ek_real uneven = ek_slam_unevenness(slam, &prepared);
+    estimate->set_aside = uneven > EK_R(0.0) && slam->uneven.right == EK_TURNS_RIGHT;
     status = ek_slam_track(slam, &prior, estimate, &work);
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_points, ek_motion_predict(&slam->motion, &prior));
     if (status != EK_OK || !is_near(estimate->odom_from_base) || !is_near(predicted)) {
         return status == EK_OK ? EK_OUT_OF_RANGE : status;
     }
     slam->wheels = wheels;
-    slam->uneven = uneven;
     ek_work task = ek_work_make(0);
     if (!estimate->set_aside) {
         status = is_direct(estimate) ? EK_OK : take_map(slam, estimate->odom_from_base, &work);
         judge(slam, &prior, sweep->has_odometry, estimate, &work);
     }
+    ek_slam_note_turn(slam, &prior, uneven, estimate);
     if (status == EK_OK && estimate->set_aside) {
         set_aside(slam, &prior, predicted, estimate, &task);
     } else if (status == EK_OK) {

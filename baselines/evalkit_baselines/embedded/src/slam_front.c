@@ -7,6 +7,8 @@
 #define MAX_ERROR EK_R(0.1)  /* a motion whose length differs by a larger share does not count */
 #define MIN_STEP EK_R(0.1)   /* m */
 #define SEEING EK_R(0.065)
+#define UNEVEN (EK_PI / EK_R(180.0)) /* rad: a turn within a sweep that differs more from that at the rate before is uneven */
+#define RIGHT_SHARE EK_R(0.25) /* of that difference: over the turn, odometry and matches may differ by so much */
 #define POOR EK_R(0.1)       /* m: a larger mean distance is doubted, */
 #define UNUSUAL EK_R(4.0)    /* and one of more than so many times the usual one */
 #define MIN_SHARE EK_R(0.8)  /* a smaller share of points in pairs is doubted too */
@@ -92,6 +94,29 @@ void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *o
     wheels->seen = seen;
     wheels->has_keyframe = wheels->has_last;
     wheels->keyframe = wheels->now;
+}
+
+ek_real ek_slam_unevenness(const ek_slam *slam, const ek_sweep *sweep)
+{
+    const ek_real sweep_ns = (ek_real)sweep->time_increment_ns * (ek_real)(sweep->beams - 1u);
+    const ek_real since_ns = (ek_real)((uint64_t)sweep->stamp_ns - (uint64_t)slam->motion.stamp_ns);
+    const ek_real turn = ek_se2_between(slam->motion.odom_from_base, sweep->odom_from_base).theta;
+    const ek_real by = EK_FABS(sweep->start_from_end.theta - turn * sweep_ns / since_ns);
+    const int measured = slam->motion.has_last_odometry && sweep->has_odometry && sweep->has_motion;
+    return measured && sweep_ns > EK_R(0.0) && by > UNEVEN && !(slam->uneven.by > EK_R(0.0)) ? by : EK_R(0.0);
+}
+
+void ek_slam_note_turn(ek_slam *slam, const ek_prior *prior, ek_real by, const ek_slam_estimate *estimate)
+{
+    ek_uneven *const noted = &slam->uneven;
+    const int matched = estimate->scan_to_map_accepted && !estimate->lost && !estimate->set_aside;
+    if (noted->by > EK_R(0.0) && prior->has_odometry && matched) {
+        const ek_real beyond = estimate->odom_from_base.theta - prior->odom_from_base.theta;
+        const int right = EK_FABS(ek_se2_wrap(beyond - noted->beyond)) <= RIGHT_SHARE * noted->by;
+        noted->right = !right ? 0 : noted->right < EK_TURNS_RIGHT ? noted->right + 1 : EK_TURNS_RIGHT;
+    }
+    noted->by = by;
+    noted->beyond = slam->motion.start_from_base.theta - slam->motion.odom_from_base.theta;
 }
 
 /* How well a scan lies on a target: its number of points within NEAR; `closely`: within CLOSE, where each counts in

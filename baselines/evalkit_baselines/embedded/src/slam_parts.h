@@ -7,6 +7,8 @@
 #define ek_slam_start_wheels EK_NAME(slam_start_wheels)
 #define ek_slam_prepare EK_NAME(slam_prepare)
 #define ek_slam_observe_wheels EK_NAME(slam_observe_wheels)
+#define ek_slam_unevenness EK_NAME(slam_unevenness)
+#define ek_slam_note_turn EK_NAME(slam_note_turn)
 #define ek_slam_match EK_NAME(slam_match)
 #define ek_slam_match_directly EK_NAME(slam_match_directly)
 #define ek_slam_gate EK_NAME(slam_gate)
@@ -41,6 +43,13 @@ ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *
 /* Compare the motion between the last two keyframes as matched with that of the wheels. */
 void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *open, int known);
 
+/* By how much (rad) the turn within a sweep differs from that at the rate since the last scan, by wheel odometry: deskewing at
+ * constant velocity then bends the scan. 0: the turn is even, or unknown, or the last scan was uneven. */
+ek_real ek_slam_unevenness(const ek_slam *slam, const ek_sweep *sweep);
+
+/* Note the unevenness of a matched scan. After an uneven one, note whether the odometry was right over its turn. */
+void ek_slam_note_turn(ek_slam *slam, const ek_prior *prior, ek_real by, const ek_slam_estimate *estimate);
+
 /* Match the projected scan with a target, a large one first with a part of its points. The first answer of a scan that
  * fits poorly (`tried` says that there was one) is tried again with near pairs from five headings. `predicted`: of the
  * match with the map, without odometry, the pose at constant velocity, else NULL: one of more than twice the usual error is
@@ -70,7 +79,7 @@ int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_po
 int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match);
 
 /* Match the projected scan with the last one and with the map; fills stages and odom_from_base. One that is to be set aside is
- * not matched where the odometry is good, and is not set aside where it is not. */
+ * not matched where the odometry is good, and not set aside where it is not. */
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work);
 
 /* Draw points, in their own frame, into one of the two maps. */

@@ -66,8 +66,8 @@ typedef struct {
     ek_match scan_to_scan, scan_to_map;
     int32_t has_scan_to_scan, has_scan_to_map; /* 0: not run; scans are matched with the map alone where odometry is good */
     int32_t scan_to_scan_accepted, scan_to_map_accepted;
-    int32_t set_aside; /* 1: the scan lies nowhere, or the robot turned unevenly within it, where odometry is good; its pose
-                        * is that of the wheels, and nothing is matched with it */
+    int32_t set_aside; /* 1: the scan lies nowhere, or the robot turned unevenly within it, and good odometry was right over
+                        * such turns; its pose is that of the wheels, and nothing is matched with it */
     int32_t lost;      /* 1: it contradicts the last one that fitted, with odometry 2 s ago; the map begins anew */
     int32_t corrected; /* 1: earlier poses changed */
     int32_t full;      /* 1: no memory for another keyframe: no loop is closed any more */
@@ -91,6 +91,14 @@ typedef struct {
     ek_real metres, theta; /* m, rad */
     ek_real poor;          /* m: a match with a larger error and few pairs may be at most half as far; 0: unknown */
 } ek_gate;
+
+#define EK_TURNS_RIGHT 2
+
+/* The last scan, if the robot turned unevenly within it (uneven_turns.py). */
+typedef struct {
+    ek_real by, beyond; /* rad: 0: it was even; how far the scan before had turned beyond the odometry */
+    int32_t right;      /* so many such turns the odometry was right over, up to EK_TURNS_RIGHT, since it was last wrong */
+} ek_uneven;
 
 typedef struct {
     ek_slam_parameters parameters;
@@ -133,7 +141,7 @@ typedef struct {
     uint32_t compared;       /* scans with odometry before this one, as far as they are counted */
     ek_gate gate;            /* of this scan */
     int64_t fitted_ns;       /* stamp of the last scan that fitted */
-    int32_t uneven;          /* 1: the robot turned unevenly within the last scan, and not within the one before */
+    ek_uneven uneven;
     ek_real *smoothed;
     int32_t undecided, corrected, full, rounds;
     ek_real mu, built_at;
