@@ -120,7 +120,8 @@ def run(name: str, slam: Slam, frames: Sequence[Frame], relations: Relations) ->
     cells = (
         name, f"{len(frames):,}", f"{covered.sum():,}", f"{100.0 * covered.mean():.1f} %", *parts,
         f"{sum(one.accepted for one in closures)} of {len(closures)}", str(sum(bool(e.corrected) for e in estimates)),
-        str(sum(e.accepted is False for e in estimates)), f"{np.median(spent):.2f} / {max(spent):.1f}",
+        str(sum(e.accepted is False and bool(e.stages) for e in estimates)),
+        f"{np.median(spent):.2f} / {max(spent):.1f}",
     )  # fmt: skip
     sys.stdout.write(f"| {' | '.join(cells)} |\n")
     sys.stdout.flush()
