@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from functools import partial
+from itertools import product
 
 from matplotlib.axes import Axes
+from matplotlib.transforms import Bbox, BboxBase
 
 from evalkit.commands.export.latex import Files, Width, file_name
 from evalkit.commands.export.results import ExportSelection, MetricColumn, SummaryRow
@@ -89,8 +91,6 @@ def draw_accuracy_time(results: ExportSelection, sequence: str, form: FileFormat
     if column is None or len(points) < 2:
         return None
 
-    middle = math.sqrt(min(cost for *_, cost in points) * max(cost for *_, cost in points))
-
     def draw(axes: Axes) -> None:
         for row, error, cost in points:
             colour = results.strokes[row.method].colour
@@ -100,9 +100,6 @@ def draw_accuracy_time(results: ExportSelection, sequence: str, form: FileFormat
             axes.plot(
                 cost, error, "D" if tuned else "o", color=colour, mfc="white" if tuned else colour, markersize=4.0
             )
-            right = cost > middle
-            axes.annotate(row.method, (cost, error), (-3 if right else 3, 3), textcoords="offset points",
-                          ha="right" if right else "left", fontsize=paper.MIN_PT, color=colour)  # fmt: skip
         axes.set_xscale("log")
         format_log_axis(axes.xaxis)
         low, high = min(error for _, error, _ in points), max(error for _, error, _ in points)
@@ -114,8 +111,46 @@ def draw_accuracy_time(results: ExportSelection, sequence: str, form: FileFormat
             axes.plot([], [], "D", color="black", mfc="white", markersize=4.0, label=TUNED)
             axes.legend(fontsize=paper.MIN_PT, frameon=False, handletextpad=0.2)
         axes.set(xlabel="CPU time per scan [ms]", ylabel=f"{column.label} [{column.unit}]")
+        colours = [results.strokes[row.method].colour for row, *_ in points]
+        label_points(axes, [(row.method, (cost, error)) for row, error, cost in points], colours, paper.MIN_PT)
 
     return render_figure([draw], (paper.width_in, min(0.7 * paper.width_in, 3.0)), None, form, paper)
+
+
+def label_points(
+    axes: Axes, points: Sequence[tuple[str, tuple[float, float]]], colours: Sequence[str], size_pt: float
+) -> None:
+    """Write a name beside each point (x, y) of a finished figure, where it covers least of other names and points."""
+    figure = axes.figure.get_figure(root=True)
+    if figure is None:
+        raise ValueError("axes belong to no figure")
+    figure.draw_without_rendering()
+    middles = axes.transData.transform([place for _, place in points])
+    dots = [Bbox([middle - 4.0, middle + 4.0]) for middle in middles]
+    names: list[Bbox] = []
+    for (name, place), colour in zip(points, colours, strict=True):
+        write = partial(
+            axes.annotate, name, place, textcoords="offset points", va="center", fontsize=size_pt, color=colour
+        )
+        tried = []
+        for rank, (up, right) in enumerate(product((0.5, -0.5, 1.5, -1.5, 2.5, -2.5), (True, False))):
+            offset, side = (4.0 if right else -4.0, up * 1.2 * size_pt), "left" if right else "right"
+            label = write(xytext=offset, ha=side)
+            box = label.get_window_extent()
+            label.remove()
+            covered = sum(_overlap(box, other) for other in (*names, *dots))
+            outside = box.width * box.height - _overlap(box, axes.bbox)
+            tried.append((covered + outside, rank, box, offset, side))
+        _, _, box, offset, side = min(tried, key=lambda one: one[:2])
+        leader = {"arrowstyle": "-", "linewidth": 0.4, "color": colour, "shrinkA": 0.0, "shrinkB": 2.0}
+        write(xytext=offset, ha=side, arrowprops=leader).set_in_layout(False)
+        names.append(box)
+
+
+def _overlap(one: Bbox, other: BboxBase) -> float:
+    """Return the area that two boxes share."""
+    shared = Bbox.intersection(one, other)
+    return 0.0 if shared is None else float(shared.width * shared.height)
 
 
 def _rows(results: ExportSelection, sequence: str, metric: str) -> list[SummaryRow]:
