@@ -20,8 +20,9 @@ from evalkit.core.se2 import Floats
 MAX_BEAMS = 5
 """Beams in a median; with 9 and more a corridor of door niches becomes 0.3 % too short."""
 
-MAX_SPAN_RAD = math.radians(1.2)
-"""Largest angle between the first and the last beam of a median."""
+MAX_SPAN_RAD = math.radians(1.201)
+"""Largest angle between the first and the last beam of a median: 1.2 deg, so that beams 0.3 or 0.6 deg apart are fine
+whatever is rounded."""
 
 MIN_NOISE_M = 0.02
 """Ranges with less noise are not changed."""

@@ -1,8 +1,8 @@
 #include "ek/smooth.h"
 
-#define MAX_SPAN (EK_R(1.2) * EK_PI / EK_R(180.0))
-#define MIN_NOISE EK_R(0.02)                            /* m */
-#define SECOND_DIFFERENCE EK_R(1.6521477960523424)      /* 0.6745 sqrt 6: median of |a + c - 2 b| for noise of 1 sigma */
+#define MAX_SPAN (EK_R(1.201) * EK_PI / EK_R(180.0)) /* 1.2 deg, so that beams 0.3 or 0.6 deg apart are fine whatever is rounded */
+#define MIN_NOISE EK_R(0.02) /* m */
+#define SECOND_DIFFERENCE EK_R(1.6521808315072536) /* 0.6745 sqrt 6: median of |a + c - 2 b| for noise of 1 sigma */
 
 /* Number of neighbouring beams in a median, odd: 5, 3 or 1, so that most of these span at most MAX_SPAN. */
 static size_t count_beams(const ek_real *angles, size_t beams)
