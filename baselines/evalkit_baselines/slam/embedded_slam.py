@@ -191,7 +191,7 @@ class EmbeddedSlam:
             )
         closures = sum(bool(_Flag(flags) & _Flag.NO_ROOM) for *_, flags, _ in core.records())
         for name, count, what in (
-            ("voxels", core.dropped_cells, "voxels of scans in the map"),
+            ("voxels", core.dropped_cells, "groups of points in the map"),
             ("loops", closures, "loops"),
             ("records", core.unrecorded, "candidates, which close no loop"),
         ):

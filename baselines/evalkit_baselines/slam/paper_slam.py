@@ -133,10 +133,10 @@ class PaperSlam:
 
         A scan that lies neither on the one before nor on the map is set aside where there is wheel odometry: that gives
         its pose, and nothing is matched with it. So is a scan within which the robot turned unevenly, where good
-        odometry was right over such turns; in any case it does not enter the map. After a while, or without odometry,
-        the track is lost: the map begins anew until a loop closure connects it with the old one. In between, the pose
-        is that of the wheel odometry, which the graph doubts. Neither answer is accepted. Raises ValueError where time
-        does not advance.
+        odometry was right over such turns; otherwise it does not enter the map, unless the track is lost. That is so
+        after a while, or without odometry: the map begins anew until a loop closure connects it with the old one. In
+        between, the pose is that of the wheel odometry, which the graph doubts. Neither answer is accepted. Raises
+        ValueError where time does not advance.
         """
         if self._stamps_ns and frame.scan.stamp_ns <= self._stamps_ns[-1]:
             found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {self._stamps_ns[-1]} ns"

@@ -43,7 +43,7 @@ class UnevenTurns:
         0.0 where it is even, or unknown, or the last scan was uneven. ``step``: motion since the last scan,
         ``elapsed_ns`` ago, by wheel odometry, if measured.
         """
-        sweep_ns = frame.scan.time_increment_ns * (len(frame.scan.ranges) - 1)
+        sweep_ns = frame.scan.duration_ns
         if step is None or frame.start_from_end is None or sweep_ns == 0 or self._by_rad > 0.0:
             return 0.0
         by = abs(frame.start_from_end.theta - step.theta * sweep_ns / elapsed_ns)

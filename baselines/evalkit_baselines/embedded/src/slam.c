@@ -378,15 +378,16 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, c
     return EK_OK;
 }
 
-/* Go on from the pose by the wheels alone. */
-static void set_aside(ek_slam *slam, const ek_prior *prior, ek_pose predicted, ek_slam_estimate *estimate, ek_work *task)
+/* Go on from the pose by the wheels alone: the next scan is matched with nothing, and compared with the last one that was kept. */
+static ek_status set_aside(ek_slam *slam, const ek_prior *prior, ek_pose predicted, ek_slam_estimate *estimate, ek_work *task)
 {
     estimate->odom_from_base = predicted;
     slam->motion.half_ns = 0; /* at the first beam */
     ek_motion_store(&slam->motion, prior, predicted);
     *task = ek_work_make(ek_slam_allowed_work(slam));
-    slam->last_count = 0u;
-    slam->last_indexed = 0;
+    const ek_status status = index_lines(&slam->last, slam->last_normals, slam->last_points, 0u);
+    slam->last_indexed = status == EK_OK;
+    return status;
 }
 
 ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate *estimate)
@@ -429,7 +430,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     }
     ek_slam_note_turn(slam, &prior, uneven, estimate);
     if (status == EK_OK && estimate->set_aside) {
-        set_aside(slam, &prior, predicted, estimate, &task);
+        status = set_aside(slam, &prior, predicted, estimate, &task);
     } else if (status == EK_OK) {
         status = keep(slam, &prior, predicted, estimate, &task);
     }

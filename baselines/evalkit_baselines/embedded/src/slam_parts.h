@@ -47,7 +47,7 @@ void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *o
  * constant velocity then bends the scan. 0: the turn is even, or unknown, or the last scan was uneven. */
 ek_real ek_slam_unevenness(const ek_slam *slam, const ek_sweep *sweep);
 
-/* Note the unevenness of a matched scan. After an uneven one, note whether the odometry was right over its turn. */
+/* Note the unevenness of a scan. After an uneven one, note whether the odometry was right over its turn. */
 void ek_slam_note_turn(ek_slam *slam, const ek_prior *prior, ek_real by, const ek_slam_estimate *estimate);
 
 /* Match the projected scan with a target, a large one first with a part of its points. The first answer of a scan that
