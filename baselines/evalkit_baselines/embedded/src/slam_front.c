@@ -103,7 +103,8 @@ ek_real ek_slam_unevenness(const ek_slam *slam, const ek_sweep *sweep)
     const ek_real turn = ek_se2_between(slam->motion.odom_from_base, sweep->odom_from_base).theta;
     const ek_real by = EK_FABS(sweep->start_from_end.theta - turn * sweep_ns / since_ns);
     const int measured = slam->motion.has_last_odometry && sweep->has_odometry && sweep->has_motion;
-    return measured && slam->parameters.deskew && sweep_ns > EK_R(0.0) && by > UNEVEN && !(slam->uneven.by > EK_R(0.0)) ? by : EK_R(0.0);
+    const int bends = slam->parameters.deskew && sweep_ns > EK_R(0.0) && by > UNEVEN;
+    return measured && bends && !(slam->uneven.by > EK_R(0.0)) ? by : EK_R(0.0);
 }
 
 void ek_slam_note_turn(ek_slam *slam, const ek_prior *prior, ek_real by, const ek_slam_estimate *estimate)

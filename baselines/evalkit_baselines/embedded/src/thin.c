@@ -23,20 +23,13 @@ ek_status ek_thinner_init(ek_thinner *thinner, ek_arena *arena, size_t capacity)
     return EK_OK;
 }
 
-/* The largest whole number that is not above one. */
-static inline int64_t floor_of(ek_real number)
-{
-    const int64_t whole = (int64_t)number;
-    return whole - (number < (ek_real)whole);
-}
-
 /* Number the cells of the points row by row; returns the largest number. */
 static uint64_t number_cells(ek_thinner *thinner, const ek_real *xy, size_t count, ek_real size)
 {
     int64_t left = INT64_MAX, low = INT64_MAX, high = INT64_MIN;
     uint64_t largest = 0u;
     for (size_t i = 0; i < count; i++) {
-        const int64_t x = floor_of(xy[2u * i] / size), y = floor_of(xy[2u * i + 1u] / size);
+        const int64_t x = ek_floor(xy[2u * i] / size), y = ek_floor(xy[2u * i + 1u] / size);
         thinner->key[i] = (uint64_t)x;
         thinner->other_key[i] = (uint64_t)y;
         left = x < left ? x : left;

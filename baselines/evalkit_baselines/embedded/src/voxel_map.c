@@ -73,13 +73,10 @@ static void add_to_voxel(ek_voxel_map *map, const int32_t *cell, ek_real x, ek_r
     }
 }
 
-/* Cells of coordinates: the largest whole number of sides that is not above each. */
 static void number_cells(const ek_real *EK_RESTRICT coordinates, size_t count, ek_real size, int32_t *EK_RESTRICT cells)
 {
     for (size_t k = 0; k < count; k++) {
-        const ek_real sides = coordinates[k] / size;
-        const int32_t whole = (int32_t)sides;
-        cells[k] = whole - (sides < (ek_real)whole);
+        cells[k] = ek_floor(coordinates[k] / size);
     }
 }
 

@@ -305,7 +305,8 @@ static void a_scan_within_which_the_robot_turns_unevenly_is_set_aside(size_t las
     free(arena.memory);
 }
 
-/* By how much a sweep of 200 ms after 200 ms turns beyond that at the rate before; 0 where that is not known, or not above 1 deg. */
+/* By how much the turn of a sweep of 100 ms differs from 0.1 rad, that at the rate of the 200 ms before; 0 where that is not
+ * known, or not above 1 deg. */
 static void the_unevenness_of_a_turn_is_that_of_a_hand_calculation(void)
 {
     const ek_slam_parameters parameters = parameters_of(0);

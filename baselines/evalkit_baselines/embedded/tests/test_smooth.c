@@ -58,6 +58,8 @@ static void small_noise_and_short_scans_are_left_alone(void)
     fill(0.25);
     CHECK(!ek_smooth_ranges(ranges, angles, 4u, smoothed));
     CHECK(!ek_smooth_ranges(ranges, angles, 0u, smoothed));
+    angles[3] = (ek_real)NAN; /* two steps of 39 that are not fine; a scan with such an angle is refused later */
+    CHECK(ek_smooth_ranges(ranges, angles, BEAMS, smoothed));
 }
 
 int main(void)

@@ -71,6 +71,15 @@ ek_real EK_NAME(atan2)(ek_real y, ek_real x);
 /* Position of points that are left out (m): distances to it stay finite in both builds. */
 #define EK_FAR EK_R(1e18)
 
+#define ek_floor EK_NAME(floor)
+
+/* The largest whole number that is not above a number below 2^31 in size. Loops with it become vectors without SSE 4.1, too. */
+static inline int32_t ek_floor(ek_real number)
+{
+    const int32_t whole = (int32_t)number;
+    return whole - (number < (ek_real)whole);
+}
+
 /* Hot loops process groups of this many lanes; arrays are padded to a multiple of it. */
 #define EK_LANES 8u
 #define EK_PADDED(count) (((size_t)(count) + (EK_LANES - 1u)) / EK_LANES * EK_LANES)
