@@ -85,6 +85,7 @@ class Keyframes:
     """
 
     drift: DriftModel
+    reach_m: float = math.inf  # points farther from a keyframe are not matched
     stamps_ns: list[int] = field(default_factory=list)
     clouds: list[Floats] = field(default_factory=list)
     path_m: list[float] = field(default_factory=list)
@@ -123,7 +124,7 @@ class Keyframes:
     ) -> None:
         """Add a keyframe by its motion from the last one."""
         row, length = len(self), math.hypot(last_from_keyframe.x, last_from_keyframe.y)
-        openness = measure_openness(points)
+        openness = measure_openness(points, self.reach_m)
         if row == len(self._poses):
             self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
             self._apart_m = np.concatenate([self._apart_m, np.zeros_like(self._apart_m)])

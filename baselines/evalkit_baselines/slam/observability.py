@@ -6,6 +6,7 @@ normals, which holds the scan back: a corridor becomes too short. The odometry k
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -37,12 +38,17 @@ class Openness:
     ratio: float
 
 
-def measure_openness(points: Floats) -> Openness:
-    """Return the weakest direction of points (N, 2); with fewer than eight all directions are open (ratio 0)."""
+def measure_openness(points: Floats, reach_m: float = math.inf) -> Openness:
+    """Return the weakest direction of points (N, 2) within reach of the origin; with fewer than eight all are open (ratio 0).
+
+    What a scan is not matched with fixes nothing: a wall at the end of a corridor, beyond the reach of the map.
+    """
     thinned = voxel_means(points, _VOXEL_M)
-    if len(thinned) < _NEIGHBOURS:
+    every = max(len(thinned) // _SAMPLES, 1)
+    near = np.flatnonzero(np.hypot(thinned[::every, 0], thinned[::every, 1]) <= reach_m) * every
+    if len(near) < _NEIGHBOURS:
         return Openness(np.array([1.0, 0.0]), 0.0)
-    normals = normals_2d(thinned, _NEIGHBOURS)[:: max(len(thinned) // _SAMPLES, 1)]
+    normals = normals_2d(thinned, _NEIGHBOURS)[near]
     values, vectors = np.linalg.eigh(normals.T @ normals)
     return Openness(vectors[:, 0], float(max(values[0], 0.0) / values[1]))
 
@@ -51,10 +57,12 @@ def measure_openness(points: Floats) -> Openness:
 class ObservableIcp:
     """A Registration: an ICP whose answer along an open direction is the guess.
 
-    ``is_closed``: nothing is known to be open, and the source is not measured.
+    ``reach_m``: source points farther from its origin are not matched. ``is_closed``: nothing is known to be open, and the
+    source is not measured.
     """
 
     icp: Registration
+    reach_m: float = math.inf
     is_closed: bool = False
     _recent: CloudCache[Openness] = field(default_factory=CloudCache, repr=False, compare=False)
 
@@ -63,7 +71,7 @@ class ObservableIcp:
         match = self.icp.register(target, source, guess)
         if self.is_closed:
             return match
-        open_ = self._recent.get(source, lambda cloud: measure_openness(cloud.points))
+        open_ = self._recent.get(source, lambda cloud: measure_openness(cloud.points, self.reach_m))
         trust = float(np.clip((open_.ratio - BLIND) / (SEEING - BLIND), 0.0, 1.0))
         if trust == 1.0:
             return match

@@ -65,6 +65,7 @@ class SlamSettings(LoopSettings):
     matcher: str = parameter("embedded", "", "the paper's ICP in C99 or in NumPy", choices=("embedded", "paper"))
     prior: str = parameter("odometry", "", "source of the first guess", choices=("odometry", "constant-velocity"))
     map_voxel_m: float = parameter(0.1, "m", "side of the voxels of the lasting map", low=0.01)
+    map_radius_m: float = parameter(30.0, "m", "scans are matched with the map within this distance of the base", low=1.0)
     map_reach_m: float = parameter(20.0, "m", "keyframes farther apart through the graph leave the map", low=1.0)
     keyframe_distance_m: float = parameter(0.3, "m", "a new keyframe after this distance", low=0.01)
     keyframe_angle_deg: float = parameter(10.0, "deg", "or after this turn", low=0.1)
@@ -90,8 +91,10 @@ class PaperSlam:
 
     def __init__(self, settings: SlamSettings) -> None:
         self._settings = settings
-        self._keyframes = Keyframes(DriftModel(settings.drift_m, math.radians(settings.drift_deg)))
-        self._map = LastingMap(self._keyframes, settings.map_voxel_m, 15.0, settings.map_reach_m)
+        self._keyframes = Keyframes(
+            DriftModel(settings.drift_m, math.radians(settings.drift_deg)), settings.map_radius_m
+        )
+        self._map = LastingMap(self._keyframes, settings.map_voxel_m, settings.map_radius_m, settings.map_reach_m)
         front_end = FrontEndSettings(
             prior=settings.prior,
             keyframe_distance_m=settings.keyframe_distance_m,
@@ -110,7 +113,8 @@ class PaperSlam:
             scan_to_scan=(of_scan, of_scan_again),
         )
         self._gate = OdometryGate()
-        self._icps = ObservableIcp(self._tries), ObservableIcp(direct)
+        reach_m = settings.map_radius_m
+        self._icps = ObservableIcp(self._tries, reach_m), ObservableIcp(direct, reach_m)
         in_two_stages, self._direct = (Gated(icp, self._gate) for icp in self._icps)
         self._front = FrontEnd(in_two_stages, in_two_stages, front_end, self._map)
         self._finder = LoopFinder(settings, wide, narrow)

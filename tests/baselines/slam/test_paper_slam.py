@@ -338,6 +338,16 @@ def test_a_bare_corridor_leaves_its_direction_open_and_a_corner_none():
     assert measure_openness(corner).ratio > 0.9
 
 
+def test_what_lies_beyond_the_reach_of_the_map_fixes_nothing():
+    along = np.column_stack([np.linspace(-6.0, 6.0, 200), np.ones(200)])
+    end = np.column_stack([np.full(30, 8.0), np.linspace(-1.0, 1.0, 30)])
+    corridor = np.concatenate([along, along * [1.0, -1.0], end])
+    assert measure_openness(corridor, 9.0).ratio > 0.05
+    assert measure_openness(corridor, 7.0).ratio < 1e-6
+    nothing = measure_openness(corridor, 0.5)
+    assert (nothing.ratio, *nothing.direction) == (0.0, 1.0, 0.0)
+
+
 def test_an_icp_keeps_its_guess_along_a_bare_corridor_and_its_answer_across():
     from evalkit.core.match import Match
     from evalkit.core.scan import Cloud

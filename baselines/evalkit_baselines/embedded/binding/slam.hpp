@@ -30,6 +30,7 @@ public:
         p.keyframe_distance = take("keyframe_distance");
         p.keyframe_angle = take("keyframe_angle");
         p.map_voxel = take("map_voxel");
+        p.map_radius = take("map_radius");
         p.map_reach = take("map_reach");
         p.drift = {take("drift"), take("drift_angle")};
         p.loop = {take("loop_path"),  take("loop_spacing"),   take("loop_radius"), take("loop_submap"),

@@ -27,7 +27,7 @@ ek_status ek_observer_init(ek_observer *observer, ek_arena *arena, size_t capaci
 }
 
 ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, const ek_real *xy, size_t count,
-                                ek_work *work)
+                                ek_real reach, ek_work *work)
 {
     ek_openness open = {EK_R(1.0), EK_R(0.0), EK_R(0.0)};
     const size_t cells = ek_thin(thinner, xy, count, VOXEL, observer->thinned, work);
@@ -45,11 +45,20 @@ ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, cons
     }
     ek_work_spend(work, INDEX_WORK * (uint64_t)cells + NORMAL_WORK * (uint64_t)(cells / every + 1u));
     ek_real xx = EK_R(0.0), xy_sum = EK_R(0.0), yy = EK_R(0.0);
+    size_t near = 0u;
     for (size_t k = 0; k < cells; k += every) {
+        const ek_real x = observer->thinned[2u * k], y = observer->thinned[2u * k + 1u];
+        if (x * x + y * y > reach * reach) {
+            continue;
+        }
         const ek_real u = observer->normals[2u * k], v = observer->normals[2u * k + 1u];
+        near++;
         xx += u * u;
         xy_sum += u * v;
         yy += v * v;
+    }
+    if (near < NEIGHBOURS) {
+        return open;
     }
     const ek_real mean = EK_R(0.5) * (xx + yy), half = EK_R(0.5) * (xx - yy);
     const ek_real radius = EK_SQRT(half * half + xy_sum * xy_sum), low = mean - radius;

@@ -33,7 +33,7 @@ ek_slam_parameters ek_slam_default(void)
     p.keyframe_distance = EK_R(0.3);
     p.keyframe_angle = EK_R(10.0) * EK_PI / EK_R(180.0);
     p.map_voxel = EK_R(0.1);
-    p.map_radius = EK_R(15.0);
+    p.map_radius = EK_R(30.0);
     p.map_reach = EK_R(20.0);
     p.drift.sigma = EK_R(0.02);
     p.drift.sigma_theta = EK_R(0.3) * EK_PI / EK_R(180.0);
@@ -216,7 +216,8 @@ static ek_openness find_openness(ek_slam *slam, ek_pose predicted, ek_work *work
     const ek_openness closed = {EK_R(1.0), EK_R(0.0), EK_R(1.0)};
     return slam->wheels.seen && !is_keyframe(slam, predicted)
                ? closed
-               : ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, work);
+               : ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count,
+                                     slam->parameters.map_radius, work);
 }
 
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work)

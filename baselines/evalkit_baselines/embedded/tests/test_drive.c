@@ -7,6 +7,7 @@
 #include "ek/voxel_map.h"
 
 #define POINTS 400u
+#define ALL (EK_R(2.0) * EK_MAX_COORDINATE)
 
 static ek_thinner thinner;
 static ek_observer observer;
@@ -48,21 +49,38 @@ static size_t room(double half, double from, double to, size_t count)
     return count;
 }
 
+static void what_lies_beyond_the_reach_fixes_nothing(void)
+{
+    size_t count = corridor(0.0); /* to 4 m, */
+    for (size_t k = 0; k < 30u; k++, count++) { /* and a wall across its end */
+        xy[2u * count] = EK_R(6.0);
+        xy[2u * count + 1u] = EK_R(0.1) * (ek_real)k - EK_R(1.45);
+    }
+    const ek_openness seen = ek_observer_measure(&observer, &thinner, xy, count, EK_R(6.5), &work);
+    CHECK(seen.ratio > EK_R(0.1) && ek_openness_trust(&seen) >= EK_R(1.0));
+    const ek_openness open = ek_observer_measure(&observer, &thinner, xy, count, EK_R(5.0), &work);
+    CHECK_NEAR(open.ratio, 0.0, 1e-4);
+    CHECK_NEAR(fabs((double)open.x), 1.0, 1e-4);
+    const ek_openness none = ek_observer_measure(&observer, &thinner, xy, count, EK_R(1.0), &work);
+    CHECK_NEAR(none.ratio, 0.0, 0.0); /* nothing is near: as seven points */
+    CHECK_NEAR(none.x, 1.0, 0.0);
+}
+
 static void a_corridor_is_open_along_its_walls(void)
 {
     for (int k = 0; k < 4; k++) {
         const double angle = 0.5 * (double)EK_PI * k / 4.0;
-        const ek_openness open = ek_observer_measure(&observer, &thinner, xy, corridor(angle), &work);
+        const ek_openness open = ek_observer_measure(&observer, &thinner, xy, corridor(angle), ALL, &work);
         CHECK_NEAR(open.ratio, 0.0, 1e-4);
         CHECK_NEAR(fabs((double)open.x * cos(angle) + (double)open.y * sin(angle)), 1.0, 1e-4);
         CHECK(ek_openness_trust(&open) <= EK_R(0.0));
     }
-    const ek_openness closed = ek_observer_measure(&observer, &thinner, xy, room(3.0, -3.14159, 3.14159, 400u), &work);
+    const ek_openness closed = ek_observer_measure(&observer, &thinner, xy, room(3.0, -3.14159, 3.14159, 400u), ALL, &work);
     CHECK(closed.ratio > EK_R(0.8) && ek_openness_trust(&closed) >= EK_R(1.0));
     ek_work spent = ek_work_make(INT64_MAX);
-    ek_observer_measure(&observer, &thinner, xy, 400u, &spent);
+    ek_observer_measure(&observer, &thinner, xy, 400u, ALL, &spent);
     CHECK(spent.done > 8u * 400u + 20u * 200u + 160u * 100u && spent.done <= 200u * 400u); /* 240 cells of 24 m of wall, half of the normals */
-    const ek_openness few = ek_observer_measure(&observer, &thinner, xy, 7u, &work);
+    const ek_openness few = ek_observer_measure(&observer, &thinner, xy, 7u, ALL, &work);
     CHECK_NEAR(few.ratio, 0.0, 0.0); /* seven points say nothing: open, along x */
     CHECK_NEAR(few.x, 1.0, 0.0);
 }
@@ -375,6 +393,7 @@ int main(void)
     CHECK(ek_arena_check(&arena) == EK_OK);
     work = ek_work_make(INT64_MAX);
     a_corridor_is_open_along_its_walls();
+    what_lies_beyond_the_reach_fixes_nothing();
     a_match_counts_along_the_open_direction_by_what_the_walls_say();
     a_scan_is_lost_where_it_contradicts_the_one_before();
     a_scan_of_other_places_is_believed_with_odometry_only();

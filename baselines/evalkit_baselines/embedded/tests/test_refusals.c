@@ -601,7 +601,7 @@ static void of_defaults(void)
         {whole.scan.range_min, 0.15},    {whole.scan.range_max, 12.0},     {whole.matcher.epsilon, 1e-6},
         {whole.matcher.cauchy, 0.1},     {whole.matcher.max_correspondence, 1.0}, {whole.fine_correspondence, 0.3},
         {whole.keyframe_distance, 0.3},  {whole.keyframe_angle, 10.0 * degree}, {whole.map_voxel, 0.1},
-        {whole.map_radius, 15.0},        {whole.map_reach, 20.0},          {whole.drift.sigma, 0.02},
+        {whole.map_radius, 30.0},        {whole.map_reach, 20.0},          {whole.drift.sigma, 0.02},
         {whole.drift.sigma_theta, 0.3 * degree}, {closing.path, 15.0},     {closing.spacing, 1.0},
         {closing.radius, 7.0},           {closing.submap, 3.0},            {closing.cell, 0.1},
         {closing.score, 0.55},           {closing.ambiguity, 0.92},        {closing.near, 0.15},

@@ -136,6 +136,7 @@ static void keyframes_near_the_last_one_are_drawn(void)
 {
     for (int slices = 0; slices < 2; slices++) {
         ek_arena arena = line_of(40u);
+        slam.parameters.map_radius = EK_R(15.0);
         for (size_t k = 0; k < 40u; k++) {
             slam.keyframes.apart[k] = EK_R(k == 16u ? 20.1 : 20.0);
         }

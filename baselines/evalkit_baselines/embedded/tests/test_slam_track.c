@@ -61,6 +61,7 @@ static void the_map_is_taken_again_after_a_tenth_of_its_radius(void)
     static const double cases[][3] = {{1.5, 0.0, 0}, {0.0, -1.5, 0}, {1.51, 0.0, 1}, {0.0, 1.51, 1}, {1.07, 1.07, 1}, {1.05, -1.05, 0}};
     static const ek_real two[] = {EK_R(16.0), EK_R(0.0), EK_R(-3.0), EK_R(0.0)};
     ek_arena arena = line_of(1u);
+    slam.parameters.map_radius = EK_R(15.0);
     ek_slam_draw(&slam, 0u, two, 2u, ORIGIN, &work);
     for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
         for (int changed = 0; changed < 2; changed++) {

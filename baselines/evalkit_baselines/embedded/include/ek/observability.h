@@ -32,10 +32,11 @@ typedef struct {
 /* Initialise for clouds of up to `capacity` points in an arena (or measure it). Returns what ek_index_init returns. */
 ek_status ek_observer_init(ek_observer *observer, ek_arena *arena, size_t capacity);
 
-/* Measure a cloud: count pairs x y (m), finite and within EK_MAX_COORDINATE, at most `capacity`. With fewer than eight
- * cells all directions are open. At most 200 operations a point. */
+/* Measure a cloud: count pairs x y (m), finite and within EK_MAX_COORDINATE, at most `capacity`. What lies
+ * farther than `reach` (m) from the origin is not matched and does not count; with fewer than eight others all directions are
+ * open. At most 200 operations a point. */
 ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, const ek_real *xy, size_t count,
-                                ek_work *work);
+                                ek_real reach, ek_work *work);
 
 /* Share, 0 to 1, of a match that counts along the open direction. */
 ek_real ek_openness_trust(const ek_openness *open);
