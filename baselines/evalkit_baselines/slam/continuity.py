@@ -23,6 +23,10 @@ robot carried between corridors of the same width has 0.65 to 0.85, so that it i
 MIN_POINTS = 20
 """Scans of fewer points, after thinning, are not compared."""
 
+SOON_NS = 1_000_000_000
+"""For so long the motion goes on about as before. Quick turns bend scans without odometry, so that they do not lie on each
+other; but they lie on the map."""
+
 _VOXEL_M = 0.1
 _SAMPLES = 200
 """Points that are compared: every n-th, so that so many are left, and less than twice as many."""
@@ -51,12 +55,13 @@ class Continuity:
         self._before: Floats | None = None
         self._sensor = Pose()
 
-    def is_lost(self, points: Floats, odom_from_base: Pose, has_odometry: bool, local_map: Floats) -> bool:
+    def is_lost(self, points: Floats, odom_from_base: Pose, is_predicted: bool, local_map: Floats) -> bool:
         """Return whether points (N, 2) of the base frame lie neither on the scan before nor on the map (M, 2).
 
-        Points that the scan before could not see do not count. With too few others, the odometry is believed; without
-        odometry the track is lost, and the map does not help: after a gap an equal place is near enough for a match.
-        With odometry the scan before alone may be the wrong one.
+        ``is_predicted``: by wheel odometry, or the scan before is not older than ``SOON_NS``. Then the scan before alone
+        may be the wrong one, and the map counts, too; otherwise it does not help: after a gap an equal place is near
+        enough for a match. Points that the scan before could not see do not count. With too few others, a prediction is
+        believed; without one the track is lost.
         """
         from scipy.spatial import cKDTree  # noqa: PLC0415 - specs are listed without SciPy
 
@@ -69,10 +74,10 @@ class Continuity:
         asked = moved[::every]
         seen = asked[_could_see(sensor.inverse().transform(before), sensor.inverse().transform(asked))]
         if len(seen) * every < MIN_POINTS:
-            return not has_odometry
+            return not is_predicted
         distance, _ = cKDTree(before).query(seen, distance_upper_bound=NEAR_M)
         on_before = np.isfinite(np.asarray(distance))
-        if not has_odometry or on_before.mean() >= MIN_SHARE:
+        if not is_predicted or on_before.mean() >= MIN_SHARE:
             return bool(on_before.mean() < MIN_SHARE)
         distance, _ = cKDTree(local_map).query(seen, distance_upper_bound=NEAR_M)
         return float((on_before | np.isfinite(np.asarray(distance))).mean()) < MIN_SHARE

@@ -27,7 +27,7 @@ from evalkit.plugins.specs import SlamSpec
 from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded.compiled import compiled_missing
 from evalkit_baselines.slam import pose_graph
-from evalkit_baselines.slam.continuity import Continuity
+from evalkit_baselines.slam.continuity import SOON_NS, Continuity
 from evalkit_baselines.slam.keyframes import DOUBTED_M, DriftModel, Edge, Keyframes, Step
 from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
 from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder, LoopSettings
@@ -167,7 +167,8 @@ class PaperSlam:
         matched = direct or self._front.match(frame)
         estimate, points, pose = matched.estimate, matched.source.points, matched.start_from_points
         match = estimate.stages.get("s2m")
-        lost = direct is None and self._is_lost(frame, points, pose)
+        is_predicted = frame.odom_from_base is not None or elapsed_ns <= SOON_NS
+        lost = direct is None and self._is_lost(points, pose, is_predicted)
         is_matched = match is not None and match.accepted and not lost
         self._turns.note(uneven, frame.odom_from_base, last, pose if is_matched else None)
         if not lost or self._fitted_ns is None:
@@ -232,10 +233,9 @@ class PaperSlam:
         """Return all candidates so far."""
         return tuple(recorded.closure for recorded in self._candidates)
 
-    def _is_lost(self, frame: Frame, points: Floats, odom_from_base: Pose) -> bool:
+    def _is_lost(self, points: Floats, odom_from_base: Pose, is_predicted: bool) -> bool:
         """Return whether a scan lies neither on the one before nor on the map."""
-        near, has_odometry = self._map.cloud(odom_from_base).points, frame.odom_from_base is not None
-        return self._continuity.is_lost(points, odom_from_base, has_odometry, near)
+        return self._continuity.is_lost(points, odom_from_base, is_predicted, self._map.cloud(odom_from_base).points)
 
     def _insert(self, stamp_ns: int, new: NewKeyframe, wheels: Pose | None, kind: Step, odom_from_base: Pose) -> None:
         """Add a keyframe; ``odom_from_base``: where the graph has it, after a lost track not where it matched."""

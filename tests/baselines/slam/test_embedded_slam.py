@@ -4,6 +4,7 @@ import re
 import runpy
 from dataclasses import replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,29 @@ def test_scans_half_covered_without_odometry_are_placed_as_by_paper_slam():
     errors = errors_m(rows(found), there)
     assert errors[:15].max() < 0.01  # the first of the two too: matched with near pairs from the prediction
     assert errors[16:].max() < 0.01
+
+
+@pytest.mark.parametrize(("every_ns", "lost"), [(100_000_000, []), (2_000_000_000, [111, 113])])
+def test_without_odometry_scans_bent_by_a_quick_turn_lie_on_the_map_unless_they_come_after_a_gap(every_ns, lost):
+    slower = every_ns // 100_000_000
+    frames = [
+        replace(
+            frame,
+            scan=replace(
+                frame.scan,
+                stamp_ns=slower * frame.scan.stamp_ns,
+                time_increment_ns=slower * frame.scan.time_increment_ns,
+            ),
+            odom_from_base=None,
+            start_from_end=None,
+        )
+        for frame in islice(registry.dataset("lab").make(seed=78, speed_mps=1.0).frames(), 120)
+    ]
+    _, expected = run(paper_slam.make, frames)
+    _, found = run(embedded_slam.make, frames, work=0, **SMALL | {"beams": 800})
+    for answers in (expected, found):
+        assert [row for row, answer in enumerate(answers) if answer.accepted is False] == lost
+    assert np.abs(se2.between(rows(expected), rows(found))).max() < 1e-9
 
 
 @pytest.mark.parametrize("work", [200_000, 50_000])

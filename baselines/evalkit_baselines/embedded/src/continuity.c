@@ -124,7 +124,7 @@ void ek_continuity_keep(ek_continuity *continuity, ek_thinner *thinner, const ek
 }
 
 int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const ek_real *xy, size_t count,
-                          ek_pose odom_from_base, int has_odometry, const ek_index *map, ek_work *work)
+                          ek_pose odom_from_base, int is_predicted, const ek_index *map, ek_work *work)
 {
     const size_t cells = ek_thin(thinner, xy, count, VOXEL, continuity->moved, work);
     const uint32_t every = cells / SAMPLES > 1u ? (uint32_t)(cells / SAMPLES) : 1u;
@@ -135,7 +135,7 @@ int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const 
     ek_work_spend(work, POINT_WORK * (uint64_t)cells);
     const size_t seen = select_seen(continuity, cells, every);
     if (seen * every < MIN_POINTS) {
-        return !has_odometry;
+        return !is_predicted;
     }
-    return !enough_lie_on(continuity, seen, NULL) && !(has_odometry && enough_lie_on(continuity, seen, map));
+    return !enough_lie_on(continuity, seen, NULL) && !(is_predicted && enough_lie_on(continuity, seen, map));
 }

@@ -12,6 +12,7 @@
 #define MAX_PERIOD_MS 2000
 #define SPARE 3                 /* times `work`: for the search while the track is lost, less the work of matching */
 #define PATIENCE_NS 2000000000u /* scans that lie nowhere are set aside until so long after the last one that did */
+#define SOON_NS 1000000000u     /* for so long the motion goes on about as before */
 #define NEAR_LIMIT (EK_R(0.25) * EK_MAX_COORDINATE)
 
 ek_slam_parameters ek_slam_default(void)
@@ -314,7 +315,7 @@ static int is_direct(const ek_slam_estimate *estimate)
 }
 
 /* Whether the scan lies neither on the one before nor on the map; one that was matched directly lies on the map. */
-static int is_lost(ek_slam *slam, int has_odometry, const ek_slam_estimate *estimate, ek_work *work)
+static int is_lost(ek_slam *slam, int is_predicted, const ek_slam_estimate *estimate, ek_work *work)
 {
     if (is_direct(estimate)) {
         return 0;
@@ -328,13 +329,14 @@ static int is_lost(ek_slam *slam, int has_odometry, const ek_slam_estimate *esti
         slam->last_compared = 1;
     }
     return ek_continuity_is_lost(&slam->continuity, &slam->thinner, slam->scan.hits, slam->scan.count,
-                                 estimate->odom_from_base, has_odometry, &slam->map_index, work);
+                                 estimate->odom_from_base, is_predicted, &slam->map_index, work);
 }
 
 /* Whether the scan is set aside, or the track is lost. */
 static void judge(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_slam_estimate *estimate, ek_work *work)
 {
-    const int lost = is_lost(slam, has_odometry, estimate, work);
+    const int soon = (uint64_t)prior->stamp_ns - (uint64_t)slam->motion.stamp_ns <= SOON_NS;
+    const int lost = is_lost(slam, has_odometry || soon, estimate, work);
     if (!lost || !slam->motion.started) {
         slam->fitted_ns = prior->stamp_ns;
     }
