@@ -24,8 +24,8 @@ MIN_POINTS = 20
 """Scans of fewer points, after thinning, are not compared."""
 
 SOON_NS = 1_000_000_000
-"""For so long the motion goes on about as before. Quick turns bend scans without odometry, so that they do not lie on each
-other; but they lie on the map."""
+"""For so long the motion goes on about as before. Without odometry, quick turns bend scans so that they do not lie on
+each other; but they lie on the map."""
 
 _VOXEL_M = 0.1
 _SAMPLES = 200
@@ -47,7 +47,7 @@ class _Scan(NamedTuple):
 
 
 class Continuity:
-    """Compares a scan with the one before; where that has too few points, with the last one that was compared so."""
+    """Compares a scan with the one before; where that has too few points, with the last that was compared so."""
 
     def __init__(self) -> None:
         self._last: _Scan | None = None
@@ -58,10 +58,10 @@ class Continuity:
     def is_lost(self, points: Floats, odom_from_base: Pose, is_predicted: bool, local_map: Floats) -> bool:
         """Return whether points (N, 2) of the base frame lie neither on the scan before nor on the map (M, 2).
 
-        ``is_predicted``: by wheel odometry, or the scan before is not older than ``SOON_NS``. Then the scan before alone
-        may be the wrong one, and the map counts, too; otherwise it does not help: after a gap an equal place is near
-        enough for a match. Points that the scan before could not see do not count. With too few others, a prediction is
-        believed; without one the track is lost.
+        ``is_predicted``: by wheel odometry, or the scan before is not older than ``SOON_NS``. Then the scan before
+        alone may be the wrong one, and the map counts, too; otherwise it does not help: after a gap an equal place is
+        near enough for a match. Points that the scan before could not see do not count. With too few others, a
+        prediction is believed; without one the track is lost.
         """
         from scipy.spatial import cKDTree  # noqa: PLC0415 - specs are listed without SciPy
 

@@ -39,7 +39,7 @@ class EmbeddedSlamSettings(LoopSettings):
     precision: str = parameter("double", "", "floating-point precision of the core", choices=("double", "float"))
     prior: str = parameter("odometry", "", "source of the first guess", choices=("odometry", "constant-velocity"))
     map_voxel_m: float = parameter(0.1, "m", "side of the voxels of the lasting map", low=0.01)
-    map_radius_m: float = parameter(30.0, "m", "scans are matched with the map within this distance of the base", low=1.0)
+    map_radius_m: float = parameter(30.0, "m", "scans are matched with the map within this of the base", low=1.0)
     map_reach_m: float = parameter(20.0, "m", "keyframes farther apart through the graph leave the map", low=1.0)
     keyframe_distance_m: float = parameter(0.3, "m", "a new keyframe after this distance", low=0.01)
     keyframe_angle_deg: float = parameter(10.0, "deg", "or after this turn", low=0.1)
