@@ -15,7 +15,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.pose_graph import PoseGraph
 from evalkit.core.se2 import Floats
 from evalkit_baselines.slam.match_doubt import Doubt
-from evalkit_baselines.slam.observability import BLIND, SEEING, Openness, measure_openness
+from evalkit_baselines.slam.observability import BLIND, Openness, measure_openness
 
 CLOSURE_LENGTH_M = 0.5
 """Length that a loop closure adds to the distance through the graph."""
@@ -95,7 +95,7 @@ class Keyframes:
     loops: list[Edge] = field(default_factory=list)
     _poses: Floats = field(default_factory=lambda: np.zeros((256, 3)))
     _apart_m: Floats = field(default_factory=lambda: np.zeros(256))
-    _ratios: tuple[float, float] = (0.0, 0.0)  # openness of the last two keyframes
+    _closed: tuple[bool, bool] = (False, False)  # the last two keyframes
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -136,7 +136,7 @@ class Keyframes:
             self.steps.append(Edge(row - 1, row, last_from_keyframe, information))
             self._apart_m[:row] += _graph_length(kind, length)
         self._apart_m[row] = 0.0
-        self._ratios = (self._ratios[1], openness.ratio)
+        self._closed = (self._closed[1], openness.is_closed)
         self.stamps_ns.append(stamp_ns)
         self.clouds.append(points)
         self.path_m.append((self.path_m[-1] if row else 0.0) + length)
@@ -145,11 +145,11 @@ class Keyframes:
 
     def is_last_step_seen(self) -> bool:
         """Return whether the walls fix the position at the last two keyframes in all directions."""
-        return min(self._ratios) >= SEEING
+        return all(self._closed)
 
     def is_last_closed(self) -> bool:
         """Return whether the walls leave no direction open at the last keyframe."""
-        return self._ratios[1] >= SEEING
+        return self._closed[1]
 
     def graph(self) -> PoseGraph:
         """Return the pose graph; steps first, then loops."""

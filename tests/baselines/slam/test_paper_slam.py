@@ -365,6 +365,35 @@ def test_an_icp_keeps_its_guess_along_a_bare_corridor_and_its_answer_across():
     assert icp.register(cloud, cloud, Pose(1.0, 0.0, 0.0)).target_from_source.row == pytest.approx([0.4, 0.3, 0.0])
 
 
+def test_a_round_room_leaves_the_turn_about_its_middle_open_and_a_square_one_none():
+    angles = np.linspace(-np.pi, np.pi, 200, endpoint=False)
+    circle = np.column_stack([0.5 + 2.0 * np.cos(angles), -0.3 + 2.0 * np.sin(angles)])
+    openness = measure_openness(circle)
+    assert openness.open_turn == 1.0
+    assert openness.centre == pytest.approx([0.5, -0.3], abs=0.01)
+    assert not openness.is_closed
+    side = np.column_stack([np.linspace(-3.0, 3.0, 100), np.full(100, 3.0)])
+    square = measure_openness(np.concatenate([side, -side, side[:, ::-1], -side[:, ::-1]]))
+    assert square.open_turn == 0.0
+    assert square.is_closed
+
+
+def test_an_icp_keeps_the_heading_of_its_guess_in_a_round_room_and_its_answer_for_the_middle():
+    from evalkit.core.match import Match
+    from evalkit.core.scan import Cloud
+
+    class Icp:
+        def register(self, target, source, guess):
+            return Match(Pose(0.4, 0.3, 0.5), True, 5, 0.01, 100)
+
+    angles = np.linspace(-np.pi, np.pi, 200, endpoint=False)
+    cloud = Cloud(np.column_stack([0.5 + 2.0 * np.cos(angles), -0.3 + 2.0 * np.sin(angles)]))
+    pose = ObservableIcp(Icp()).register(cloud, cloud, Pose(5.0, 6.0, -0.2)).target_from_source
+    assert pose.theta == pytest.approx(-0.2)
+    middle = np.array([[0.5, -0.3]])
+    assert pose.transform(middle) == pytest.approx(Pose(0.4, 0.3, 0.5).transform(middle), abs=0.01)
+
+
 def test_a_scan_of_too_few_points_after_one_that_was_not_compared_leaves_none_to_compare_with():
     angles, away = np.linspace(-np.pi, np.pi, 400, endpoint=False), Pose(20.0, 0.0, 0.0)
     room = np.column_stack([3.0 * np.cos(angles), 3.0 * np.sin(angles)])

@@ -214,7 +214,7 @@ static int is_keyframe(const ek_slam *slam, ek_pose odom_from_base)
  * measured again: a scan that is left to its guess may never get far from that keyframe. */
 static ek_openness find_openness(ek_slam *slam, ek_pose predicted, ek_work *work)
 {
-    const ek_openness closed = {EK_R(1.0), EK_R(0.0), EK_R(1.0)};
+    const ek_openness closed = {.x = EK_R(1.0), .ratio = EK_R(1.0)};
     return slam->wheels.seen && !is_keyframe(slam, predicted)
                ? closed
                : ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count,

@@ -6,7 +6,6 @@
 #define PRIOR EK_R(1.0)      /* m: path at scale 1 that is assumed to have been driven before */
 #define MAX_ERROR EK_R(0.1)  /* a motion whose length differs by a larger share does not count */
 #define MIN_STEP EK_R(0.1)   /* m */
-#define SEEING EK_R(0.065)
 #define UNEVEN (EK_PI / EK_R(180.0)) /* rad: a turn within a sweep that differs more from that at the rate before is uneven */
 #define RIGHT_SHARE EK_R(0.25) /* of that difference: over the turn, odometry and matches may differ by so much */
 #define POOR EK_R(0.1)       /* m: a larger mean distance is doubted, */
@@ -77,7 +76,7 @@ ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *
 void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *open, int known)
 {
     ek_wheels *const wheels = &slam->wheels;
-    const int seen = open->ratio >= SEEING, both = seen && wheels->seen;
+    const int seen = ek_openness_is_closed(open), both = seen && wheels->seen;
     if (known && both && wheels->has_last && wheels->has_keyframe) {
         const ek_pose motion = ek_se2_between(wheels->keyframe, wheels->now);
         const ek_real driven = EK_SQRT(motion.x * motion.x + motion.y * motion.y);

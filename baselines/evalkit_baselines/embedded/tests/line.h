@@ -13,7 +13,7 @@ static ek_work work;
 
 static const ek_pose ORIGIN = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
 static const ek_doubt CERTAIN = {EK_R(0.0), EK_R(0.0)};
-static const ek_openness CLOSED = {EK_R(1.0), EK_R(0.0), EK_R(1.0)};
+static const ek_openness CLOSED = {.x = EK_R(1.0), .ratio = EK_R(1.0)};
 
 static inline ek_pose pose_of(double x, double y, double theta)
 {

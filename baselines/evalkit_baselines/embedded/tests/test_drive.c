@@ -91,13 +91,60 @@ static void a_match_counts_along_the_open_direction_by_what_the_walls_say(void)
     static const double ratios[] = {0.0, 0.045, 0.05, 0.055, 0.065, 1.0}, shares[] = {0.0, 0.0, 0.25, 0.5, 1.0, 1.0};
     const ek_pose match = pose_of(1.0, 2.0, 0.5 * (double)EK_PI), guess = pose_of(0.5, 0.4, 1.0);
     for (size_t k = 0; k < 6u; k++) {
-        const ek_openness open = {EK_R(1.0), EK_R(0.0), EK_R(ratios[k])}; /* ahead of the robot: the world's y */
+        const ek_openness open = {.x = EK_R(1.0), .ratio = EK_R(ratios[k])}; /* ahead of the robot: the world's y */
         CHECK_NEAR(ek_openness_trust(&open), shares[k], 1e-5);
         const ek_pose limited = ek_openness_limit(&open, match, guess);
         CHECK_NEAR(limited.x, 1.0, 1e-6);
         CHECK_NEAR(limited.y, 0.4 + shares[k] * 1.6, 1e-4);
         CHECK_NEAR(limited.theta, match.theta, 0.0);
     }
+}
+
+/* A part of a circle about a place. */
+static size_t circle(double x, double y, double radius, double part)
+{
+    for (size_t k = 0; k < 100u; k++) {
+        const double angle = part * 2.0 * (double)EK_PI * (double)k / 100.0;
+        xy[2u * k] = EK_R(x - radius * cos(angle));
+        xy[2u * k + 1u] = EK_R(y - radius * sin(angle));
+    }
+    return 100u;
+}
+
+static void a_turn_in_a_round_room_or_about_a_pillar_is_open(void)
+{
+    for (size_t k = 0; k < 2u; k++) { /* all around; a quarter, which ends where normals are those of chords */
+        const double x = k == 0u ? 0.5 : 1.5, y = k == 0u ? -0.3 : -0.8, tolerance = k == 0u ? 0.02 : 0.25;
+        const size_t count = k == 0u ? circle(x, y, 2.0, 1.0) : circle(x, y, 1.2, 0.25);
+        const ek_openness open = ek_observer_measure(&observer, &thinner, xy, count, ALL, &work);
+        CHECK_NEAR(open.open_turn, 1.0, 0.0);
+        CHECK_NEAR(open.centre_x, x, tolerance);
+        CHECK_NEAR(open.centre_y, y, tolerance);
+        CHECK(ek_openness_trust(&open) >= EK_R(1.0) && !ek_openness_is_closed(&open));
+    }
+    const ek_openness walls = ek_observer_measure(&observer, &thinner, xy, room(3.0, -3.14159, 3.14159, 400u), ALL, &work);
+    CHECK_NEAR(walls.open_turn, 0.0, 0.0);
+    CHECK(ek_openness_is_closed(&walls));
+    const ek_openness corner = ek_observer_measure(&observer, &thinner, xy, room(3.0, 0.0, 1.5707, 200u), ALL, &work);
+    CHECK_NEAR(corner.open_turn, 0.0, 0.0);
+    CHECK(ek_openness_is_closed(&corner));
+}
+
+/* A match that is a quarter turn more than the guess about a place: none, half and all of the turn is open. */
+static void an_open_turn_is_left_to_the_guess(void)
+{
+    static const double shares[] = {0.0, 0.5, 1.0};
+    const ek_pose match = pose_of(1.0, 2.0, 0.5 * (double)EK_PI), guess = pose_of(7.0, -3.0, 0.0);
+    for (size_t k = 0; k < 3u; k++) {
+        const double theta = 0.5 * (double)EK_PI * (1.0 - shares[k]);
+        const ek_openness open = {.ratio = EK_R(1.0), .centre_x = EK_R(2.0), .open_turn = EK_R(shares[k])};
+        const ek_pose limited = ek_openness_limit(&open, match, guess);
+        CHECK_NEAR(limited.theta, theta, TOLERANCE);
+        CHECK_NEAR(limited.x + 2.0 * cos(theta), 1.0, TOLERANCE); /* the place is where the match has it: at (1, 4) */
+        CHECK_NEAR(limited.y + 2.0 * sin(theta), 4.0, TOLERANCE);
+    }
+    const ek_openness some = {.ratio = EK_R(1.0), .open_turn = EK_R(0.01)}, none = {.ratio = EK_R(1.0)};
+    CHECK(!ek_openness_is_closed(&some) && ek_openness_is_closed(&none));
 }
 
 static int ask(size_t count, ek_pose pose, int has_odometry, const ek_index *known)
@@ -180,7 +227,7 @@ static ek_doubt doubt;
 
 static ek_status add_step(double x, size_t points, ek_step_kind kind, double ratio)
 {
-    const ek_openness open = {EK_R(0.6), EK_R(0.8), EK_R(ratio)};
+    const ek_openness open = {.x = EK_R(0.6), .y = EK_R(0.8), .ratio = EK_R(ratio)};
     return ek_keyframes_add(&keyframes, xy, points, pose_of(x, 0.0, 0.0), kind, &open, doubt, &work);
 }
 
@@ -395,6 +442,8 @@ int main(void)
     a_corridor_is_open_along_its_walls();
     what_lies_beyond_the_reach_fixes_nothing();
     a_match_counts_along_the_open_direction_by_what_the_walls_say();
+    a_turn_in_a_round_room_or_about_a_pillar_is_open();
+    an_open_turn_is_left_to_the_guess();
     a_scan_is_lost_where_it_contradicts_the_one_before();
     a_scan_of_other_places_is_believed_with_odometry_only();
     rays_are_sorted_by_bearing();

@@ -82,7 +82,7 @@ static void the_information_of_a_step_follows_its_length(void)
     const double sigma = 0.02, turn = 0.3 * (double)EK_PI / 180.0;
     for (size_t k = 0; k < 4u; k++) {
         for (size_t r = 0; r < 5u; r++) {
-            const ek_openness open = {EK_R(0.6), EK_R(-0.8), EK_R(ratios[r])};
+            const ek_openness open = {.x = EK_R(0.6), .y = EK_R(-0.8), .ratio = EK_R(ratios[r])};
             const ek_real point[] = {EK_R(0.0), EK_R(0.0)};
             ek_keyframes *const keyframes = &slam.keyframes;
             keyframes->count = 0u;

@@ -576,7 +576,7 @@ static void a_lost_robot_is_looked_for_at_all_places_in_turn(void)
 {
     static const double steps[] = {100.0, -18.0};
     static const uint32_t expected[2][12] = {{0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 0, 1}, {2, 0, 2, 1, 2, 2, 3, 2, 4, 0, 2, 1}};
-    const ek_openness closed = {EK_R(1.0), EK_R(0.0), EK_R(1.0)};
+    const ek_openness closed = {.x = EK_R(1.0), .ratio = EK_R(1.0)};
     const ek_real point[] = {EK_R(1.0), EK_R(0.0)};
     const ek_slam_parameters p = parameters_of(0);
     const ek_doubt none = {EK_R(0.0), EK_R(0.0)};
@@ -605,7 +605,7 @@ static void after_a_step_of_the_wheels_alone_five_turns_look_at_four_kinds_of_pl
     static const double steps[] = {0.0, 10.0, 10.0, 10.0, 10.0, -18.0, 8.0, -8.0};
     static const uint32_t expected[] = {2, 0, 2, 2, 5, 2, 1, 2, 2, 5};
     static const int known[] = {1, 0, 0, 1, 1};
-    const ek_openness closed = {EK_R(1.0), EK_R(0.0), EK_R(1.0)};
+    const ek_openness closed = {.x = EK_R(1.0), .ratio = EK_R(1.0)};
     const ek_real point[] = {EK_R(1.0), EK_R(0.0)};
     const ek_slam_parameters p = parameters_of(0);
     const ek_doubt none = {EK_R(0.0), EK_R(0.0)};
@@ -968,7 +968,7 @@ static void a_match_has_the_covariance_of_a_plain_computation(size_t upright)
 /* Wheels that measure 5 % too much: 1 m at scale 1 is assumed before, and the scale remembers 50 m. */
 static void the_scale_of_the_wheels_is_learned(void)
 {
-    const ek_openness closed = {EK_R(1.0), EK_R(0.0), EK_R(1.0)}, open = {EK_R(1.0), EK_R(0.0), EK_R(0.0)};
+    const ek_openness closed = {.x = EK_R(1.0), .ratio = EK_R(1.0)}, open = {.x = EK_R(1.0)};
     const ek_slam_parameters p = parameters_of(0);
     ek_arena arena = start(&p);
     ek_wheels *const wheels = &slam.wheels;

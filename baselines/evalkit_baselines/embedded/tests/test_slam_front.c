@@ -272,7 +272,7 @@ static void steps_count_along_the_motion_of_the_wheels(void)
         CHECK_NEAR(slam.wheels.driven, 5.0 + (cases[k].counts ? cases[k].wheels : 0.0), 1e-5);
         CHECK_NEAR(slam.wheels.keyframe.x, slam.wheels.now.x, 0.0);
     }
-    const ek_openness seen = {EK_R(1.0), EK_R(0.0), EK_R(0.0651)}, open = {EK_R(1.0), EK_R(0.0), EK_R(0.0649)};
+    const ek_openness seen = {.x = EK_R(1.0), .ratio = EK_R(0.0651)}, open = {.x = EK_R(1.0), .ratio = EK_R(0.0649)};
     ek_slam_observe_wheels(&slam, ORIGIN, &seen, 1);
     CHECK(slam.wheels.seen);
     ek_slam_observe_wheels(&slam, ORIGIN, &open, 1);

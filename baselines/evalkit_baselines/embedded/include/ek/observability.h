@@ -14,9 +14,11 @@
 extern "C" {
 #endif
 
-/* The unit direction in the scan's frame that the walls fix least, and the ratio of the eigenvalues, 0 to 1. */
+/* The unit direction in the scan's frame that the walls fix least, and the ratio of the eigenvalues, 0 to 1; the turn about a
+ * place (m) that they fix least, and which share of it they leave open, 0 to 1. */
 typedef struct {
     ek_real x, y, ratio;
+    ek_real centre_x, centre_y, open_turn;
 } ek_openness;
 
 typedef struct {
@@ -28,6 +30,7 @@ typedef struct {
 #define ek_observer_measure EK_NAME(observer_measure)
 #define ek_openness_trust EK_NAME(openness_trust)
 #define ek_openness_limit EK_NAME(openness_limit)
+#define ek_openness_is_closed EK_NAME(openness_is_closed)
 
 /* Initialise for clouds of up to `capacity` points in an arena (or measure it). Returns what ek_index_init returns. */
 ek_status ek_observer_init(ek_observer *observer, ek_arena *arena, size_t capacity);
@@ -41,7 +44,10 @@ ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, cons
 /* Share, 0 to 1, of a match that counts along the open direction. */
 ek_real ek_openness_trust(const ek_openness *open);
 
-/* The pose of a match, with the guess along the open direction of the scan. */
+/* Whether the walls fix everything. */
+int ek_openness_is_closed(const ek_openness *open);
+
+/* The pose of a match, with the guess along the open direction of the scan, and about its open turn. */
 ek_pose ek_openness_limit(const ek_openness *open, ek_pose match, ek_pose guess);
 
 #ifdef __cplusplus
