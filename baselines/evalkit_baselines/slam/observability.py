@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from evalkit.core import se2
+from evalkit.core.arrays import Bools
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -22,6 +24,9 @@ from evalkit.plugins.protocols import Registration
 from evalkit_baselines.embedded import normals_2d
 from evalkit_baselines.paper.association import CloudCache
 
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
 BLIND, SEEING = 0.045, 0.065
 """Ratio of the eigenvalues of the normals' scatter at which ICP decides nothing, or everything, along the weakest
 direction. Measured: at most 0.04 in bare corridors, at least 0.07 in corridors with door niches, 0.2 in rooms."""
@@ -30,6 +35,10 @@ ROUND_M, FIXED_M = 0.15, 0.3
 """Root mean square distance of the normals' lines from one place, the one nearest to all, at which ICP decides nothing,
 or everything, about a turn around it. Measured: 0.13 at most where only a round pillar is seen, 0.34 at least in
 recordings and worlds (0.09 in one dirty scan of 772)."""
+
+AS_MANY = 0.02
+"""Near a keyframe where nothing is open nothing is either, unless the number of hits differs by a larger share: a wall
+may have come into view, or have left it."""
 
 _RIDGE = 1e-4
 """Share of the points that hold the place near the origin, where walls leave it open."""
@@ -64,18 +73,34 @@ def measure_openness(points: Floats, reach_m: float = math.inf) -> Openness:
 
     What a scan is not matched with fixes nothing: a wall at the end of a corridor, beyond the reach of the map.
     """
+    sample = _sample(points)
+    return _measure(sample, np.hypot(sample.points[:, 0], sample.points[:, 1]) <= reach_m)
+
+
+class _Sample(NamedTuple):
+    """Some points (K, 2) of a cloud, and the normals (K, 2) of the walls at them."""
+
+    points: Floats
+    normals: Floats
+
+
+def _sample(points: Floats) -> _Sample:
     thinned = voxel_means(points, _VOXEL_M)
     every = max(len(thinned) // _SAMPLES, 1)
-    near = np.flatnonzero(np.hypot(thinned[::every, 0], thinned[::every, 1]) <= reach_m) * every
-    if len(near) < _NEIGHBOURS:
+    return _Sample(thinned[::every], normals_2d(thinned, _NEIGHBOURS)[::every])
+
+
+def _measure(sample: _Sample, counts: Bools) -> Openness:
+    """Return what the points that count (K,) fix least."""
+    points, normals = sample.points[counts], sample.normals[counts]
+    if len(points) < _NEIGHBOURS:
         return Openness(np.array([1.0, 0.0]), 0.0)
-    normals, points = normals_2d(thinned, _NEIGHBOURS)[near], thinned[near]
     values, vectors = np.linalg.eigh(normals.T @ normals)
     # a turn about c moves a point p along its normal n by p x n - c x n
     across = np.column_stack([normals[:, 1], -normals[:, 0]])
     moments = (points * across).sum(axis=1)
-    centre = np.linalg.solve(across.T @ across + _RIDGE * len(near) * np.eye(2), across.T @ moments)
-    away_m = math.sqrt(max(float(moments @ moments - centre @ across.T @ moments) / len(near), 0.0))
+    centre = np.linalg.solve(across.T @ across + _RIDGE * len(points) * np.eye(2), across.T @ moments)
+    away_m = math.sqrt(max(float(moments @ moments - centre @ across.T @ moments) / len(points), 0.0))
     open_turn = float(np.clip((FIXED_M - away_m) / (FIXED_M - ROUND_M), 0.0, 1.0))
     return Openness(vectors[:, 0], float(max(values[0], 0.0) / values[1]), centre, open_turn)
 
@@ -84,21 +109,22 @@ def measure_openness(points: Floats, reach_m: float = math.inf) -> Openness:
 class ObservableIcp:
     """A Registration: an ICP whose answer along an open direction, and about an open turn, is the guess.
 
-    ``reach_m``: source points farther from its origin are not matched. ``is_closed``: nothing is known to be open, and
-    the source is not measured.
+    Points of the source that are farther than ``paired_m`` from every point of the target fix nothing: a wall that has
+    just come into view is in no map yet. ``is_closed``: nothing is known to be open, and the source is not measured.
     """
 
     icp: Registration
-    reach_m: float = math.inf
+    paired_m: float
     is_closed: bool = False
-    _recent: CloudCache[Openness] = field(default_factory=CloudCache, repr=False, compare=False)
+    _samples: CloudCache[_Sample] = field(default_factory=CloudCache, repr=False, compare=False)
+    _trees: CloudCache[cKDTree] = field(default_factory=CloudCache, repr=False, compare=False)
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
         match = self.icp.register(target, source, guess)
         if self.is_closed:
             return match
-        open_ = self._recent.get(source, lambda cloud: measure_openness(cloud.points, self.reach_m))
+        open_ = self._measure(target, source, match.target_from_source)
         trust = float(np.clip((open_.ratio - BLIND) / (SEEING - BLIND), 0.0, 1.0))
         if trust == 1.0 and open_.open_turn == 0.0:
             return match
@@ -108,10 +134,18 @@ class ObservableIcp:
         x, y = moved - (1.0 - trust) * float(moved @ along) * along
         return replace(match, target_from_source=Pose(guess.x + x, guess.y + y, pose.theta))
 
+    def _measure(self, target: Cloud, source: Cloud, target_from_source: Pose) -> Openness:
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - specs are listed without SciPy
+
+        sample = self._samples.get(source, lambda cloud: _sample(cloud.points))
+        tree = self._trees.get(target, lambda cloud: cKDTree(cloud.points, balanced_tree=False))
+        away_m, _ = tree.query(target_from_source.transform(sample.points), distance_upper_bound=self.paired_m)
+        return _measure(sample, np.isfinite(away_m))
+
 
 def _turn_back(pose: Pose, guess: Pose, openness: Openness) -> Pose:
     """Return a pose turned towards the heading of the guess about the centre of the open turn."""
     theta = pose.theta - openness.open_turn * float(se2.wrap(pose.theta - guess.theta))
     centre = openness.centre[None]
-    kept, turned = pose.transform(centre)[0], Pose(0.0, 0.0, theta).transform(centre)[0]
-    return Pose(*(kept - turned), theta)
+    x, y = pose.transform(centre)[0] - Pose(0.0, 0.0, theta).transform(centre)[0]
+    return Pose(x, y, theta)

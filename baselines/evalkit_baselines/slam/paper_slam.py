@@ -32,7 +32,7 @@ from evalkit_baselines.slam.keyframes import DOUBTED_M, DriftModel, Edge, Keyfra
 from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
 from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder, LoopSettings
 from evalkit_baselines.slam.match_doubt import MatchDoubt
-from evalkit_baselines.slam.observability import ObservableIcp
+from evalkit_baselines.slam.observability import AS_MANY, ObservableIcp
 from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import smooth_ranges
@@ -75,7 +75,8 @@ class SlamSettings(LoopSettings):
 
 PARAMETERS = declared_parameters(SlamSettings)
 
-_NARROW = {"max_correspondence_m": 0.3}
+_PAIRED_M = 0.3
+_NARROW = {"max_correspondence_m": _PAIRED_M}
 
 
 @dataclass
@@ -113,8 +114,7 @@ class PaperSlam:
             scan_to_scan=(of_scan, of_scan_again),
         )
         self._gate = OdometryGate()
-        reach_m = settings.map_radius_m
-        self._icps = ObservableIcp(self._tries, reach_m), ObservableIcp(direct, reach_m)
+        self._icps = ObservableIcp(self._tries, _PAIRED_M), ObservableIcp(direct, _PAIRED_M)
         in_two_stages, self._direct = (Gated(icp, self._gate) for icp in self._icps)
         self._front = FrontEnd(in_two_stages, in_two_stages, front_end, self._map)
         self._finder = LoopFinder(settings, wide, narrow)
@@ -129,6 +129,7 @@ class PaperSlam:
         self._scale = OdometryScale()
         self._doubt = MatchDoubt()
         self._turns = UnevenTurns()
+        self._hits = 0  # of the front end's last keyframe
         self._wheels: Pose | None = None  # raw odometry at the last keyframe
         self._fitted_ns: int | None = None  # stamp of the last scan that was not lost
 
@@ -151,10 +152,9 @@ class PaperSlam:
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         last = Pose.of(self._odom_from_base[-1]) if self._stamps_ns else None
         step = last.inverse() @ predicted if measured and last is not None else None
-        # near a keyframe where nothing is open; one where something is may keep a pose at its guess, and so itself near
-        is_closed = self._keyframes.is_last_closed() and not self._front.is_keyframe(predicted)
+        hits = int(frame.scan.hits.sum())
         for icp in self._icps:
-            icp.is_closed = is_closed
+            icp.is_closed = self._is_closed(hits, predicted)
         self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m)
         elapsed_ns = frame.scan.stamp_ns - self._stamps_ns[-1] if self._stamps_ns else 0
         uneven = self._turns.measure(frame, step, elapsed_ns)
@@ -179,9 +179,10 @@ class PaperSlam:
         self._continuity.keep(points, pose, frame.base_from_sensor)
         fits = False
         if match is not None and match.accepted and last is not None:
-            hits = int(frame.scan.hits.sum())
             fits = self._doubt.observe(last, predicted if measured else None, pose, match, hits)
-        new = self._map.take() or (NewKeyframe(points, pose) if lost else None)
+        new = self._map.take()
+        self._hits = self._hits if new is None else hits
+        new = new or (NewKeyframe(points, pose) if lost else None)
         if new is not None:
             new = NewKeyframe(voxel_means(new.points, _STORED_VOXEL_M), new.odom_from_base)
             kind = Step.MATCHED if not lost else Step.MEASURED if measured else Step.UNKNOWN
@@ -189,6 +190,14 @@ class PaperSlam:
         elif fits and not uneven:
             self._map.add_between(points, pose)
         return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
+
+    def _is_closed(self, hits: int, predicted: Pose) -> bool:
+        """Return whether nothing is open: near a keyframe of about as many hits where nothing is.
+
+        What is open there is measured again: a scan that is left to its guess may never get far from that keyframe.
+        """
+        as_many = abs(hits - self._hits) <= AS_MANY * self._hits
+        return as_many and self._keyframes.is_last_closed() and not self._front.is_keyframe(predicted)
 
     def _match_directly(self, frame: Frame, predicted: Pose) -> Matched | None:
         """Match a scan with the map from where good odometry puts it; None if anything about the answer is doubted."""

@@ -358,11 +358,32 @@ def test_an_icp_keeps_its_guess_along_a_bare_corridor_and_its_answer_across():
 
     along = np.column_stack([np.linspace(-6.0, 6.0, 200), np.ones(200)])
     cloud = Cloud(np.concatenate([along, along * [1.0, -1.0]]))
-    icp = ObservableIcp(Icp())
+    icp = ObservableIcp(Icp(), 0.5)
     answer = icp.register(cloud, cloud, Pose(1.0, 0.0, 0.0)).target_from_source
     assert answer.row == pytest.approx([1.0, 0.3, 0.0])
     icp.is_closed = True
     assert icp.register(cloud, cloud, Pose(1.0, 0.0, 0.0)).target_from_source.row == pytest.approx([0.4, 0.3, 0.0])
+
+
+def test_a_wall_that_is_not_in_the_target_fixes_nothing():
+    from evalkit.core.match import Match
+    from evalkit.core.scan import Cloud
+
+    class Icp:
+        def register(self, target, source, guess):
+            return Match(Pose(0.0, 0.1, 0.0), True, 5, 0.01, 100)
+
+    along = np.column_stack([np.linspace(-6.0, 6.0, 200), np.ones(200)])
+    corridor = np.concatenate([along, along * [1.0, -1.0]])
+    end = np.column_stack([np.full(30, 8.0), np.linspace(-1.0, 1.0, 30)])
+    source = Cloud(np.concatenate([corridor, end]))
+    icp = ObservableIcp(Icp(), 0.3)
+    for target, x in ((corridor, 0.5), (source.points, 0.0)):
+        answer = icp.register(Cloud(target), source, Pose(0.5, 0.0, 0.0)).target_from_source
+        assert answer.row == pytest.approx([x, 0.1, 0.0], abs=1e-6)
+    nothing = Cloud(np.zeros((0, 2)))
+    assert icp.register(nothing, source, Pose(0.5, 0.0, 0.0)).target_from_source.x == 0.5
+    assert icp.register(source, nothing, Pose(0.5, 0.0, 0.0)).target_from_source.x == 0.5
 
 
 def test_a_round_room_leaves_the_turn_about_its_middle_open_and_a_square_one_none():
@@ -388,7 +409,8 @@ def test_an_icp_keeps_the_heading_of_its_guess_in_a_round_room_and_its_answer_fo
 
     angles = np.linspace(-np.pi, np.pi, 200, endpoint=False)
     cloud = Cloud(np.column_stack([0.5 + 2.0 * np.cos(angles), -0.3 + 2.0 * np.sin(angles)]))
-    pose = ObservableIcp(Icp()).register(cloud, cloud, Pose(5.0, 6.0, -0.2)).target_from_source
+    icp = ObservableIcp(Icp(), 1.0)
+    pose = icp.register(cloud, cloud, Pose(5.0, 6.0, -0.2)).target_from_source
     assert pose.theta == pytest.approx(-0.2)
     middle = np.array([[0.5, -0.3]])
     assert pose.transform(middle) == pytest.approx(Pose(0.4, 0.3, 0.5).transform(middle), abs=0.01)

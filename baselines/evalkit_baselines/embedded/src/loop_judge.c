@@ -287,8 +287,8 @@ static ek_sym3 match_covariance(ek_loop_finder *finder, const ek_sym3 *sum, size
     ek_sym3 covariance = FLOOR;
     ek_sym3_inverse(&information, &covariance);
     covariance = ek_sym3_sum(&covariance, &FLOOR, EK_R(1.0));
-    const ek_openness open = ek_observer_measure(&finder->observer, &finder->thinner, finder->raw, on_map,
-                                                 EK_R(2.0) * EK_MAX_COORDINATE, work);
+    ek_observer_take(&finder->observer, &finder->thinner, finder->raw, on_map, work);
+    const ek_openness open = ek_observer_measure(&finder->observer, EK_R(2.0) * EK_MAX_COORDINATE);
     const ek_real share = EK_R(1.0) - open.ratio / CLEAR_RATIO, sigma = OPEN_SIGMA * (share > EK_R(0.0) ? share : EK_R(0.0));
     const ek_sym3 along = {open.x * open.x, open.x * open.y, EK_R(0.0), open.y * open.y, EK_R(0.0), EK_R(0.0)};
     return ek_sym3_sum(&covariance, &along, sigma * sigma);

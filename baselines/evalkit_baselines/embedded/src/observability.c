@@ -29,27 +29,12 @@ ek_status ek_observer_init(ek_observer *observer, ek_arena *arena, size_t capaci
     return status;
 }
 
-/* The place that the lines of the normals pass most closely, by their scatter, moments (g, h) and squared moments: a turn about
- * it moves no point of a circle along its normal. */
-static void find_open_turn(ek_real xx, ek_real xy, ek_real yy, ek_real g, ek_real h, ek_real moments, ek_real count,
-                           ek_openness *open)
+void ek_observer_take(ek_observer *observer, ek_thinner *thinner, const ek_real *xy, size_t count, ek_work *work)
 {
-    const ek_real ridge = RIDGE * count, a = yy + ridge, b = xx + ridge, det = a * b - xy * xy;
-    open->centre_x = (b * g + xy * h) / det;
-    open->centre_y = (a * h + xy * g) / det;
-    const ek_real squared = (moments - open->centre_x * g - open->centre_y * h) / count;
-    const ek_real share = (FIXED - EK_SQRT(squared > EK_R(0.0) ? squared : EK_R(0.0))) / (FIXED - ROUND);
-    open->open_turn = share < EK_R(0.0) ? EK_R(0.0) : share < EK_R(1.0) ? share : EK_R(1.0);
-}
-
-ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, const ek_real *xy, size_t count,
-                                ek_real reach, ek_work *work)
-{
-    ek_openness open = {.x = EK_R(1.0)};
-    const size_t cells = ek_thin(thinner, xy, count, VOXEL, observer->thinned, work);
-    const uint32_t every = cells / SAMPLES > 1u ? (uint32_t)(cells / SAMPLES) : 1u;
+    const size_t cells = observer->cells = ek_thin(thinner, xy, count, VOXEL, observer->thinned, work);
+    const size_t every = observer->every = cells / SAMPLES > 1u ? cells / SAMPLES : 1u;
     if (cells < NEIGHBOURS) {
-        return open;
+        return;
     }
     ek_index_build(&observer->index, observer->thinned, cells);
     ek_normals_defer(&observer->index, NEIGHBOURS, observer->normals);
@@ -60,36 +45,81 @@ ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, cons
         }
     }
     ek_work_spend(work, INDEX_WORK * (uint64_t)cells + NORMAL_WORK * (uint64_t)(cells / every + 1u));
-    ek_real xx = EK_R(0.0), xy_sum = EK_R(0.0), yy = EK_R(0.0);
-    ek_real g = EK_R(0.0), h = EK_R(0.0), moments = EK_R(0.0);
-    size_t near = 0u;
-    for (size_t k = 0; k < cells; k += every) {
-        const ek_real x = observer->thinned[2u * k], y = observer->thinned[2u * k + 1u];
-        if (x * x + y * y > reach * reach) {
-            continue;
-        }
-        const ek_real u = observer->normals[2u * k], v = observer->normals[2u * k + 1u];
-        near++;
-        xx += u * u;
-        xy_sum += u * v;
-        yy += v * v;
-        const ek_real moment = x * v - y * u; /* of the normal's line about the origin */
-        g += moment * v;
-        h -= moment * u;
-        moments += moment * moment;
-    }
-    if (near < NEIGHBOURS) {
+}
+
+/* Sums over points p with normals n: scatter n n', moments m = p x n, and m n turned by -90 degrees. */
+typedef struct {
+    ek_real xx, xy, yy, turned_x, turned_y, squared;
+    size_t count;
+} sums;
+
+static void add_point(sums *sum, const ek_real *point, const ek_real *normal)
+{
+    const ek_real u = normal[0], v = normal[1], moment = point[0] * v - point[1] * u;
+    sum->count++;
+    sum->xx += u * u;
+    sum->xy += u * v;
+    sum->yy += v * v;
+    sum->turned_x += moment * v;
+    sum->turned_y -= moment * u;
+    sum->squared += moment * moment;
+}
+
+/* The place that the lines of the normals pass most closely: a turn about it moves no point of a circle along its normal. */
+static void find_open_turn(const sums *sum, ek_openness *open)
+{
+    const ek_real count = (ek_real)sum->count, a = sum->yy + RIDGE * count, b = sum->xx + RIDGE * count;
+    const ek_real det = a * b - sum->xy * sum->xy;
+    open->centre_x = (b * sum->turned_x + sum->xy * sum->turned_y) / det;
+    open->centre_y = (a * sum->turned_y + sum->xy * sum->turned_x) / det;
+    const ek_real squared =
+        (sum->squared - open->centre_x * sum->turned_x - open->centre_y * sum->turned_y) / count;
+    const ek_real share = (FIXED - EK_SQRT(squared > EK_R(0.0) ? squared : EK_R(0.0))) / (FIXED - ROUND);
+    open->open_turn = share < EK_R(0.0) ? EK_R(0.0) : share < EK_R(1.0) ? share : EK_R(1.0);
+}
+
+static ek_openness openness_of(const sums *sum)
+{
+    ek_openness open = {.x = EK_R(1.0)};
+    if (sum->count < NEIGHBOURS) {
         return open;
     }
-    const ek_real mean = EK_R(0.5) * (xx + yy), half = EK_R(0.5) * (xx - yy);
-    const ek_real radius = EK_SQRT(half * half + xy_sum * xy_sum), low = mean - radius;
+    const ek_real mean = EK_R(0.5) * (sum->xx + sum->yy), half = EK_R(0.5) * (sum->xx - sum->yy);
+    const ek_real radius = EK_SQRT(half * half + sum->xy * sum->xy), low = mean - radius;
     /* eigenvector of the smaller eigenvalue: across the direction of the larger one */
-    const ek_real angle = EK_R(0.5) * EK_ATAN2(xy_sum, half);
+    const ek_real angle = EK_R(0.5) * EK_ATAN2(sum->xy, half);
     open.x = -EK_SIN(angle);
     open.y = EK_COS(angle);
     open.ratio = (low > EK_R(0.0) ? low : EK_R(0.0)) / (mean + radius);
-    find_open_turn(xx, xy_sum, yy, g, h, moments, (ek_real)near, &open);
+    find_open_turn(sum, &open);
     return open;
+}
+
+ek_openness ek_observer_measure(const ek_observer *observer, ek_real reach)
+{
+    sums sum = {.count = 0u};
+    for (size_t k = 0; k < observer->cells; k += observer->every) {
+        const ek_real *const point = &observer->thinned[2u * k];
+        if (point[0] * point[0] + point[1] * point[1] <= reach * reach) {
+            add_point(&sum, point, &observer->normals[2u * k]);
+        }
+    }
+    return openness_of(&sum);
+}
+
+ek_openness ek_observer_measure_on(const ek_observer *observer, const ek_index *target, ek_pose pose, ek_real limit)
+{
+    const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta);
+    sums sum = {.count = 0u};
+    for (size_t k = 0; k < observer->cells && target->count > 0u; k += observer->every) {
+        const ek_real x = observer->thinned[2u * k], y = observer->thinned[2u * k + 1u];
+        const ek_neighbour nearest =
+            ek_index_nearest(target, c * x - s * y + pose.x, s * x + c * y + pose.y, limit, limit);
+        if (nearest.slot != EK_NONE) {
+            add_point(&sum, &observer->thinned[2u * k], &observer->normals[2u * k]);
+        }
+    }
+    return openness_of(&sum);
 }
 
 ek_real ek_openness_trust(const ek_openness *open)
@@ -109,7 +139,8 @@ static ek_pose turn_back(const ek_openness *open, ek_pose pose, ek_pose guess)
     const ek_real x = open->centre_x, y = open->centre_y, c = EK_COS(pose.theta), s = EK_SIN(pose.theta);
     const ek_real theta = pose.theta - open->open_turn * ek_se2_wrap(pose.theta - guess.theta);
     const ek_real turned_c = EK_COS(theta), turned_s = EK_SIN(theta);
-    const ek_pose turned = {pose.x + (c - turned_c) * x - (s - turned_s) * y, pose.y + (s - turned_s) * x + (c - turned_c) * y, theta};
+    const ek_pose turned = {pose.x + (c - turned_c) * x - (s - turned_s) * y, pose.y + (s - turned_s) * x + (c - turned_c) * y,
+                            theta};
     return turned;
 }
 

@@ -10,6 +10,7 @@
 #define RECENTRE EK_R(0.1)      /* share of the map's radius that the robot moves before its part is taken again */
 #define PERIOD_MS 100           /* of the scans that `work` is meant for: a slower lidar leaves more time for loops */
 #define MAX_PERIOD_MS 2000
+#define AS_MANY EK_R(0.02)      /* share by which a scan near a keyframe may have more or fewer points, if nothing is open */
 #define SPARE 3                 /* times `work`: for the search while the track is lost, less the work of matching */
 #define PATIENCE_NS 2000000000u /* scans that lie nowhere are set aside until so long after the last one that did */
 #define SOON_NS 1000000000u     /* for so long the motion goes on about as before */
@@ -183,8 +184,8 @@ static int is_measured(const ek_slam *slam, const ek_prior *prior)
 
 /* One stage: the pose after it is the match, or the guess where the match has too few pairs; `predicted`: as in
  * ek_slam_match. The stage with the map begins where the one with the last scan ends, for which a part of a scan suffices. */
-static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openness *open, const ek_pose *predicted,
-                           ek_pose *pose, ek_match *match, int32_t *accepted)
+static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_pose *predicted, ek_pose *pose,
+                           ek_match *match, int32_t *accepted)
 {
     *accepted = 0;
     if (slam->scan.count == 0u) {
@@ -192,7 +193,7 @@ static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_openn
         return EK_OK;
     }
     const ek_status status = ek_slam_match(slam, target, *pose, predicted, target == &slam->last, match);
-    const ek_pose limited = status == EK_OK ? ek_openness_limit(open, match->target_from_source, *pose) : *pose;
+    const ek_pose limited = status == EK_OK ? ek_slam_limit(slam, target, match->target_from_source, *pose) : *pose;
     if (status == EK_OK && !ek_slam_is_believed(&slam->gate, slam->scan.count, *pose, limited, match)) {
         match->inliers = 0;
     }
@@ -210,15 +211,12 @@ static int is_keyframe(const ek_slam *slam, ek_pose odom_from_base)
     return !slam->has_keyframe || far || EK_FABS(moved.theta) >= p->keyframe_angle;
 }
 
-/* What the walls leave open. Near a keyframe where they left nothing open they do not either; what they left open there is
- * measured again: a scan that is left to its guess may never get far from that keyframe. */
-static ek_openness find_openness(ek_slam *slam, ek_pose predicted, ek_work *work)
+/* Whether nothing is open: near a keyframe of about as many points where nothing is. What is open there is measured again: a
+ * scan that is left to its guess may never get far from that keyframe. */
+static int is_closed(const ek_slam *slam, ek_pose predicted)
 {
-    const ek_openness closed = {.x = EK_R(1.0), .ratio = EK_R(1.0)};
-    return slam->wheels.seen && !is_keyframe(slam, predicted)
-               ? closed
-               : ek_observer_measure(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count,
-                                     slam->parameters.map_radius, work);
+    const ek_real count = (ek_real)slam->scan.count, before = (ek_real)slam->front_count;
+    return slam->wheels.seen && EK_FABS(count - before) <= AS_MANY * before && !is_keyframe(slam, predicted);
 }
 
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work)
@@ -231,7 +229,8 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
     slam->matching = 0u;
     const int measured = is_measured(slam, prior);
     const ek_pose predicted = ek_se2_compose(slam->motion.start_from_points, last_from_base);
-    const ek_openness open = find_openness(slam, predicted, work);
+    slam->closed = is_closed(slam, predicted);
+    slam->observed = 0;
     slam->gate = ek_slam_gate(slam, measured, ek_se2_between(slam->motion.start_from_base, predicted));
     ek_status status = EK_OK;
     estimate->set_aside = estimate->set_aside && ek_slam_is_good(&slam->gate);
@@ -241,14 +240,14 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
             return EK_OK;
         }
         status = take_map(slam, predicted, work);
-        if (status == EK_OK && ek_slam_match_directly(slam, &open, &estimate->odom_from_base, &estimate->scan_to_map)) {
+        if (status == EK_OK && ek_slam_match_directly(slam, &estimate->odom_from_base, &estimate->scan_to_map)) {
             estimate->has_scan_to_map = estimate->scan_to_map_accepted = 1;
             return EK_OK;
         }
     }
     status = status == EK_OK ? index_last(slam) : status;
     if (status == EK_OK) {
-        status = run_stage(slam, &slam->last, &open, NULL, &last_from_base, &estimate->scan_to_scan,
+        status = run_stage(slam, &slam->last, NULL, &last_from_base, &estimate->scan_to_scan,
                            &estimate->scan_to_scan_accepted);
     }
     pose = ek_se2_compose(slam->motion.start_from_points, last_from_base);
@@ -256,7 +255,7 @@ ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *
         status = take_map(slam, pose, work);
     }
     if (status == EK_OK) {
-        status = run_stage(slam, &slam->map_index, &open, measured ? NULL : &predicted, &pose, &estimate->scan_to_map,
+        status = run_stage(slam, &slam->map_index, measured ? NULL : &predicted, &pose, &estimate->scan_to_map,
                            &estimate->scan_to_map_accepted);
     }
     estimate->has_scan_to_scan = estimate->has_scan_to_map = 1;
@@ -366,6 +365,7 @@ static ek_status keep(ek_slam *slam, const ek_prior *prior, ek_pose predicted, c
                      ek_slam_doubt(slam, measured ? &predicted : NULL, pose, &estimate->scan_to_map);
     if (keyframe) {
         slam->odom_from_front = pose;
+        slam->front_count = slam->scan.count;
         slam->has_keyframe = 1;
     }
     keep_last(slam, pose);

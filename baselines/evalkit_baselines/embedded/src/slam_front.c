@@ -314,7 +314,22 @@ static ek_real usual_gap_of(const ek_slam *slam, ek_pose predicted)
     return slam->usual_gap > least ? slam->usual_gap : least;
 }
 
-int ek_slam_match_directly(ek_slam *slam, const ek_openness *open, ek_pose *pose, ek_match *match)
+ek_pose ek_slam_limit(ek_slam *slam, const ek_index *target, ek_pose answer, ek_pose guess)
+{
+    if (slam->closed) {
+        return answer;
+    }
+    if (!slam->observed) {
+        ek_work work = ek_work_make(INT64_MAX);
+        ek_observer_take(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, &work);
+        slam->observed = 1;
+    }
+    const ek_openness open =
+        ek_observer_measure_on(&slam->observer, target, answer, slam->parameters.fine_correspondence);
+    return ek_openness_limit(&open, answer, guess);
+}
+
+int ek_slam_match_directly(ek_slam *slam, ek_pose *pose, ek_match *match)
 {
     ek_icp_parameters matcher = slam->parameters.matcher;
     const size_t count = slam->scan.count;
@@ -322,7 +337,8 @@ int ek_slam_match_directly(ek_slam *slam, const ek_openness *open, ek_pose *pose
     if (count == 0u || match_all(slam, &slam->map_index, *pose, &matcher, match) != EK_OK) {
         return 0;
     }
-    const ek_pose limited = ek_openness_limit(open, match->target_from_source, *pose), gap = ek_se2_between(*pose, limited);
+    const ek_pose limited = ek_slam_limit(slam, &slam->map_index, match->target_from_source, *pose);
+    const ek_pose gap = ek_se2_between(*pose, limited);
     const ek_real metres = EK_SQRT(gap.x * gap.x + gap.y * gap.y), usual_gap = usual_gap_of(slam, *pose);
     const int usual = match->inliers >= slam->parameters.min_inliers &&
                       misfit_of(slam, match, slam->usual_error) == EK_R(0.0) && metres <= APART * usual_gap &&

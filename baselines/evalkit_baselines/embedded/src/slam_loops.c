@@ -171,8 +171,8 @@ ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, ek_step_kind kin
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
     const size_t row = keyframes->count;
     const size_t count = ek_thin(&slam->thinner, slam->scan.hits, slam->scan.count, STORED_VOXEL, slam->stored, work);
-    const ek_openness open = ek_observer_measure(&slam->observer, &slam->thinner, slam->stored, count,
-                                                 slam->parameters.map_radius, work);
+    ek_observer_take(&slam->observer, &slam->thinner, slam->stored, count, work);
+    const ek_openness open = ek_observer_measure(&slam->observer, slam->parameters.map_radius);
     const ek_pose step = row ? ek_se2_between(slam->odom_from_keyframe[row - 1u], graph_pose) : identity;
     ek_slam_observe_wheels(slam, step, &open, kind == EK_STEP_MATCHED);
     ek_status status = ek_keyframes_add(keyframes, slam->stored, count, step, kind, &open, slam->doubt, work);

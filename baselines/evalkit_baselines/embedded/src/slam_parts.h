@@ -10,6 +10,7 @@
 #define ek_slam_unevenness EK_NAME(slam_unevenness)
 #define ek_slam_note_turn EK_NAME(slam_note_turn)
 #define ek_slam_match EK_NAME(slam_match)
+#define ek_slam_limit EK_NAME(slam_limit)
 #define ek_slam_match_directly EK_NAME(slam_match_directly)
 #define ek_slam_gate EK_NAME(slam_gate)
 #define ek_slam_is_good EK_NAME(slam_is_good)
@@ -59,10 +60,12 @@ void ek_slam_note_turn(ek_slam *slam, const ek_prior *prior, ek_real by, const e
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,
                         ek_match *match);
 
+/* The answer of a match with a target; what that leaves open is left to the guess (observability.h). */
+ek_pose ek_slam_limit(ek_slam *slam, const ek_index *target, ek_pose answer, ek_pose guess);
+
 /* Match the projected scan with the map in few iterations, all points with near pairs, from `pose`, where good odometry puts
- * it; `open`: the direction that is left to the odometry. 1 if nothing about the answer is doubted: *pose is then the answer. 0:
- * the scan has to be matched in two stages. */
-int ek_slam_match_directly(ek_slam *slam, const ek_openness *open, ek_pose *pose, ek_match *match);
+ * it. 1 if nothing about the answer is doubted: *pose is then the answer. 0: the scan has to be matched in two stages. */
+int ek_slam_match_directly(ek_slam *slam, ek_pose *pose, ek_match *match);
 
 /* How far a match of this scan may be from its guess, by the predicted motion since the last scan. */
 ek_gate ek_slam_gate(const ek_slam *slam, int measured, ek_pose last_from_predicted);

@@ -49,6 +49,12 @@ static size_t room(double half, double from, double to, size_t count)
     return count;
 }
 
+static ek_openness measure(size_t count, ek_real reach)
+{
+    ek_observer_take(&observer, &thinner, xy, count, &work);
+    return ek_observer_measure(&observer, reach);
+}
+
 static void what_lies_beyond_the_reach_fixes_nothing(void)
 {
     size_t count = corridor(0.0); /* to 4 m, */
@@ -56,31 +62,56 @@ static void what_lies_beyond_the_reach_fixes_nothing(void)
         xy[2u * count] = EK_R(6.0);
         xy[2u * count + 1u] = EK_R(0.1) * (ek_real)k - EK_R(1.45);
     }
-    const ek_openness seen = ek_observer_measure(&observer, &thinner, xy, count, EK_R(6.5), &work);
+    const ek_openness seen = measure(count, EK_R(6.5));
     CHECK(seen.ratio > EK_R(0.1) && ek_openness_trust(&seen) >= EK_R(1.0));
-    const ek_openness open = ek_observer_measure(&observer, &thinner, xy, count, EK_R(5.0), &work);
+    const ek_openness open = measure(count, EK_R(5.0));
     CHECK_NEAR(open.ratio, 0.0, 1e-4);
     CHECK_NEAR(fabs((double)open.x), 1.0, 1e-4);
-    const ek_openness none = ek_observer_measure(&observer, &thinner, xy, count, EK_R(1.0), &work);
+    const ek_openness none = measure(count, EK_R(1.0));
     CHECK_NEAR(none.ratio, 0.0, 0.0); /* nothing is near: as seven points */
     CHECK_NEAR(none.x, 1.0, 0.0);
+}
+
+/* A corridor with a wall across its end, on a map without that wall. */
+static void a_wall_that_is_not_on_the_map_fixes_nothing(void)
+{
+    static ek_real end[2u * 30u];
+    const ek_pose pose = pose_of(0.3, -0.1, 0.5);
+    const size_t count = corridor(0.0);
+    for (size_t k = 0; k < 30u; k++) {
+        end[2u * k] = EK_R(6.0);
+        end[2u * k + 1u] = EK_R(0.1) * (ek_real)k - EK_R(1.45);
+    }
+    ek_real target[2u * POINTS];
+    ek_se2_transform(pose, xy, count, target);
+    CHECK(ek_index_build(&map, target, count) == EK_OK);
+    memcpy(&xy[2u * count], end, sizeof end);
+    ek_observer_take(&observer, &thinner, xy, count + 30u, &work);
+    CHECK(ek_observer_measure(&observer, ALL).ratio > EK_R(0.1));
+    const ek_openness open = ek_observer_measure_on(&observer, &map, pose, EK_R(0.3));
+    CHECK_NEAR(open.ratio, 0.0, 1e-4);
+    CHECK_NEAR(fabs((double)open.x), 1.0, 1e-4); /* in the scan's frame */
+    CHECK(ek_observer_measure_on(&observer, &map, pose, EK_R(3.0)).ratio > EK_R(0.1)); /* 2.1 m from the walls' ends */
+    CHECK_NEAR(ek_observer_measure_on(&observer, &map, pose_of(50.0, 0.0, 0.0), EK_R(0.3)).ratio, 0.0, 0.0); /* nowhere */
+    CHECK(ek_index_build(&map, target, 0u) == EK_OK);
+    CHECK_NEAR(ek_observer_measure_on(&observer, &map, pose, EK_R(0.3)).ratio, 0.0, 0.0);
 }
 
 static void a_corridor_is_open_along_its_walls(void)
 {
     for (int k = 0; k < 4; k++) {
         const double angle = 0.5 * (double)EK_PI * k / 4.0;
-        const ek_openness open = ek_observer_measure(&observer, &thinner, xy, corridor(angle), ALL, &work);
+        const ek_openness open = measure(corridor(angle), ALL);
         CHECK_NEAR(open.ratio, 0.0, 1e-4);
         CHECK_NEAR(fabs((double)open.x * cos(angle) + (double)open.y * sin(angle)), 1.0, 1e-4);
         CHECK(ek_openness_trust(&open) <= EK_R(0.0));
     }
-    const ek_openness closed = ek_observer_measure(&observer, &thinner, xy, room(3.0, -3.14159, 3.14159, 400u), ALL, &work);
+    const ek_openness closed = measure(room(3.0, -3.14159, 3.14159, 400u), ALL);
     CHECK(closed.ratio > EK_R(0.8) && ek_openness_trust(&closed) >= EK_R(1.0));
     ek_work spent = ek_work_make(INT64_MAX);
-    ek_observer_measure(&observer, &thinner, xy, 400u, ALL, &spent);
+    ek_observer_take(&observer, &thinner, xy, 400u, &spent);
     CHECK(spent.done > 8u * 400u + 20u * 200u + 160u * 100u && spent.done <= 200u * 400u); /* 240 cells of 24 m of wall, half of the normals */
-    const ek_openness few = ek_observer_measure(&observer, &thinner, xy, 7u, ALL, &work);
+    const ek_openness few = measure(7u, ALL);
     CHECK_NEAR(few.ratio, 0.0, 0.0); /* seven points say nothing: open, along x */
     CHECK_NEAR(few.x, 1.0, 0.0);
 }
@@ -116,16 +147,16 @@ static void a_turn_in_a_round_room_or_about_a_pillar_is_open(void)
     for (size_t k = 0; k < 2u; k++) { /* all around; a quarter, which ends where normals are those of chords */
         const double x = k == 0u ? 0.5 : 1.5, y = k == 0u ? -0.3 : -0.8, tolerance = k == 0u ? 0.02 : 0.25;
         const size_t count = k == 0u ? circle(x, y, 2.0, 1.0) : circle(x, y, 1.2, 0.25);
-        const ek_openness open = ek_observer_measure(&observer, &thinner, xy, count, ALL, &work);
+        const ek_openness open = measure(count, ALL);
         CHECK_NEAR(open.open_turn, 1.0, 0.0);
         CHECK_NEAR(open.centre_x, x, tolerance);
         CHECK_NEAR(open.centre_y, y, tolerance);
         CHECK(ek_openness_trust(&open) >= EK_R(1.0) && !ek_openness_is_closed(&open));
     }
-    const ek_openness walls = ek_observer_measure(&observer, &thinner, xy, room(3.0, -3.14159, 3.14159, 400u), ALL, &work);
+    const ek_openness walls = measure(room(3.0, -3.14159, 3.14159, 400u), ALL);
     CHECK_NEAR(walls.open_turn, 0.0, 0.0);
     CHECK(ek_openness_is_closed(&walls));
-    const ek_openness corner = ek_observer_measure(&observer, &thinner, xy, room(3.0, 0.0, 1.5707, 200u), ALL, &work);
+    const ek_openness corner = measure(room(3.0, 0.0, 1.5707, 200u), ALL);
     CHECK_NEAR(corner.open_turn, 0.0, 0.0);
     CHECK(ek_openness_is_closed(&corner));
 }
@@ -441,6 +472,7 @@ int main(void)
     work = ek_work_make(INT64_MAX);
     a_corridor_is_open_along_its_walls();
     what_lies_beyond_the_reach_fixes_nothing();
+    a_wall_that_is_not_on_the_map_fixes_nothing();
     a_match_counts_along_the_open_direction_by_what_the_walls_say();
     a_turn_in_a_round_room_or_about_a_pillar_is_open();
     an_open_turn_is_left_to_the_guess();

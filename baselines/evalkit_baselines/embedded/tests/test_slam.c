@@ -936,8 +936,8 @@ static void a_match_has_the_covariance_of_a_plain_computation(size_t upright)
     covariance[0] += 0.015 * 0.015;
     covariance[3] += 0.015 * 0.015;
     covariance[5] += 0.004 * 0.004;
-    const ek_openness open = ek_observer_measure(&finder->observer, &finder->thinner, finder->source, on_walls,
-                                                 EK_R(2.0) * EK_MAX_COORDINATE, &work);
+    ek_observer_take(&finder->observer, &finder->thinner, finder->source, on_walls, &work);
+    const ek_openness open = ek_observer_measure(&finder->observer, EK_R(2.0) * EK_MAX_COORDINATE);
     const double x = (double)open.x, y = (double)open.y, share = 1.0 - (double)open.ratio / 0.3;
     CHECK((share > 0.0) == (upright < 20u));
     const double variance = share > 0.0 ? 0.15 * share * 0.15 * share : 0.0;

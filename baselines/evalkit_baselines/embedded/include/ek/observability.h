@@ -21,13 +21,17 @@ typedef struct {
     ek_real centre_x, centre_y, open_turn;
 } ek_openness;
 
+/* Read only. */
 typedef struct {
     ek_index index;
     ek_real *thinned, *normals;
+    size_t cells, every; /* points of the thinned cloud; every n-th of them has a normal */
 } ek_observer;
 
 #define ek_observer_init EK_NAME(observer_init)
+#define ek_observer_take EK_NAME(observer_take)
 #define ek_observer_measure EK_NAME(observer_measure)
+#define ek_observer_measure_on EK_NAME(observer_measure_on)
 #define ek_openness_trust EK_NAME(openness_trust)
 #define ek_openness_limit EK_NAME(openness_limit)
 #define ek_openness_is_closed EK_NAME(openness_is_closed)
@@ -35,11 +39,16 @@ typedef struct {
 /* Initialise for clouds of up to `capacity` points in an arena (or measure it). Returns what ek_index_init returns. */
 ek_status ek_observer_init(ek_observer *observer, ek_arena *arena, size_t capacity);
 
-/* Measure a cloud: count pairs x y (m), finite and within EK_MAX_COORDINATE, at most `capacity`. What lies
- * farther than `reach` (m) from the origin is not matched and does not count; with fewer than eight others all directions are
- * open. At most 200 operations a point. */
-ek_openness ek_observer_measure(ek_observer *observer, ek_thinner *thinner, const ek_real *xy, size_t count,
-                                ek_real reach, ek_work *work);
+/* Take a cloud to measure: count pairs x y (m), finite and within EK_MAX_COORDINATE, at most `capacity`. At most 200 operations
+ * a point. */
+void ek_observer_take(ek_observer *observer, ek_thinner *thinner, const ek_real *xy, size_t count, ek_work *work);
+
+/* What the points within `reach` (m) of the origin leave open; of fewer than eight, all directions. */
+ek_openness ek_observer_measure(const ek_observer *observer, ek_real reach);
+
+/* The same of the points that have one of the target nearer than `limit` (m) when the cloud is at a pose on it: a wall that has
+ * just come into view is in no map yet, and fixes nothing. */
+ek_openness ek_observer_measure_on(const ek_observer *observer, const ek_index *target, ek_pose pose, ek_real limit);
 
 /* Share, 0 to 1, of a match that counts along the open direction. */
 ek_real ek_openness_trust(const ek_openness *open);

@@ -122,8 +122,10 @@ typedef struct {
     int32_t *cells;
     ek_real centre_x, centre_y; /* of the part of the map around the robot */
     int32_t map_changed, has_keyframe, tried;
+    int32_t closed, observed; /* of this scan: nothing is open; the observer has taken it */
     uint64_t matching;       /* points times iterations of matching this scan */
-    ek_pose odom_from_front; /* of the front end's last keyframe */
+    ek_pose odom_from_front; /* of the front end's last keyframe, */
+    size_t front_count;      /* whose scan had so many points */
     ek_keyframes keyframes;
     ek_pose *odom_from_keyframe;
     ek_pose odom_from_start, next_odom_from_start;
