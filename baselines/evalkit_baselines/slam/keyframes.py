@@ -15,7 +15,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.pose_graph import PoseGraph
 from evalkit.core.se2 import Floats
 from evalkit_baselines.slam.match_doubt import Doubt
-from evalkit_baselines.slam.observability import BLIND, Openness, measure_openness
+from evalkit_baselines.slam.observability import BLIND, ROOM_RATIO, Openness, measure_openness
 
 CLOSURE_LENGTH_M = 0.5
 """Length that a loop closure adds to the distance through the graph."""
@@ -35,9 +35,6 @@ before does not belong to the map."""
 
 OPEN_FACTOR = 20.0
 """Variance along the walls of a bare corridor, as a multiple of that in a room."""
-
-ROOM_RATIO = 0.2
-"""From this ratio of eigenvalues on (see ``observability``) all directions are equally well known."""
 
 
 class Step(IntEnum):
@@ -96,6 +93,7 @@ class Keyframes:
     _poses: Floats = field(default_factory=lambda: np.zeros((256, 3)))
     _apart_m: Floats = field(default_factory=lambda: np.zeros(256))
     _closed: tuple[bool, bool] = (False, False)  # the last two keyframes
+    _in_room: bool = False  # the last keyframe
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -137,6 +135,7 @@ class Keyframes:
             self._apart_m[:row] += _graph_length(kind, length)
         self._apart_m[row] = 0.0
         self._closed = (self._closed[1], openness.is_closed)
+        self._in_room = openness.is_room
         self.stamps_ns.append(stamp_ns)
         self.clouds.append(points)
         self.path_m.append((self.path_m[-1] if row else 0.0) + length)
@@ -147,9 +146,9 @@ class Keyframes:
         """Return whether the walls fix the position at the last two keyframes in all directions."""
         return all(self._closed)
 
-    def is_last_closed(self) -> bool:
-        """Return whether the walls leave no direction open at the last keyframe."""
-        return self._closed[1]
+    def is_last_in_room(self) -> bool:
+        """Return whether the walls fix the position well at the last keyframe."""
+        return self._in_room
 
     def graph(self) -> PoseGraph:
         """Return the pose graph; steps first, then loops."""

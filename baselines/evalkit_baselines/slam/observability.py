@@ -36,9 +36,12 @@ ROUND_M, FIXED_M = 0.15, 0.3
 or everything, about a turn around it. Measured: 0.13 at most where only a round pillar is seen, 0.34 at least in
 recordings and worlds (0.09 in one dirty scan of 772)."""
 
+ROOM_RATIO = 0.2
+"""From this ratio on all directions are equally well known."""
+
 AS_MANY = 0.02
-"""Near a keyframe where nothing is open nothing is either, unless the number of hits differs by a larger share: a wall
-may have come into view, or have left it."""
+"""Near a keyframe in a room nothing is open, unless the number of hits differs by a larger share: a wall may have come
+into view, or have left it."""
 
 _RIDGE = 1e-4
 """Share of the points that hold the place near the origin, where walls leave it open."""
@@ -66,6 +69,11 @@ class Openness:
     def is_closed(self) -> bool:
         """Whether the walls fix everything."""
         return self.ratio >= SEEING and self.open_turn == 0.0
+
+    @property
+    def is_room(self) -> bool:
+        """Whether the walls fix everything well."""
+        return self.ratio >= ROOM_RATIO and self.open_turn == 0.0
 
 
 def measure_openness(points: Floats, reach_m: float = math.inf) -> Openness:

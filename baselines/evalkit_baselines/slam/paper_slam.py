@@ -192,12 +192,12 @@ class PaperSlam:
         return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
 
     def _is_closed(self, hits: int, predicted: Pose) -> bool:
-        """Return whether nothing is open: near a keyframe of about as many hits where nothing is.
+        """Return whether nothing is open: near a keyframe in a room, with about as many hits.
 
-        What is open there is measured again: a scan that is left to its guess may never get far from that keyframe.
+        Elsewhere it is measured again: a scan that is left to its guess, or held back, may never get far from there.
         """
         as_many = abs(hits - self._hits) <= AS_MANY * self._hits
-        return as_many and self._keyframes.is_last_closed() and not self._front.is_keyframe(predicted)
+        return as_many and self._keyframes.is_last_in_room() and not self._front.is_keyframe(predicted)
 
     def _match_directly(self, frame: Frame, predicted: Pose) -> Matched | None:
         """Match a scan with the map from where good odometry puts it; None if anything about the answer is doubted."""

@@ -4,7 +4,6 @@
 
 #define CLOSURE_LENGTH EK_R(0.5) /* m that a loop adds to the distance through the graph */
 #define OPEN_FACTOR EK_R(20.0)   /* variance along the walls of a bare corridor, as a multiple of that in a room */
-#define ROOM_RATIO EK_R(0.2)
 #define BLIND EK_R(0.045)
 #define MIN_LENGTH EK_R(0.05) /* m */
 #define STILL EK_R(1e-9)      /* m: length of a step without motion */
@@ -43,7 +42,7 @@ ek_status ek_keyframes_init(ek_keyframes *keyframes, ek_arena *arena, size_t cap
 /* Information of a step over a path, in the frame of the scan at its end. */
 static ek_sym3 step_information(const ek_drift *drift, ek_real path, const ek_openness *open, ek_doubt doubt)
 {
-    const ek_real length = path > MIN_LENGTH ? path : MIN_LENGTH, part = (ROOM_RATIO - open->ratio) / (ROOM_RATIO - BLIND);
+    const ek_real length = path > MIN_LENGTH ? path : MIN_LENGTH, part = (EK_ROOM_RATIO - open->ratio) / (EK_ROOM_RATIO - BLIND);
     const ek_real share = part < EK_R(0.0) ? EK_R(0.0) : part < EK_R(1.0) ? part : EK_R(1.0);
     const ek_real variance = drift->sigma * drift->sigma * length, more = variance * OPEN_FACTOR * share;
     const ek_real position = variance + doubt.position;

@@ -133,6 +133,11 @@ int ek_openness_is_closed(const ek_openness *open)
     return open->ratio >= SEEING && open->open_turn == EK_R(0.0);
 }
 
+int ek_openness_is_room(const ek_openness *open)
+{
+    return open->ratio >= EK_ROOM_RATIO && open->open_turn == EK_R(0.0);
+}
+
 /* Turn a pose towards the heading of a guess about the centre of the open turn. */
 static ek_pose turn_back(const ek_openness *open, ek_pose pose, ek_pose guess)
 {

@@ -10,7 +10,7 @@
 #define RECENTRE EK_R(0.1)      /* share of the map's radius that the robot moves before its part is taken again */
 #define PERIOD_MS 100           /* of the scans that `work` is meant for: a slower lidar leaves more time for loops */
 #define MAX_PERIOD_MS 2000
-#define AS_MANY EK_R(0.02)      /* share by which a scan near a keyframe may have more or fewer points, if nothing is open */
+#define AS_MANY EK_R(0.02)      /* share by which a scan near a keyframe in a room may have more or fewer points */
 #define SPARE 3                 /* times `work`: for the search while the track is lost, less the work of matching */
 #define PATIENCE_NS 2000000000u /* scans that lie nowhere are set aside until so long after the last one that did */
 #define SOON_NS 1000000000u     /* for so long the motion goes on about as before */
@@ -211,12 +211,12 @@ static int is_keyframe(const ek_slam *slam, ek_pose odom_from_base)
     return !slam->has_keyframe || far || EK_FABS(moved.theta) >= p->keyframe_angle;
 }
 
-/* Whether nothing is open: near a keyframe of about as many points where nothing is. What is open there is measured again: a
- * scan that is left to its guess may never get far from that keyframe. */
+/* Whether nothing is open: near a keyframe in a room, with about as many points. Elsewhere it is measured again: a scan that is
+ * left to its guess, or held back, may never get far from that keyframe. */
 static int is_closed(const ek_slam *slam, ek_pose predicted)
 {
     const ek_real count = (ek_real)slam->scan.count, before = (ek_real)slam->front_count;
-    return slam->wheels.seen && EK_FABS(count - before) <= AS_MANY * before && !is_keyframe(slam, predicted);
+    return slam->in_room && EK_FABS(count - before) <= AS_MANY * before && !is_keyframe(slam, predicted);
 }
 
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work)

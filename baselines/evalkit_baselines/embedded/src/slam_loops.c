@@ -174,6 +174,7 @@ ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, ek_step_kind kin
     ek_observer_take(&slam->observer, &slam->thinner, slam->stored, count, work);
     const ek_openness open = ek_observer_measure(&slam->observer, slam->parameters.map_radius);
     const ek_pose step = row ? ek_se2_between(slam->odom_from_keyframe[row - 1u], graph_pose) : identity;
+    slam->in_room = ek_openness_is_room(&open);
     ek_slam_observe_wheels(slam, step, &open, kind == EK_STEP_MATCHED);
     ek_status status = ek_keyframes_add(keyframes, slam->stored, count, step, kind, &open, slam->doubt, work);
     if (status != EK_OK) { /* no room: from now on an odometry on the lasting map */

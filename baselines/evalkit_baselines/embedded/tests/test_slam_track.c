@@ -98,9 +98,9 @@ static void see_corner(ek_pose from)
     CHECK(index_lines(&slam.map_index, slam.map_normals, target, 2u * CORNER) == EK_OK);
 }
 
-/* Near a keyframe where nothing is open, with as many points, nothing is; what a match with one wall leaves open there is left
+/* Near a keyframe in a room, with as many points, nothing is open; what a match with one wall leaves open there is left
  * to the guess. */
-static void what_is_open_is_not_measured_near_a_closed_keyframe(void)
+static void what_is_open_is_not_measured_near_a_keyframe_in_a_room(void)
 {
     static const double cases[][4] = {{0.2999, 0.0, 100, 1}, {0.3001, 0.0, 100, 0}, {0.0, 0.17, 100, 1}, {0.0, -0.18, 100, 0},
                                       {0.0, 0.0, 98, 1},     {0.0, 0.0, 97, 0},     {0.0, 0.0, 102, 1},  {0.0, 0.0, 103, 0}};
@@ -109,7 +109,7 @@ static void what_is_open_is_not_measured_near_a_closed_keyframe(void)
     slam.front_count = 100u;
     slam.odom_from_front = pose_of(3.0, 2.0, 0.5);
     for (int closed = 0; closed < 2; closed++) {
-        slam.wheels.seen = closed;
+        slam.in_room = closed;
         for (size_t k = 0; k < 8u; k++) {
             const ek_pose predicted = ek_se2_compose(slam.odom_from_front, pose_of(cases[k][0], 0.0, cases[k][1]));
             slam.scan.count = (size_t)cases[k][2];
@@ -251,7 +251,7 @@ int main(void)
 {
     sweeps_are_refused_beyond_their_bounds();
     the_map_is_taken_again_after_a_tenth_of_its_radius();
-    what_is_open_is_not_measured_near_a_closed_keyframe();
+    what_is_open_is_not_measured_near_a_keyframe_in_a_room();
     a_stage_is_accepted_with_enough_pairs();
     a_keyframe_is_far_enough_from_the_last();
     a_scan_between_keyframes_is_drawn_where_it_fits();

@@ -14,6 +14,8 @@
 extern "C" {
 #endif
 
+#define EK_ROOM_RATIO EK_R(0.2) /* ratios of eigenvalues in rooms are larger */
+
 /* The unit direction in the scan's frame that the walls fix least, and the ratio of the eigenvalues, 0 to 1; the turn about a
  * place (m) that they fix least, and which share of it they leave open, 0 to 1. */
 typedef struct {
@@ -35,6 +37,7 @@ typedef struct {
 #define ek_openness_trust EK_NAME(openness_trust)
 #define ek_openness_limit EK_NAME(openness_limit)
 #define ek_openness_is_closed EK_NAME(openness_is_closed)
+#define ek_openness_is_room EK_NAME(openness_is_room)
 
 /* Initialise for clouds of up to `capacity` points in an arena (or measure it). Returns what ek_index_init returns. */
 ek_status ek_observer_init(ek_observer *observer, ek_arena *arena, size_t capacity);
@@ -55,6 +58,9 @@ ek_real ek_openness_trust(const ek_openness *open);
 
 /* Whether the walls fix everything. */
 int ek_openness_is_closed(const ek_openness *open);
+
+/* Whether they do it well, as in rooms. */
+int ek_openness_is_room(const ek_openness *open);
 
 /* The pose of a match, with the guess along the open direction of the scan, and about its open turn. */
 ek_pose ek_openness_limit(const ek_openness *open, ek_pose match, ek_pose guess);

@@ -126,6 +126,7 @@ typedef struct {
     uint64_t matching;       /* points times iterations of matching this scan */
     ek_pose odom_from_front; /* of the front end's last keyframe, */
     size_t front_count;      /* whose scan had so many points */
+    int32_t in_room;         /* at the last keyframe */
     ek_keyframes keyframes;
     ek_pose *odom_from_keyframe;
     ek_pose odom_from_start, next_odom_from_start;
