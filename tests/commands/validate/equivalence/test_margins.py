@@ -68,11 +68,11 @@ def test_a_question_is_ill_conditioned_if_rounding_moves_a_pose_by_a_tenth_of_th
 
 @pytest.mark.thorough
 def test_two_correct_implementations_answer_ill_conditioned_questions_alike_or_are_not_asked():
-    """Seed 11313 draws iterations that run 100 m apart on the last three pairs, and amplify rounding to 4e-9 m."""
+    """Seed 18 draws one question, with lines through 24 points, whose first step amplifies rounding."""
     sides = [question_probes.load_backend({"name": name, "given": {}}) for name in ("paper", "embedded")]
     if sides[1].spec.missing():
         pytest.skip("the compiled core is not installed")
-    drawn = [one for one in draw_questions(11313, *sides, False) if one.family == "parameters at once"]
+    drawn = [one for one in draw_questions(18, *sides, False) if one.family == "parameters at once"]
     asked = question_probes._ask_all(tuple(sides), drawn)
     ill = [
         one for one in asked
