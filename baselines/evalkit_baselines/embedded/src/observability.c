@@ -34,6 +34,7 @@ void ek_observer_take(ek_observer *observer, ek_thinner *thinner, const ek_real 
     const size_t cells = observer->cells = ek_thin(thinner, xy, count, VOXEL, observer->thinned, work);
     const size_t every = observer->every = cells / SAMPLES > 1u ? cells / SAMPLES : 1u;
     if (cells < NEIGHBOURS) {
+        observer->cells = 0u; /* too few: they have no normals */
         return;
     }
     ek_index_build(&observer->index, observer->thinned, cells);

@@ -414,6 +414,10 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
         return status;
     }
     const ek_prior prior = {sweep->stamp_ns, p->use_odometry && sweep->has_odometry, prepared.odom_from_base};
+    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_points, ek_motion_predict(&slam->motion, &prior));
+    if (!is_near(predicted)) { /* before a part of the map is taken there */
+        return EK_OUT_OF_RANGE;
+    }
     memset(estimate, 0, sizeof *estimate);
     estimate->odom_from_base = identity;
     estimate->scan_to_scan = estimate->scan_to_map = none;
@@ -421,8 +425,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     const ek_real uneven = ek_slam_unevenness(slam, &prepared);
     estimate->set_aside = uneven > EK_R(0.0) && slam->uneven.right == EK_TURNS_RIGHT;
     status = ek_slam_track(slam, &prior, estimate, &work);
-    const ek_pose predicted = ek_se2_compose(slam->motion.start_from_points, ek_motion_predict(&slam->motion, &prior));
-    if (status != EK_OK || !is_near(estimate->odom_from_base) || !is_near(predicted)) {
+    if (status != EK_OK || !is_near(estimate->odom_from_base)) {
         return status == EK_OK ? EK_OUT_OF_RANGE : status;
     }
     slam->wheels = wheels;

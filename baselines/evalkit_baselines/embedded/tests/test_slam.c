@@ -1127,6 +1127,7 @@ static void sweeps_beyond_the_world_are_refused(void)
         sweep = sweep_at(1u, &seed);
         sweep.odom_from_base = far[k];
         CHECK(ek_slam_update(&slam, &sweep, &estimate) == EK_OUT_OF_RANGE);
+        CHECK(slam.map_changed); /* no part of the map was taken there */
     }
     sweep = sweep_at(1u, &seed);
     sweep.odom_from_base = pose_of(-1e6 + 0.5, 0.0, 0.0);
