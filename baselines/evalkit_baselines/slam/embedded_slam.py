@@ -27,9 +27,7 @@ from evalkit_baselines.embedded.pipeline import NOT_RUN, make_stage_estimate, re
 from evalkit_baselines.embedded.registration import make_icp
 from evalkit_baselines.slam.loop_closure import LoopSettings, describe_low_score
 from evalkit_baselines.slam.paper_slam import SPEC as REFERENCE
-
-FINE_CORRESPONDENCE_M = 0.3
-"""Largest distance of a pair in the last match of a loop, and of all points of a large scan, as in ``paper-slam``."""
+from evalkit_baselines.slam.second_try import FINE_CORRESPONDENCE_M
 
 
 @dataclass(frozen=True)

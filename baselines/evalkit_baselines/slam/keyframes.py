@@ -15,7 +15,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.pose_graph import PoseGraph
 from evalkit.core.se2 import Floats
 from evalkit_baselines.slam.match_doubt import Doubt
-from evalkit_baselines.slam.observability import BLIND, ROOM_RATIO, Openness, measure_openness
+from evalkit_baselines.slam.observability import ALL_OPEN, BLIND, ROOM_RATIO, Openness, measure_openness
 
 CLOSURE_LENGTH_M = 0.5
 """Length that a loop closure adds to the distance through the graph."""
@@ -92,8 +92,7 @@ class Keyframes:
     loops: list[Edge] = field(default_factory=list)
     _poses: Floats = field(default_factory=lambda: np.zeros((256, 3)))
     _apart_m: Floats = field(default_factory=lambda: np.zeros(256))
-    _closed: tuple[bool, bool] = (False, False)  # the last two keyframes
-    _in_room: bool = False  # the last keyframe
+    _openness: tuple[Openness, Openness] = (ALL_OPEN, ALL_OPEN)  # of the last two keyframes
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -134,8 +133,7 @@ class Keyframes:
             self.steps.append(Edge(row - 1, row, last_from_keyframe, information))
             self._apart_m[:row] += _graph_length(kind, length)
         self._apart_m[row] = 0.0
-        self._closed = (self._closed[1], openness.is_closed)
-        self._in_room = openness.is_room
+        self._openness = (self._openness[1], openness)
         self.stamps_ns.append(stamp_ns)
         self.clouds.append(points)
         self.path_m.append((self.path_m[-1] if row else 0.0) + length)
@@ -144,11 +142,11 @@ class Keyframes:
 
     def is_last_step_seen(self) -> bool:
         """Return whether the walls fix the position at the last two keyframes in all directions."""
-        return all(self._closed)
+        return all(openness.is_closed for openness in self._openness)
 
     def is_last_in_room(self) -> bool:
         """Return whether the walls fix the position well at the last keyframe."""
-        return self._in_room
+        return self._openness[1].is_room
 
     def graph(self) -> PoseGraph:
         """Return the pose graph; steps first, then loops."""

@@ -76,6 +76,10 @@ class Openness:
         return self.ratio >= ROOM_RATIO and self.open_turn == 0.0
 
 
+ALL_OPEN = Openness(np.array([1.0, 0.0]), 0.0)
+"""What too few points fix."""
+
+
 def measure_openness(points: Floats, reach_m: float = math.inf) -> Openness:
     """Return what points (N, 2) within reach of the origin fix least; fewer than eight fix no direction (ratio 0).
 
@@ -102,7 +106,7 @@ def _measure(sample: _Sample, counts: Bools) -> Openness:
     """Return what the points that count (K,) fix least."""
     points, normals = sample.points[counts], sample.normals[counts]
     if len(points) < _NEIGHBOURS:
-        return Openness(np.array([1.0, 0.0]), 0.0)
+        return ALL_OPEN
     values, vectors = np.linalg.eigh(normals.T @ normals)
     # a turn about c moves a point p along its normal n by p x n - c x n
     across = np.column_stack([normals[:, 1], -normals[:, 0]])

@@ -38,6 +38,7 @@ from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import smooth_ranges
 from evalkit_baselines.slam.second_try import (
     DIRECT_EPSILON_M,
+    FINE_CORRESPONDENCE_M,
     FINE_ITERATIONS,
     PART_ITERATIONS,
     Coarse,
@@ -75,8 +76,7 @@ class SlamSettings(LoopSettings):
 
 PARAMETERS = declared_parameters(SlamSettings)
 
-_PAIRED_M = 0.3
-_NARROW = {"max_correspondence_m": _PAIRED_M}
+_NARROW = {"max_correspondence_m": FINE_CORRESPONDENCE_M}
 
 
 @dataclass
@@ -114,7 +114,8 @@ class PaperSlam:
             scan_to_scan=(of_scan, of_scan_again),
         )
         self._gate = OdometryGate()
-        self._icps = ObservableIcp(self._tries, _PAIRED_M), ObservableIcp(direct, _PAIRED_M)
+        observable = ObservableIcp(self._tries, FINE_CORRESPONDENCE_M)
+        self._icps = observable, replace(observable, icp=direct)  # with the same samples
         in_two_stages, self._direct = (Gated(icp, self._gate) for icp in self._icps)
         self._front = FrontEnd(in_two_stages, in_two_stages, front_end, self._map)
         self._finder = LoopFinder(settings, wide, narrow)
@@ -153,8 +154,9 @@ class PaperSlam:
         last = Pose.of(self._odom_from_base[-1]) if self._stamps_ns else None
         step = last.inverse() @ predicted if measured and last is not None else None
         hits = int(frame.scan.hits.sum())
+        is_closed = self._is_closed(hits, predicted)
         for icp in self._icps:
-            icp.is_closed = self._is_closed(hits, predicted)
+            icp.is_closed = is_closed
         self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m)
         elapsed_ns = frame.scan.stamp_ns - self._stamps_ns[-1] if self._stamps_ns else 0
         uneven = self._turns.measure(frame, step, elapsed_ns)
@@ -180,9 +182,9 @@ class PaperSlam:
         fits = False
         if match is not None and match.accepted and last is not None:
             fits = self._doubt.observe(last, predicted if measured else None, pose, match, hits)
-        new = self._map.take()
-        self._hits = self._hits if new is None else hits
-        new = new or (NewKeyframe(points, pose) if lost else None)
+        keyframe = self._map.take()
+        self._hits = hits if keyframe else self._hits
+        new = keyframe or (NewKeyframe(points, pose) if lost else None)
         if new is not None:
             new = NewKeyframe(voxel_means(new.points, _STORED_VOXEL_M), new.odom_from_base)
             kind = Step.MATCHED if not lost else Step.MEASURED if measured else Step.UNKNOWN

@@ -40,6 +40,9 @@ CLOSE_M = 0.1
 """On the map without odometry, the one whose points lie most closely on it: only those within this distance count, each
 in proportion to how much nearer it is. A wrong pose has many points near the map and few on it."""
 
+FINE_CORRESPONDENCE_M = 0.3
+"""Of near pairs, points are at most so far apart."""
+
 COARSE_POINTS, FINE_ITERATIONS = 200, 5
 """A scan of twice as many points or more is matched first with every n-th of them, and with the map then with all, in
 few iterations and with near pairs: a point beyond the end of the map would be paired with that end, and pull the scan

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from evalkit.core import se2
+from evalkit.core.match import Match
 from evalkit.core.pose import Pose
-from evalkit.core.scan import Frame, Scan
+from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.core.world import World, closed_outline
 from evalkit_baselines.slam import paper_slam
 from evalkit_baselines.slam.continuity import Continuity
@@ -348,17 +349,20 @@ def test_what_lies_beyond_the_reach_of_the_map_fixes_nothing():
     assert (nothing.ratio, *nothing.direction) == (0.0, 1.0, 0.0)
 
 
+class Answers:
+    """An ICP that always answers the same."""
+
+    def __init__(self, pose):
+        self.match = Match(pose, True, 5, 0.01, 100)
+
+    def register(self, target, source, guess):
+        return self.match
+
+
 def test_an_icp_keeps_its_guess_along_a_bare_corridor_and_its_answer_across():
-    from evalkit.core.match import Match
-    from evalkit.core.scan import Cloud
-
-    class Icp:
-        def register(self, target, source, guess):
-            return Match(Pose(0.4, 0.3, 0.0), True, 5, 0.01, 100)
-
     along = np.column_stack([np.linspace(-6.0, 6.0, 200), np.ones(200)])
     cloud = Cloud(np.concatenate([along, along * [1.0, -1.0]]))
-    icp = ObservableIcp(Icp(), 0.5)
+    icp = ObservableIcp(Answers(Pose(0.4, 0.3, 0.0)), 0.5)
     answer = icp.register(cloud, cloud, Pose(1.0, 0.0, 0.0)).target_from_source
     assert answer.row == pytest.approx([1.0, 0.3, 0.0])
     icp.is_closed = True
@@ -366,18 +370,11 @@ def test_an_icp_keeps_its_guess_along_a_bare_corridor_and_its_answer_across():
 
 
 def test_a_wall_that_is_not_in_the_target_fixes_nothing():
-    from evalkit.core.match import Match
-    from evalkit.core.scan import Cloud
-
-    class Icp:
-        def register(self, target, source, guess):
-            return Match(Pose(0.0, 0.1, 0.0), True, 5, 0.01, 100)
-
     along = np.column_stack([np.linspace(-6.0, 6.0, 200), np.ones(200)])
     corridor = np.concatenate([along, along * [1.0, -1.0]])
     end = np.column_stack([np.full(30, 8.0), np.linspace(-1.0, 1.0, 30)])
     source = Cloud(np.concatenate([corridor, end]))
-    icp = ObservableIcp(Icp(), 0.3)
+    icp = ObservableIcp(Answers(Pose(0.0, 0.1, 0.0)), 0.3)
     for target, x in ((corridor, 0.5), (source.points, 0.0)):
         answer = icp.register(Cloud(target), source, Pose(0.5, 0.0, 0.0)).target_from_source
         assert answer.row == pytest.approx([x, 0.1, 0.0], abs=1e-6)
@@ -400,16 +397,9 @@ def test_a_round_room_leaves_the_turn_about_its_middle_open_and_a_square_one_non
 
 
 def test_an_icp_keeps_the_heading_of_its_guess_in_a_round_room_and_its_answer_for_the_middle():
-    from evalkit.core.match import Match
-    from evalkit.core.scan import Cloud
-
-    class Icp:
-        def register(self, target, source, guess):
-            return Match(Pose(0.4, 0.3, 0.5), True, 5, 0.01, 100)
-
     angles = np.linspace(-np.pi, np.pi, 200, endpoint=False)
     cloud = Cloud(np.column_stack([0.5 + 2.0 * np.cos(angles), -0.3 + 2.0 * np.sin(angles)]))
-    icp = ObservableIcp(Icp(), 1.0)
+    icp = ObservableIcp(Answers(Pose(0.4, 0.3, 0.5)), 1.0)
     pose = icp.register(cloud, cloud, Pose(5.0, 6.0, -0.2)).target_from_source
     assert pose.theta == pytest.approx(-0.2)
     middle = np.array([[0.5, -0.3]])
