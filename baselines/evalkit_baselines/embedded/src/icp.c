@@ -537,11 +537,20 @@ static void weigh_within(size_t padded, ek_real limit, const ek_real *EK_RESTRIC
     }
 }
 
+/* Whether one distance is smaller, of distances or of their squares: two squares may have the same root. */
+static inline int is_closer(ek_real one, ek_real other, int squared)
+{
+    if (squared && one < other && one > ROUNDED_DOWN * other) {
+        return EK_SQRT(one) < EK_SQRT(other);
+    }
+    return one < other;
+}
+
 /* Of several source points with the same target point, set the weights of all but the closest to 0, of equals of all but
  * the first. `owner` is at first the first source point of each target point; only the later ones, which are few, are
  * compared. No loop has a branch that a processor would have to predict. */
 static void keep_closest(size_t padded, const uint32_t *EK_RESTRICT nearest, const ek_real *EK_RESTRICT distance,
-                         uint32_t *EK_RESTRICT owner, uint32_t *EK_RESTRICT later, ek_real *EK_RESTRICT weight)
+                         int squared, uint32_t *EK_RESTRICT owner, uint32_t *EK_RESTRICT later, ek_real *EK_RESTRICT weight)
 {
     size_t count = 0u;
     for (size_t i = padded; i > 0u; i -= EK_LANES) {
@@ -557,7 +566,7 @@ static void keep_closest(size_t padded, const uint32_t *EK_RESTRICT nearest, con
     }
     for (size_t k = 0; k < count; k++) {
         const uint32_t i = later[k], rival = owner[nearest[i]];
-        const uint32_t closer = 0u - (uint32_t)(distance[i] < distance[rival]), swap = (i ^ rival) & closer;
+        const uint32_t closer = 0u - (uint32_t)is_closer(distance[i], distance[rival], squared), swap = (i ^ rival) & closer;
         owner[nearest[i]] = rival ^ swap;
         weight[i ^ swap] = EK_R(0.0);
     }
@@ -567,7 +576,7 @@ static void keep_closest(size_t padded, const uint32_t *EK_RESTRICT nearest, con
 static int32_t select_pairs(const ek_icp *icp, size_t padded, const ek_real *distance, int one_to_one)
 {
     if (one_to_one) {
-        keep_closest(padded, icp->nearest, distance, icp->owner, icp->stale, icp->weight);
+        keep_closest(padded, icp->nearest, distance, distance == icp->slack, icp->owner, icp->stale, icp->weight);
     }
     return (int32_t)ek_fit_count(icp->weight, padded, icp->wide);
 }

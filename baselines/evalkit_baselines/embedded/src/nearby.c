@@ -125,6 +125,9 @@ int ek_index_nearby(const ek_index *index, const ek_real x[EK_GROUP], const ek_r
                            (edges.left < places.left ? edges.left : places.left);
     const ek_real up = (edges.top > places.top ? edges.top : places.top) -
                        (edges.bottom < places.bottom ? edges.bottom : places.bottom);
+    if (!(across + up > EK_R(0.0))) {
+        return 0; /* far away, cells are smaller than the distance between two numbers */
+    }
     const ek_real rounding = ROUNDING * (across + up) + index->cells.margin;
     const float scale = LARGEST / (float)((across + up) * (across + up)), per = 1.0f / scale;
     if (EK_IF_WIDE(wide)) {

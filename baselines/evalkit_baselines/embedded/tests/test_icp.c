@@ -1,5 +1,6 @@
 #include "check.h"
 #include "ek/icp.h"
+#include "ek/wide.h"
 
 #define SIDE 70u /* points per wall */
 #define ROUND 200u
@@ -134,6 +135,27 @@ static void of_rivals_the_closest_counts(void)
     CHECK_NEAR(match.error, 0.1, TOLERANCE);
 }
 
+/* The square of the first distance is 1 + 2^-52 (2^-23), its root 1 like that of the second; whether places are searched in
+ * groups, which compares squares, or singly, which compares distances. */
+static void of_rivals_whose_squares_alone_differ_the_first_counts(void)
+{
+    const ek_real target[] = {EK_R(0), EK_R(0), EK_R(5), EK_R(0)};
+    const ek_real source[] = {EK_R(1), EK_SQRT(EK_EPSILON), EK_R(1), EK_R(0), EK_R(5), EK_R(0)};
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    ek_icp_parameters parameters = ek_icp_default();
+    parameters.max_iterations = 1;
+    parameters.min_pairs = 2;
+    parameters.max_correspondence = EK_R(2.0);
+    CHECK(ek_index_build(&reference, target, 2u) == EK_OK);
+    for (int grouped = 0; grouped < 2; grouped++) {
+        ek_match match;
+        icp.grouped = grouped && EK_GROUPED;
+        CHECK(ek_icp_register(&icp, &reference, source, 3u, identity, &parameters, NULL, NULL, &match) == EK_OK);
+        CHECK(match.inliers == 2 && icp.weight[0] == EK_R(1.0) && icp.weight[1] == EK_R(0.0));
+    }
+    icp.grouped = EK_GROUPED;
+}
+
 /* Hot loops run over a multiple of eight points: the others neither count nor cost a search, whatever was there before. */
 static void padding_takes_no_part(void)
 {
@@ -227,6 +249,7 @@ int main(void)
     a_trace_sees_every_step(1, EK_ERROR_MEAN_SQUARED);
     padding_takes_no_part();
     of_rivals_the_closest_counts();
+    of_rivals_whose_squares_alone_differ_the_first_counts();
     too_few_pairs_give_the_guess();
     a_limit_beyond_all_is_no_limit();
     bad_input_is_named();

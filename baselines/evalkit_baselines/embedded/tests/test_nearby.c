@@ -153,6 +153,25 @@ static void a_registration_is_the_same(uint64_t *seed, int lattice)
     free(arena.memory);
 }
 
+/* In single precision cells of 1 mm have no width there. */
+static void far_away_nothing_is_found_in_groups_but_singly(void)
+{
+    const ek_real one[] = {-EK_MAX_COORDINATE, -EK_MAX_COORDINATE};
+    ek_real x[EK_GROUP], y[EK_GROUP];
+    ek_nearby found;
+    for (size_t lane = 0; lane < EK_GROUP; lane++) {
+        x[lane] = y[lane] = -EK_MAX_COORDINATE;
+    }
+    ek_index far;
+    ek_arena arena = memory_of(4096u);
+    CHECK(ek_index_init(&far, &arena, 1u, 16u) == EK_OK && ek_index_build(&far, one, 1u) == EK_OK);
+    CHECK_NEAR(far.cells.cell, 1e-3, 1e-9);
+    const int near = ek_index_nearby(&far, x, y, EK_R(1e-3), ek_is_wide(), &found);
+    CHECK(near ? found.slot[0][0] == 0u && sizeof(ek_real) > 4u : sizeof(ek_real) == 4u);
+    CHECK(ek_index_nearest(&far, x[0], y[0], EK_R(1.0), EK_R(1.0)).slot == 0u);
+    free(arena.memory);
+}
+
 int main(void)
 {
     uint64_t seed = 5u;
@@ -169,6 +188,7 @@ int main(void)
         a_registration_is_the_same(&seed, lattice);
     }
     too_many_points_are_not_searched();
+    far_away_nothing_is_found_in_groups_but_singly();
     free(arena.memory);
     return verdict();
 }
