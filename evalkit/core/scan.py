@@ -107,12 +107,15 @@ class Cloud:
     """Points (N, 2) in metres in a named frame; never nan or inf; may be empty.
 
     ``support`` (N,): of how many measured points each is the mean, 1 or more, as in a map of voxels; None: of one
-    each, or unknown.
+    each, or unknown. ``seen_from`` (N, 2): the mean of the unit vectors from these to where they were seen from; None:
+    unknown. ``origin`` (2,): where the points of a scan were seen from (m); None: unknown.
     """
 
     points: Floats
     frame: str = "base"
     support: Ints | None = None
+    seen_from: Floats | None = None
+    origin: Floats | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "points", np.reshape(self.points, (0, 2)) if np.size(self.points) == 0 else self.points, (None, 2))
@@ -124,6 +127,11 @@ class Cloud:
             freeze(self, "support", given, (len(self.points),), np.int64)
             if (self.support < 1).any() or (self.support != given).any():
                 raise ValueError(f"support: expected whole numbers from 1 on, got {given.min()} to {given.max()}")
+        for name, vectors, shape in (("seen_from", self.seen_from, (len(self), 2)), ("origin", self.origin, (2,))):
+            if vectors is not None:
+                freeze(self, name, vectors, shape)
+                if not np.isfinite(vectors).all():
+                    raise ValueError(f"{name}: not finite")
 
     def __len__(self) -> int:
         return len(self.points)

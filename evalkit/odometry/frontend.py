@@ -225,7 +225,8 @@ class FrontEnd:
             points = select_near(points, self._settings.local_radius_m)
         if self._settings.source_voxel_m > 0.0:
             points = voxel_means(points, self._settings.source_voxel_m)
-        return Cloud(points, "base")
+        mount = frame.base_from_sensor
+        return Cloud(points, "base", origin=np.array([mount.x, mount.y]))
 
     def _register(
         self, stage: Stage, target: Cloud, source: Cloud, guess: Pose, registration: Registration | None = None

@@ -51,34 +51,39 @@ class VoxelMap:
     """One lasting map of all keyframes, one mean per square voxel: revisited places are matched where first seen.
 
     A voxel takes no more points once it has ``max_points``, so that later visits, which drift, do not move the map.
+    ``keeps_views``: the cloud says from where its points were seen (``Cloud.seen_from``).
     """
 
-    def __init__(self, voxel_m: float, radius_m: float, max_points: int = 20) -> None:
+    def __init__(self, voxel_m: float, radius_m: float, max_points: int = 20, keeps_views: bool = False) -> None:
         if not voxel_m > 0.0:
             raise BadParameter(
                 "front end", "local_map_voxel_m", voxel_m, "a positive number: a lasting map consists of voxels"
             )
         self._voxel_m, self._radius_m, self._max_points = voxel_m, radius_m, max_points
+        self._keeps_views = keeps_views
         self._index: dict[int, int] = {}
-        self._sums = np.zeros((1024, 2))
+        self._sums = np.zeros((1024, 4))  # of the points, and of the unit vectors to where they were seen from
         self._counts = np.zeros(1024, dtype=np.int64)
         self._cloud: Cloud | None = None
         self._centre = Pose()
 
     def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
         """Add a keyframe's points (N, 2) of the base frame."""
-        del base_from_sensor
-        self.collect(points, start_from_base)
+        self.collect(points, start_from_base, base_from_sensor)
         self._cloud = None
 
-    def collect(self, points: Floats, start_from_base: Pose) -> None:
+    def collect(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
         """Add points (N, 2) of the base frame, shown by ``cloud`` after the next ``add`` or a move."""
         moved = start_from_base.transform(points)
+        added = moved
+        if self._keeps_views:
+            sensor = start_from_base @ base_from_sensor
+            added = np.column_stack([moved, _directions(np.array([sensor.x, sensor.y]) - moved)])
         keys, inverse, counts = np.unique(_keys(moved, self._voxel_m), return_inverse=True, return_counts=True)
         slots = self._slots(keys)
         open_ = self._counts[slots] < self._max_points
-        for axis in (0, 1):
-            sums = np.bincount(inverse, weights=moved[:, axis], minlength=len(keys))
+        for axis in range(added.shape[1]):
+            sums = np.bincount(inverse, weights=added[:, axis], minlength=len(keys))
             self._sums[slots[open_], axis] += sums[open_]
         self._counts[slots[open_]] += counts[open_]
 
@@ -87,9 +92,10 @@ class VoxelMap:
         moved_on = np.hypot(near.x - self._centre.x, near.y - self._centre.y) > 0.1 * self._radius_m
         if self._cloud is None or moved_on:
             used = len(self._index)
-            means = self._sums[:used] / self._counts[:used, None]
+            means, counts = self._sums[:used] / self._counts[:used, None], self._counts[:used]
             inside = np.hypot(means[:, 0] - near.x, means[:, 1] - near.y) <= self._radius_m
-            self._cloud, self._centre = Cloud(means[inside], "start", self._counts[:used][inside]), near
+            seen_from = means[inside, 2:] if self._keeps_views else None
+            self._cloud, self._centre = Cloud(means[inside, :2], "start", counts[inside], seen_from), near
         return self._cloud
 
     def _slots(self, keys: Ints) -> Ints:
@@ -126,6 +132,12 @@ class GridMap:
             inside = np.hypot(centres[:, 0] - near.x, centres[:, 1] - near.y) <= self._radius_m
             self._cloud = Cloud(centres[inside], "start")
         return self._cloud
+
+
+def _directions(vectors: Floats) -> Floats:
+    """Return vectors (N, 2) at length 1; a vector of length 0 stays."""
+    length = np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
+    return np.asarray(np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0) * vectors)
 
 
 def _keys(points: Floats, size_m: float) -> Ints:

@@ -59,12 +59,22 @@ def room(n, rng, noise_m=0.02):
 
 
 def scans(seed):
-    """Return a local map, a scan of it, and a guess that is some centimetres and degrees off."""
+    """Return a local map, a scan of it, and a guess that is some centimetres and degrees off.
+
+    A fifth of the map's points were seen from outside the room: they have no pairs by metric "line".
+    """
     rng = np.random.default_rng(seed)
     truth = Pose(*rng.normal(0.0, [0.5, 0.5, 0.5]))
     source = truth.inverse().transform(room(900, rng))
-    target = Cloud(room(3000, rng), support=rng.integers(1, 40, 3000))  # counts with share_noise alone
-    return target, Cloud(source), truth @ Pose(*rng.normal(0.0, [0.08, 0.08, 0.04]))
+    points, origin = room(3000, rng), np.array([-0.3, 0.2])
+    inwards = truth.transform(origin[None]) - points
+    inwards *= np.random.default_rng(seed + 100).choice([1.0, -1.0], (3000, 1), p=[0.8, 0.2]) / np.linalg.norm(
+        inwards, axis=1, keepdims=True
+    )
+    target = Cloud(
+        points, support=rng.integers(1, 40, 3000), seen_from=inwards
+    )  # support counts with share_noise alone
+    return target, Cloud(source, origin=origin), truth @ Pose(*rng.normal(0.0, [0.08, 0.08, 0.04]))
 
 
 def assert_close(found, twin, metres=SAME, radians=SAME):

@@ -210,6 +210,24 @@ def test_the_cauchy_weight_reduces_the_influence_of_a_displaced_third():
     assert abs(robust.target_from_source.x) < 0.5 * abs(plain.target_from_source.x)
 
 
+@pytest.mark.parametrize(("seen", "viewer", "behind"), [(-1.0, 2.0, True), (1.0, 2.0, False), (-1.0, -2.0, False)])
+def test_a_face_of_a_thin_wall_has_no_pairs_with_the_other_face(seen, viewer, behind):
+    """The lower face, y = 0, is in the map alone; a scan sees the upper one, y = 0.1, ``viewer`` m above the lower."""
+    along = np.linspace(-3.0, 3.0, 61)
+    ceiling, lower = (np.column_stack([along, np.full(61, y)]) for y in (4.0, 0.0))
+    sides = np.concatenate([np.column_stack([np.full(61, x), along + 3.5]) for x in (-3.0, 3.0)])
+    room = Cloud(
+        np.concatenate([ceiling, sides, lower]),
+        seen_from=np.repeat([[0.0, np.sign(viewer)], [0.0, seen]], [183, 61], axis=0),
+    )
+    base = Pose(0.5, -1.0, 0.2)  # below the wall: the lidar is not at the base
+    points, origin = (base.inverse().transform(each) for each in (room.points, np.array([[0.0, viewer]])))
+    points[-61:] = base.inverse().transform(lower + np.array([0.0, 0.1]))
+    match = Icp(metric="line", epsilon=1e-9, one_to_one=False).register(room, Cloud(points, origin=origin[0]), base)
+    away = match.target_from_source.y - base.y
+    assert abs(away) < 1e-6 if behind else away < -0.03
+
+
 def test_pairs_with_the_same_target_point_share_its_noise():
     onto = np.array([0, 1, 0, 0])
     assert share_noise(onto, Cloud([[0.0, 0.0], [1.0, 0.0]])) == pytest.approx([0.25, 0.5, 0.25, 0.25])

@@ -95,6 +95,19 @@ def test_a_persistent_map_that_never_settles_is_the_voxel_mean_of_all_points():
     np.testing.assert_allclose(sort_points(points), sort_points(voxel_means(batches.reshape(-1, 2), 0.5)), atol=1e-8)
 
 
+def test_a_map_that_keeps_views_says_from_where_its_points_were_seen():
+    lasting, turned = VoxelMap(1.0, 10.0, keeps_views=True), Pose(0.5, 0.5, np.pi / 2)
+    points = np.array([[0.0, 2.0], [0.0, -2.0], [3.0, 4.0]])
+    for sensor in (Pose(), Pose(3.0, -2.0, 1.0)):
+        lasting.add(points, turned, sensor)
+    cloud = lasting.cloud(Pose())
+    order = [int(np.argmin(np.hypot(*(cloud.points - place).T))) for place in turned.transform(points)]
+    np.testing.assert_allclose(cloud.seen_from[order], [[0.9, 0.3], [-0.5, 0.5], [0.9, -0.3]])  # means of both, turned
+    lasting.add(np.array([[0.0, 2.0]]), turned, Pose(0.0, 2.0, 0.0))  # from where it is: no direction
+    np.testing.assert_allclose(lasting.cloud(Pose()).seen_from[order[0]], [0.6, 0.2])
+    assert VoxelMap(1.0, 10.0).cloud(Pose()).seen_from is None
+
+
 def test_only_voxels_within_the_radius_are_matched():
     lasting = VoxelMap(0.1, 2.0)
     lasting.add(np.array([[0.05, 0.05], [1.95, 0.05], [2.45, 0.05]]), Pose())

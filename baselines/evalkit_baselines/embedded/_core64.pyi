@@ -30,11 +30,18 @@ class Index:
     """Immutable index for exact nearest neighbours among points (N, 2) in metres.
 
     For ``lines``, with normals from the given number of neighbours, computed when needed; for many registrations, with
-    a table of so many tiles; ``support`` (N,): of how many points each is the mean, 1 or more.
+    a table of so many tiles; ``support`` (N,): of how many points each is the mean, 1 or more; ``seen_from`` (N, 2):
+    the mean of the unit vectors from these to where they were seen from.
     """
 
     def __init__(
-        self, points: Array, neighbours: int = 0, *, table: int = 0, support: NDArray[np.uint32] | None = None
+        self,
+        points: Array,
+        neighbours: int = 0,
+        *,
+        table: int = 0,
+        support: NDArray[np.uint32] | None = None,
+        seen_from: Array | None = None,
     ) -> None: ...
     def __len__(self) -> int: ...
 
@@ -59,10 +66,16 @@ class Icp:
         share_noise: bool = False,
     ) -> None: ...
     def register(
-        self, target: Index, source: Array, guess: Row, trace: bool = False
+        self,
+        target: Index,
+        source: Array,
+        guess: Row,
+        trace: bool = False,
+        *,
+        origin: tuple[float, float] | None = None,
     ) -> tuple[Row, bool, int, float, int, Sequence[tuple[float, int, Row, NDArray[np.int64]]]]:
         """``target_from_source``, converged, iterations, error (m), inliers; if traced, for each iteration the error
-        (in the unit of the stop rule), inliers, pose and pairs (K, 2)."""
+        (in the unit of the stop rule), inliers, pose and pairs (K, 2). The source was seen from ``origin`` (m)."""
 
 class Grid:
     """Log-odds occupancy grid (ek/grid.h); ``polygon``: cells inside the outline of a scan, not along its beams."""

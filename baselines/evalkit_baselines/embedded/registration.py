@@ -57,8 +57,9 @@ class CompiledIcp:
         index = self._recent.get(target, lambda cloud: self._index(cloud, conversion))
         with conversion:
             points = to_real(source.points, self._core)
+            origin = None if source.origin is None else (source.origin[0], source.origin[1])
         row, converged, iterations, error, inliers, history = self._icp.register(
-            index, points, (guess.x, guess.y, guess.theta), self._trace
+            index, points, (guess.x, guess.y, guess.theta), self._trace, origin=origin
         )
         with conversion:
             trace = tuple(self._iteration(*one) for one in history)
@@ -71,7 +72,8 @@ class CompiledIcp:
             support = target.support
             if support is not None:  # the core has 32 bits, and counts no more than this
                 support = np.minimum(support, icp.MAX_SUPPORT).astype(np.uint32)
-        return self._core.Index(points, self._neighbours, support=support)
+            seen_from = None if target.seen_from is None else to_real(target.seen_from, self._core)
+        return self._core.Index(points, self._neighbours, support=support, seen_from=seen_from)
 
     def _iteration(self, error: float, inliers: int, row: tuple[float, float, float], pairs: Any) -> Iteration:
         return Iteration(math.sqrt(error) if self._squared else error, inliers, Pose(*row), pairs)

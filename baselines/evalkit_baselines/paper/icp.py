@@ -15,7 +15,9 @@ eq.   printed                here                             taken literally
                              target's frame                   left it throws the pose away once the heading is not 0
 ====  =====================  ===============================  ======================================================
 
-Not in the paper, and off by default: ``metric="line"``, the distance to the wall instead of to the point.
+Not in the paper, and off by default: ``metric="line"``, the distance to the wall instead of to the point. There a pair
+with a target point that was seen from the other side of its wall (``Cloud.seen_from``, ``origin``) is none: thin walls
+have two faces.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from evalkit.core import se2
-from evalkit.core.arrays import Ints
+from evalkit.core.arrays import Bools, Ints
 from evalkit.core.match import Iteration, Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -40,6 +42,12 @@ if TYPE_CHECKING:
 
 MAX_SUPPORT = 20
 """Points of a mean that count in ``share_noise``: the points of one scan share the error of its pose."""
+
+CLEAR_VIEW = 0.1
+"""Share across its line of the directions that a target point was seen from: a smaller one is of no side."""
+
+CLEAR_LOOK = 0.02
+"""The same for the direction to where the source was seen from."""
 
 Target: TypeAlias = "tuple[cKDTree, Floats | None]"  # with the normals (M, 2) of metric "line"
 
@@ -91,10 +99,11 @@ class Icp:
         tree, normals = self._recent.get(target, self._index)
         association = Association(tree, len(source), self.max_correspondence_m or math.inf)
         pose = guess.row
+        viewer = None if source.origin is None else guess.transform(source.origin[None])[0]
         moved = se2.transform(pose, source.points)
         previous, converged = math.inf, False
         while len(history) < self.max_iterations and not converged:
-            at, onto = self._pairs(association, moved, len(target))
+            at, onto = self._pairs(association, moved, target, normals, viewer)
             if len(at) < self.min_pairs:
                 return Match(guess, False, len(history), math.nan, len(at), tuple(history))
             goal = target.points.take(onto, axis=0)  # take is several times faster than indexing
@@ -117,12 +126,16 @@ class Icp:
         tree = cKDTree(target.points, leafsize=16, balanced_tree=False)  # fastest to build, and queries are not slower
         return tree, line_normals(tree, self.line_neighbours) if self.metric == "line" else None
 
-    def _pairs(self, association: Association, moved: Floats, targets: int) -> tuple[Ints, Ints]:
+    def _pairs(
+        self, association: Association, moved: Floats, target: Cloud, normals: Floats | None, viewer: Floats | None
+    ) -> tuple[Ints, Ints]:
         """Return the indices into source (K,), ascending, and target (K,)."""
         nearest, distance = association.find(moved)  # eq. 2
         at = np.flatnonzero(np.isfinite(distance))
+        if normals is not None and target.seen_from is not None and viewer is not None:
+            at = at[~_seen_from_behind(nearest[at], target, normals, viewer)]
         if self.one_to_one:
-            at = at[select_closest(nearest[at], distance[at], targets)]
+            at = at[select_closest(nearest[at], distance[at], len(target))]
         return at, nearest[at]
 
     def _shares(self, onto: Ints, target: Cloud) -> Floats | None:
@@ -190,6 +203,15 @@ def share_noise(onto: Ints, target: Cloud) -> Floats:
     pairs = np.bincount(onto, minlength=len(target))
     points = np.ones(len(target)) if target.support is None else np.minimum(target.support, MAX_SUPPORT)
     return np.asarray(1.0 / (1.0 + pairs / points))[onto]
+
+
+def _seen_from_behind(onto: Ints, target: Cloud, normals: Floats, viewer: Floats) -> Bools:
+    """Return which of the target points ``onto`` (K,) were seen from the other side of their lines than ``viewer``."""
+    assert target.seen_from is not None
+    facing, look = normals[onto], viewer - target.points[onto]
+    seen, across = ((facing * vectors).sum(axis=1) for vectors in (target.seen_from[onto], look))
+    clear = (np.abs(seen) > CLEAR_VIEW) & (across**2 > CLEAR_LOOK**2 * (look * look).sum(axis=1))
+    return np.asarray(clear & ((seen < 0.0) != (across < 0.0)))
 
 
 def line_normals(tree: cKDTree, neighbours: int) -> Floats:

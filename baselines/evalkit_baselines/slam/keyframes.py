@@ -14,6 +14,7 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.pose import Pose
 from evalkit.core.pose_graph import PoseGraph
 from evalkit.core.se2 import Floats
+from evalkit.odometry.local_map import ORIGIN
 from evalkit_baselines.slam.match_doubt import Doubt
 from evalkit_baselines.slam.observability import ALL_OPEN, BLIND, ROOM_RATIO, Openness, measure_openness
 
@@ -77,14 +78,16 @@ class Edge:
 class Keyframes:
     """Keyframes in the order of time. ``poses[k]`` is ``start_from_keyframe``, corrected; the first is the identity.
 
-    ``clouds[k]`` (N, 2): points in the keyframe's frame (m). ``path_m[k]``: driven distance. ``sections[k]``: number of
-    the part of the drive without a lost track. ``kinds[k]``: of the step to a keyframe.
+    ``clouds[k]`` (N, 2): points in the keyframe's frame (m), seen by a lidar at the pose ``mounts[k]`` in it.
+    ``path_m[k]``: driven distance. ``sections[k]``: number of the part of the drive without a lost track. ``kinds[k]``:
+    of the step to a keyframe.
     """
 
     drift: DriftModel
     reach_m: float = math.inf  # points farther from a keyframe are not matched
     stamps_ns: list[int] = field(default_factory=list)
     clouds: list[Floats] = field(default_factory=list)
+    mounts: list[Pose] = field(default_factory=list)
     path_m: list[float] = field(default_factory=list)
     sections: list[int] = field(default_factory=list)
     kinds: list[Step] = field(default_factory=list)
@@ -118,6 +121,7 @@ class Keyframes:
         last_from_keyframe: Pose,
         kind: Step = Step.MATCHED,
         doubt: Doubt = NO_DOUBT,
+        mount: Pose = ORIGIN,
     ) -> None:
         """Add a keyframe by its motion from the last one."""
         row, length = len(self), math.hypot(last_from_keyframe.x, last_from_keyframe.y)
@@ -136,6 +140,7 @@ class Keyframes:
         self._openness = (self._openness[1], openness)
         self.stamps_ns.append(stamp_ns)
         self.clouds.append(points)
+        self.mounts.append(mount)
         self.path_m.append((self.path_m[-1] if row else 0.0) + length)
         self.sections.append((self.sections[-1] if row else 0) + (kind is not Step.MATCHED))
         self.kinds.append(kind)

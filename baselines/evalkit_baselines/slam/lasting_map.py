@@ -24,10 +24,11 @@ REBUILT_EVERY_M = 5.0
 
 
 class NewKeyframe(NamedTuple):
-    """Points (N, 2) of a keyframe in the base frame, and its pose ``odom_from_base``."""
+    """Points (N, 2) of a keyframe in the base frame, its pose ``odom_from_base``, and that of the lidar on the base."""
 
     points: Floats
     odom_from_base: Pose
+    base_from_sensor: Pose
 
 
 class LastingMap:
@@ -40,7 +41,7 @@ class LastingMap:
 
     def __init__(self, keyframes: Keyframes, voxel_m: float, radius_m: float, reach_m: float) -> None:
         self._keyframes, self._voxel_m, self._radius_m, self._reach_m = keyframes, voxel_m, radius_m, reach_m
-        self._voxels = VoxelMap(voxel_m, radius_m, MAX_VOXEL_POINTS)
+        self._voxels = VoxelMap(voxel_m, radius_m, MAX_VOXEL_POINTS, keeps_views=True)
         self._built_at_m = 0.0
         self._around: tuple[Cloud, Cloud] | None = None  # the last cloud of the voxels, and the same in ``odom``
         self._waiting: NewKeyframe | None = None
@@ -48,16 +49,15 @@ class LastingMap:
 
     def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
         """Hold a keyframe until ``take`` returns it; the front end's start frame is ``odom`` here."""
-        del base_from_sensor  # the points alone matter
-        self._waiting = NewKeyframe(points, start_from_base)
+        self._waiting = NewKeyframe(points, start_from_base, base_from_sensor)
 
-    def add_between(self, points: Floats, odom_from_base: Pose) -> None:
+    def add_between(self, points: Floats, odom_from_base: Pose, base_from_sensor: Pose) -> None:
         """Draw a scan (N, 2) between two keyframes; ``rebuild`` leaves it out.
 
         Near the end of the map, where few scans have seen a wall, its points are noisy, and a scan matched with them is
         off to one side.
         """
-        self._voxels.collect(points, _GRID_FROM_ODOM @ odom_from_base)
+        self._voxels.collect(points, _GRID_FROM_ODOM @ odom_from_base, base_from_sensor)
 
     def take(self) -> NewKeyframe | None:
         """Return the keyframe that the last scan became, if any, once."""
@@ -68,8 +68,10 @@ class LastingMap:
         """Return the voxel means (K, 2) around a pose in ``odom``."""
         cloud = self._voxels.cloud(_GRID_FROM_ODOM @ near)
         if self._around is None or self._around[0] is not cloud:
-            means = _GRID_FROM_ODOM.inverse().transform(cloud.points)
-            self._around = cloud, Cloud(means, cloud.frame, cloud.support)
+            odom_from_grid = _GRID_FROM_ODOM.inverse()  # a turn: for directions too
+            seen_from = None if cloud.seen_from is None else odom_from_grid.transform(cloud.seen_from)
+            means = odom_from_grid.transform(cloud.points)
+            self._around = cloud, Cloud(means, cloud.frame, cloud.support, seen_from)
         return self._around[1]
 
     def extend(self) -> None:
@@ -84,7 +86,7 @@ class LastingMap:
         """Draw all keyframes that belong to the map at their poses of now, the oldest first."""
         keyframes = self._keyframes
         last = len(keyframes) - 1
-        self._voxels = VoxelMap(self._voxel_m, self._radius_m, MAX_VOXEL_POINTS)
+        self._voxels = VoxelMap(self._voxel_m, self._radius_m, MAX_VOXEL_POINTS, keeps_views=True)
         self._built_at_m = keyframes.path_m[last]
         gap = keyframes.poses[:, :2] - keyframes.poses[last, :2]
         near = np.hypot(gap[:, 0], gap[:, 1]) <= 2.0 * self._radius_m
@@ -93,4 +95,5 @@ class LastingMap:
 
     def _draw(self, row: int) -> None:
         pose = self.odom_from_start @ self._keyframes.pose(row)
-        self._voxels.add(self._keyframes.clouds[row], _GRID_FROM_ODOM @ pose)
+        mount = self._keyframes.mounts[row]
+        self._voxels.add(self._keyframes.clouds[row], _GRID_FROM_ODOM @ pose, mount)

@@ -184,13 +184,13 @@ class PaperSlam:
             fits = self._doubt.observe(last, predicted if measured else None, pose, match, hits)
         keyframe = self._map.take()
         self._hits = hits if keyframe else self._hits
-        new = keyframe or (NewKeyframe(points, pose) if lost else None)
+        new = keyframe or (NewKeyframe(points, pose, frame.base_from_sensor) if lost else None)
         if new is not None:
-            new = NewKeyframe(voxel_means(new.points, _STORED_VOXEL_M), new.odom_from_base)
+            new = new._replace(points=voxel_means(new.points, _STORED_VOXEL_M))
             kind = Step.MATCHED if not lost else Step.MEASURED if measured else Step.UNKNOWN
             self._insert(frame.scan.stamp_ns, new, wheels, kind, predicted if kind is Step.MEASURED else pose)
         elif fits and not uneven:
-            self._map.add_between(points, pose)
+            self._map.add_between(points, pose, frame.base_from_sensor)
         return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
 
     def _is_closed(self, hits: int, predicted: Pose) -> bool:
@@ -253,7 +253,7 @@ class PaperSlam:
         known = kind is Step.MATCHED
         last = Pose.of(self._odom_from_keyframe[-1]) if self._odom_from_keyframe else odom_from_base
         motion = last.inverse() @ odom_from_base
-        self._keyframes.add(stamp_ns, new.points, motion, kind, self._doubt.take())
+        self._keyframes.add(stamp_ns, new.points, motion, kind, self._doubt.take(), new.base_from_sensor)
         self._odom_from_keyframe.append(new.odom_from_base.row)
         if known and wheels is not None and self._wheels is not None and self._keyframes.is_last_step_seen():
             self._scale.observe(motion, self._wheels.inverse() @ wheels)

@@ -127,6 +127,8 @@ class SecondTry:
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``."""
+        if self._predicted is not None:  # the guess may be off by more than a wall is thick
+            source = replace(source, origin=None)
         wide, narrow = (self._stage == 0 and self.scan_to_scan) or (self.wide, self.narrow)
         first = wide.register(target, source, guess)
         self._stage += 1
@@ -167,7 +169,7 @@ def is_large(cloud: Cloud) -> bool:
 def take_part(cloud: Cloud, enough: int) -> Cloud:
     """Return every n-th point, so that ``enough`` are left, and less than twice as many; all of a small cloud."""
     every = len(cloud) // enough
-    return Cloud(cloud.points[::every], cloud.frame) if every > 1 else cloud
+    return Cloud(cloud.points[::every], cloud.frame, origin=cloud.origin) if every > 1 else cloud
 
 
 def _is_close(guess: Pose, answer: Pose) -> bool:

@@ -17,8 +17,10 @@ NB_MODULE(CORE, module)
     module.def("defaults", &defaults);
 
     nb::class_<Index>(module, "Index")
-        .def(nb::init<const Points &, int64_t, int64_t, const std::optional<Counts> &>(), "points"_a.noconvert(),
-             "neighbours"_a = 0, nb::kw_only(), "table"_a = 0, "support"_a.noconvert() = nb::none())
+        .def(nb::init<const Points &, int64_t, int64_t, const std::optional<Counts> &,
+                      const std::optional<Points> &>(), "points"_a.noconvert(),
+             "neighbours"_a = 0, nb::kw_only(), "table"_a = 0, "support"_a.noconvert() = nb::none(),
+             "seen_from"_a.noconvert() = nb::none())
         .def("__len__", [](const Index &index) { return index.index().count; });
 
     module.def("normals", &normals, "points"_a.noconvert(), "neighbours"_a, "radius"_a);
@@ -27,7 +29,8 @@ NB_MODULE(CORE, module)
         .def(nb::init<double, int64_t, int64_t, bool, bool, double, int64_t, bool, double, bool>(), nb::kw_only(), "epsilon"_a,
              "max_iterations"_a, "error"_a, "error_before"_a, "one_to_one"_a, "max_correspondence"_a, "min_pairs"_a,
              "lines"_a = false, "cauchy"_a = 0.0, "share_noise"_a = false)
-        .def("register", &Icp::answer, "target"_a, "source"_a.noconvert(), "guess"_a, "trace"_a = false);
+        .def("register", &Icp::answer, "target"_a, "source"_a.noconvert(), "guess"_a, "trace"_a = false,
+             nb::kw_only(), "origin"_a = nb::none());
 
     nb::class_<Grid>(module, "Grid")
         .def(nb::init<double, double, double, double, double, double, const Extent &, bool, double>(), nb::kw_only(),

@@ -15,7 +15,9 @@ class Index {
 public:
     // With neighbours (2 or more) also the normals of the points, each computed when a registration needs it; with tiles
     // (1 or more) a table of neighbours. Registrations with either take turns. Support: of how many points each is the mean.
-    Index(const Points &points, int64_t neighbours, int64_t tiles = 0, const std::optional<Counts> &support = {})
+    // Seen from: the mean of the unit vectors (N, 2) from these to where they were seen from.
+    Index(const Points &points, int64_t neighbours, int64_t tiles = 0, const std::optional<Counts> &support = {},
+          const std::optional<Points> &seen_from = {})
     {
         constexpr std::size_t cells_per_point = 16, max_cells = std::size_t{1} << 18; // as in the core's front end
         constexpr std::size_t blocks_per_tile = 6;
@@ -26,6 +28,9 @@ public:
         }
         if (support && support->shape(0) != points.shape(0)) {
             throw std::invalid_argument("support: points and their counts differ in number");
+        }
+        if (seen_from && seen_from->shape(0) != points.shape(0)) {
+            throw std::invalid_argument("seen_from: points and their directions differ in number");
         }
         const nb::gil_scoped_release others_may_run;
         const std::size_t room = std::max<std::size_t>(points.shape(0), 1);
@@ -44,6 +49,10 @@ public:
             support_.assign(support->data(), support->data() + support->shape(0));
             index_.support = support_.data();
         }
+        if (seen_from) {
+            seen_from_.assign(start_of(*seen_from), start_of(*seen_from) + 2 * points.shape(0));
+            index_.seen_from = seen_from_.data();
+        }
     }
 
     const ek_index &index() const { return index_; }
@@ -58,7 +67,7 @@ private:
     ek_index index_ = {};
     ek_table table_ = {};
     Memory memory_;
-    std::vector<ek_real> normals_;
+    std::vector<ek_real> normals_, seen_from_;
     std::vector<uint32_t> support_;
     mutable std::mutex mutex_;
 };
@@ -114,7 +123,9 @@ public:
         require(ek_icp_check(&parameters_), "parameters");
     }
 
-    nb::tuple answer(const Index &target, const Points &source, const Row &guess, bool trace)
+    // Origin: where the source was seen from, x y in its frame.
+    nb::tuple answer(const Index &target, const Points &source, const Row &guess, bool trace,
+                     const std::optional<std::tuple<double, double>> &origin)
     {
         ek_match match;
         std::vector<Iteration> history;
@@ -122,6 +133,9 @@ public:
             const nb::gil_scoped_release others_may_run;
             const std::lock_guard<std::mutex> one_at_a_time(mutex_);
             const std::unique_lock<std::mutex> turn = target.lock();
+            const auto [x, y] = origin.value_or(std::make_tuple(double(NAN), double(NAN)));
+            parameters_.origin_x = ek_real(x);
+            parameters_.origin_y = ek_real(y);
             make_room(std::max<std::size_t>(source.shape(0), 1), std::max<std::size_t>(target.index().count, 1));
             require(ek_icp_register(&icp_, &target.index(), start_of(source), source.shape(0), pose_of(guess),
                                     &parameters_, trace ? note : nullptr, &history, &match),

@@ -105,13 +105,17 @@ static void ask(ek_icp *icp, ek_index *index, const clouds *known, ek_input *inp
     parameters.share_noise = metric >> 7;
     parameters.cauchy = parameters.metric ? take_real(input) : EK_R(0.0);
     const ek_pose guess = take_pose(input);
-    ek_real normals[2u * MAX_COUNT];
+    ek_real normals[2u * MAX_COUNT], seen_from[2u * MAX_COUNT];
     uint32_t support[MAX_COUNT];
     compute_normals(index, input, normals);
     for (size_t i = 0; i < known->targets && i < MAX_COUNT; i++) {
         support[i] = 1u + take_byte(input);
+        seen_from[2u * i] = ((ek_real)take_byte(input) - EK_R(128.0)) / EK_R(128.0);
+        seen_from[2u * i + 1u] = EK_R(1.0) - EK_FABS(seen_from[2u * i]);
     }
     index->support = metric & 64u ? support : NULL;
+    index->seen_from = metric & 32u ? seen_from : NULL;
+    parameters.origin_x = metric & 16u ? take_real(input) : EK_R(0.0);
     ek_match match, again;
     memset(&match, 0xA5, sizeof match);
     again = match;

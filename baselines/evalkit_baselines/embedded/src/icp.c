@@ -19,6 +19,8 @@
 #define AHEAD 12u /* searches from the prefetch of a block to its use */
 #define MIN_LIMIT EK_R(1e-12) /* m; the square of a smaller limit may be rounded to 0: no candidates are used */
 #define MAX_SUPPORT 20u /* points of a mean that count: the points of a scan share the error of its pose */
+#define CLEAR_VIEW EK_R(0.1)  /* share across its line of the directions that a target point was seen from: a smaller one is of no side */
+#define CLEAR_LOOK EK_R(0.02) /* the same for the direction to where the source points were seen from */
 #define MAX_DISTANCE EK_R(1e12) /* m; below EK_FAR: stands for "no limit" */
 
 ek_icp_parameters ek_icp_default(void)
@@ -34,6 +36,7 @@ ek_icp_parameters ek_icp_default(void)
     parameters.metric = EK_METRIC_POINT;
     parameters.cauchy = EK_R(0.0);
     parameters.share_noise = 0;
+    parameters.origin_x = parameters.origin_y = (ek_real)NAN;
     return parameters;
 }
 
@@ -49,7 +52,8 @@ ek_status ek_icp_check(const ek_icp_parameters *parameters)
     }
     if (!isfinite(parameters->epsilon) || parameters->epsilon < EK_R(0.0) ||
         !isfinite(parameters->max_correspondence) || parameters->max_correspondence < EK_R(0.0) ||
-        !isfinite(parameters->cauchy) || parameters->cauchy < EK_R(0.0)) {
+        !isfinite(parameters->cauchy) || parameters->cauchy < EK_R(0.0) ||
+        EK_FABS(parameters->origin_x) > EK_MAX_COORDINATE || EK_FABS(parameters->origin_y) > EK_MAX_COORDINATE) {
         return EK_OUT_OF_RANGE;
     }
     return EK_OK;
@@ -102,6 +106,7 @@ ek_status ek_icp_init_lines(ek_icp *icp, ek_arena *arena)
     icp->nx = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
     icp->ny = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
     icp->across = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
+    icp->facing = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
     icp->share = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
     icp->lined = (uint32_t *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(uint32_t));
     return EK_OK;
@@ -142,6 +147,7 @@ static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
     }
     for (size_t i = 0; i < padded && icp->across; i++) {
         icp->nx[i] = icp->ny[i] = EK_R(0.0);
+        icp->facing[i] = EK_R(1.0);
         icp->lined[i] = (uint32_t)icp->targets;
     }
     for (size_t k = EK_BLOCK * (padded - EK_LANES); k < EK_BLOCK * padded && icp->choice; k++) {
@@ -292,6 +298,20 @@ static uint32_t list_stale(size_t padded, const ek_real *EK_RESTRICT slack, uint
     return searches;
 }
 
+/* Take the normal of the target point of a pair, and whether it was seen from the same side: a thin wall has a face on
+ * either side. */
+static void take_line(ek_icp *icp, const ek_index *target, const ek_real *normals, uint32_t i, uint32_t slot)
+{
+    const size_t id = target->id[slot];
+    const ek_real nx = icp->nx[i] = normals[2u * id], ny = icp->ny[i] = normals[2u * id + 1u];
+    if (target->seen_from) {
+        const ek_real x = icp->viewer_x - target->xy[2u * slot], y = icp->viewer_y - target->xy[2u * slot + 1u];
+        const ek_real from = nx * target->seen_from[2u * id] + ny * target->seen_from[2u * id + 1u], to = nx * x + ny * y;
+        const int clear = EK_FABS(from) > CLEAR_VIEW && to * to > CLEAR_LOOK * CLEAR_LOOK * (x * x + y * y);
+        icp->facing[i] = clear && (from < EK_R(0.0)) != (to < EK_R(0.0)) ? EK_R(0.0) : EK_R(1.0);
+    }
+}
+
 /* Half width (m) of the first look for the neighbour of a point. */
 static ek_real first_look(const ek_icp *icp, const ek_index *target, uint32_t i, ek_real limit)
 {
@@ -318,8 +338,10 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_
             ek_normals_ensure(target, answer.slot, &first);
         }
         if (normals) {
-            icp->nx[i] = found ? normals[2u * target->id[answer.slot]] : EK_R(0.0);
-            icp->ny[i] = found ? normals[2u * target->id[answer.slot] + 1u] : EK_R(0.0);
+            icp->nx[i] = icp->ny[i] = EK_R(0.0);
+        }
+        if (normals && found) {
+            take_line(icp, target, normals, i, answer.slot);
         }
         icp->ax[i] = icp->mx[i];
         icp->ay[i] = icp->my[i];
@@ -504,8 +526,7 @@ static void take_normals(ek_icp *icp, const ek_index *target, const ek_real *nor
         if (target->deferred) {
             ek_normals_ensure(target, slot, &first);
         }
-        icp->nx[i] = normals[2u * (size_t)target->id[slot]];
-        icp->ny[i] = normals[2u * (size_t)target->id[slot] + 1u];
+        take_line(icp, target, normals, i, slot);
         icp->lined[i] = slot;
     }
 }
@@ -534,6 +555,14 @@ static void weigh_within(size_t padded, ek_real limit, const ek_real *EK_RESTRIC
 {
     for (size_t i = 0; i < padded; i++) {
         weight[i] = distance[i] < limit ? EK_R(1.0) : EK_R(0.0);
+    }
+}
+
+/* Set the weights of pairs whose target points were seen from the other side to 0. */
+static void keep_facing(size_t padded, const ek_real *EK_RESTRICT facing, ek_real *EK_RESTRICT weight)
+{
+    for (size_t i = 0; i < padded; i++) {
+        weight[i] *= facing[i];
     }
 }
 
@@ -573,8 +602,11 @@ static void keep_closest(size_t padded, const uint32_t *EK_RESTRICT nearest, con
 }
 
 /* Leave weight 1 to every pair that is used; returns their number (equation 2). Distances or their squares. */
-static int32_t select_pairs(const ek_icp *icp, size_t padded, const ek_real *distance, int one_to_one)
+static int32_t select_pairs(const ek_icp *icp, size_t padded, const ek_real *distance, int sided, int one_to_one)
 {
+    if (sided) {
+        keep_facing(padded, icp->facing, icp->weight);
+    }
     if (one_to_one) {
         keep_closest(padded, icp->nearest, distance, distance == icp->slack, icp->owner, icp->stale, icp->weight);
     }
@@ -705,12 +737,18 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
     const int candidates = limit >= MIN_LIMIT && (target->table || grouped);
     const ek_real reach = candidates ? square_of_limit(limit) : EK_R(0.0);
     const ek_real *const normals = parameters->metric == EK_METRIC_LINE && target->count ? target->normals : NULL;
+    const int sided = normals && target->seen_from && !isnan(parameters->origin_x + parameters->origin_y);
     ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
     ek_pose pose = guess;
     ek_real previous = (ek_real)INFINITY;
     if (candidates && target->table) {
         ek_table_attach(target->table, target);
     }
+    const ek_real origin[2] = {parameters->origin_x, parameters->origin_y};
+    ek_real viewer[2];
+    ek_se2_transform(guess, origin, 1u, viewer);
+    icp->viewer_x = viewer[0];
+    icp->viewer_y = viewer[1];
     move_source(icp, padded, pose, limit, target->cells.margin);
     EK_COUNT(EK_POINTS, padded);
     while (match.iterations < parameters->max_iterations && !match.converged) {
@@ -718,11 +756,11 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
         EK_COUNT(EK_POINTS, padded);
         if (candidates) {
             match.queries += update_candidates(icp, target, normals, count, limit, reach);
-            match.inliers = select_pairs(icp, padded, icp->slack, parameters->one_to_one);
+            match.inliers = select_pairs(icp, padded, icp->slack, sided, parameters->one_to_one);
         } else {
             match.queries += update_neighbours(icp, target, normals, padded, limit);
             weigh_within(padded, limit, icp->distance, icp->weight);
-            match.inliers = select_pairs(icp, padded, icp->distance, parameters->one_to_one);
+            match.inliers = select_pairs(icp, padded, icp->distance, sided, parameters->one_to_one);
         }
         if (match.inliers < parameters->min_pairs) {
             match.error = (ek_real)NAN;

@@ -88,6 +88,7 @@ ek_status ek_index_build(ek_index *index, const ek_real *xy, size_t count)
     index->version++;
     index->normals = index->deferred = NULL;
     index->support = NULL;
+    index->seen_from = NULL;
     if (count == 0u || count > index->capacity) {
         return count == 0u ? EK_OK : EK_TOO_MANY_POINTS;
     }

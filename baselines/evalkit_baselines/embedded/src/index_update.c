@@ -195,6 +195,7 @@ static void update_in_place(ek_index_updater *updater, ek_index *index, uint32_t
     index->version++;
     index->normals = index->deferred = NULL;
     index->support = NULL;
+    index->seen_from = NULL;
 }
 
 /* Build the index again from the remaining points and the new ones. */

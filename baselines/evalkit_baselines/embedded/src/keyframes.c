@@ -31,6 +31,7 @@ ek_status ek_keyframes_init(ek_keyframes *keyframes, ek_arena *arena, size_t cap
         return status;
     }
     keyframes->points = (ek_real *)ek_arena_alloc(arena, points, 2u * sizeof(ek_real));
+    keyframes->sensor = (ek_real *)ek_arena_alloc(arena, capacity, 2u * sizeof(ek_real));
     keyframes->start = (size_t *)ek_arena_alloc(arena, capacity + 1u, sizeof(size_t));
     keyframes->path = (ek_real *)ek_arena_alloc(arena, capacity, sizeof(ek_real));
     keyframes->apart = (ek_real *)ek_arena_alloc(arena, capacity, sizeof(ek_real));
@@ -60,8 +61,8 @@ static ek_real graph_length(ek_step_kind kind, ek_real length)
     return kind == EK_STEP_MATCHED ? length : kind == EK_STEP_MEASURED ? EK_DOUBTED : EK_APART;
 }
 
-ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t count, ek_pose last_from_keyframe,
-                           ek_step_kind kind, const ek_openness *open, ek_doubt doubt, ek_work *work)
+ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t count, const ek_real *sensor,
+                           ek_pose last_from_keyframe, ek_step_kind kind, const ek_openness *open, ek_doubt doubt, ek_work *work)
 {
     const size_t row = keyframes->count, used = row ? keyframes->start[row] : 0u;
     if (row == keyframes->capacity || count > keyframes->point_capacity - used) {
@@ -83,6 +84,8 @@ ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t co
         keyframes->apart[k] = apart < EK_APART ? apart : EK_APART;
     }
     memcpy(keyframes->points + 2u * used, xy, 2u * count * sizeof *xy);
+    keyframes->sensor[2u * row] = sensor[0];
+    keyframes->sensor[2u * row + 1u] = sensor[1];
     keyframes->start[row] = used;
     keyframes->start[row + 1u] = used + count;
     keyframes->path[row] = (row ? keyframes->path[row - 1u] : EK_R(0.0)) + length;

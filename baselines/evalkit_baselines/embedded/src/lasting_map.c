@@ -56,7 +56,7 @@ void ek_lasting_map_clear(ek_lasting_map *map)
 void ek_lasting_map_add(ek_lasting_map *map, const ek_real *xy, size_t count, ek_pose start_from_base)
 {
     ek_work work = ek_work_make(INT64_MAX);
-    ek_voxel_map_add(&map->voxels, xy, count, start_from_base, map->moved, map->cells, &work);
+    ek_voxel_map_add(&map->voxels, xy, count, NULL, start_from_base, map->moved, map->cells, &work);
     map->changed = 1;
 }
 
@@ -64,7 +64,7 @@ void ek_lasting_map_add(ek_lasting_map *map, const ek_real *xy, size_t count, ek
 static ek_status take_around(ek_lasting_map *map, ek_real x, ek_real y)
 {
     ek_work work = ek_work_make(INT64_MAX);
-    const size_t count = ek_voxel_map_cloud(&map->voxels, x, y, map->radius, map->means, map->support,
+    const size_t count = ek_voxel_map_cloud(&map->voxels, x, y, map->radius, map->means, map->support, NULL,
                                             map->capacity, &work);
     map->centre_x = x;
     map->centre_y = y;

@@ -91,12 +91,14 @@ static ek_status init_front(ek_slam *slam, ek_arena *arena, const ek_slam_parame
     status = status == EK_OK ? ek_continuity_init(&slam->continuity, arena, p->points) : status;
     for (size_t k = 0; status == EK_OK && k < 2u; k++) {
         status = ek_voxel_map_init(&slam->maps[k], arena, p->voxels, p->map_voxel, MAX_VOXEL_POINTS);
+        status = status == EK_OK ? ek_voxel_map_keep_views(&slam->maps[k], arena) : status;
     }
     slam->last_points = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->last_normals = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->map_normals = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
     slam->map_points = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
     slam->map_support = (uint32_t *)ek_arena_alloc(arena, p->map_points, sizeof(uint32_t));
+    slam->map_seen_from = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
     slam->moved = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->cells = (int32_t *)ek_arena_alloc(arena, p->points, 2u * sizeof(int32_t));
     slam->stored = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
@@ -165,14 +167,17 @@ static ek_status take_map(ek_slam *slam, ek_pose near, ek_work *work)
         return EK_OK;
     }
     const ek_pose centre = ek_se2_compose(ek_grid_from_odom, near);
+    const ek_pose odom_from_grid = ek_se2_inverse(ek_grid_from_odom); /* a turn: for directions too */
     const size_t count = ek_voxel_map_cloud(&slam->maps[slam->drawn], centre.x, centre.y, radius, slam->map_points,
-                                            slam->map_support, slam->parameters.map_points, work);
-    ek_se2_transform(ek_se2_inverse(ek_grid_from_odom), slam->map_points, count, slam->map_points);
+                                            slam->map_support, slam->map_seen_from, slam->parameters.map_points, work);
+    ek_se2_transform(odom_from_grid, slam->map_points, count, slam->map_points);
+    ek_se2_transform(odom_from_grid, slam->map_seen_from, count, slam->map_seen_from);
     slam->centre_x = near.x;
     slam->centre_y = near.y;
     slam->map_changed = 0;
     const ek_status status = index_lines(&slam->map_index, slam->map_normals, slam->map_points, count);
     slam->map_index.support = slam->map_support;
+    slam->map_index.seen_from = slam->map_seen_from;
     return status;
 }
 
@@ -349,8 +354,9 @@ static void judge(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_sla
 static void draw_between(ek_slam *slam, ek_pose odom_from_base)
 {
     const int32_t changed = slam->map_changed;
+    const ek_real sensor[2] = {slam->parameters.scan.base_from_sensor.x, slam->parameters.scan.base_from_sensor.y};
     ek_work work = ek_work_make(INT64_MAX);
-    ek_slam_draw(slam, slam->drawn, slam->scan.hits, slam->scan.count, odom_from_base, &work);
+    ek_slam_draw(slam, slam->drawn, slam->scan.hits, slam->scan.count, sensor, odom_from_base, &work);
     slam->map_changed = changed;
 }
 

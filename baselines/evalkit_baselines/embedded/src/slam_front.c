@@ -153,6 +153,16 @@ static size_t take_part(ek_slam *slam, size_t enough)
     return count;
 }
 
+/* The parameters of the matches of this scan. Without wheel odometry a guess may be off by more than a wall is thick, and the
+ * side of a wall that the scan is seen from is unknown. */
+static ek_icp_parameters matcher_of(const ek_slam *slam)
+{
+    ek_icp_parameters matcher = slam->parameters.matcher;
+    matcher.origin_x = slam->gate.measured ? slam->parameters.scan.base_from_sensor.x : (ek_real)NAN;
+    matcher.origin_y = slam->parameters.scan.base_from_sensor.y;
+    return matcher;
+}
+
 static void limit_iterations(ek_icp_parameters *parameters, int32_t most)
 {
     parameters->max_iterations = parameters->max_iterations < most ? parameters->max_iterations : most;
@@ -227,7 +237,7 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, co
 {
     const ek_real *const hits = slam->scan.hits;
     const size_t count = slam->scan.count;
-    ek_icp_parameters narrow = slam->parameters.matcher;
+    ek_icp_parameters narrow = matcher_of(slam);
     const ek_status status = match_coarse_to_fine(slam, target, guess, &narrow, part_suffices, match);
     const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)count, closely = predicted != NULL;
     const ek_real unusual = UNUSUAL * slam->usual_error, most = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
@@ -331,7 +341,7 @@ ek_pose ek_slam_limit(ek_slam *slam, const ek_index *target, ek_pose answer, ek_
 
 int ek_slam_match_directly(ek_slam *slam, ek_pose *pose, ek_match *match)
 {
-    ek_icp_parameters matcher = slam->parameters.matcher;
+    ek_icp_parameters matcher = matcher_of(slam);
     const size_t count = slam->scan.count;
     matcher.epsilon = DIRECT_EPSILON;
     if (count == 0u || match_all(slam, &slam->map_index, *pose, &matcher, match) != EK_OK) {

@@ -9,11 +9,21 @@
 #define AGREE EK_R(0.2)              /* m */
 #define AGREE_THETA (EK_R(2.0) * EK_PI / EK_R(180.0))
 
-void ek_slam_draw(ek_slam *slam, uint32_t map, const ek_real *xy, size_t count, ek_pose odom_from_points, ek_work *work)
+void ek_slam_draw(ek_slam *slam, uint32_t map, const ek_real *xy, size_t count, const ek_real *sensor, ek_pose odom_from_points,
+                  ek_work *work)
 {
-    ek_voxel_map_add(&slam->maps[map], xy, count, ek_se2_compose(ek_grid_from_odom, odom_from_points), slam->moved,
+    ek_voxel_map_add(&slam->maps[map], xy, count, sensor, ek_se2_compose(ek_grid_from_odom, odom_from_points), slam->moved,
                      slam->cells, work);
     slam->map_changed |= map == slam->drawn;
+}
+
+/* Draw a keyframe into one of the two maps. */
+static void draw_keyframe(ek_slam *slam, uint32_t map, size_t row, ek_pose odom_from_keyframe, ek_work *work)
+{
+    const ek_keyframes *const keyframes = &slam->keyframes;
+    const size_t from = keyframes->start[row];
+    ek_slam_draw(slam, map, keyframes->points + 2u * from, keyframes->start[row + 1u] - from, keyframes->sensor + 2u * row,
+                 odom_from_keyframe, work);
 }
 
 void ek_slam_redraw(ek_slam *slam)
@@ -30,12 +40,11 @@ static void redraw(ek_slam *slam, ek_work *work)
     const ek_pose *const pose = keyframes->graph.pose;
     const ek_real reach = EK_R(2.0) * slam->parameters.map_radius;
     for (; slam->redrawn < keyframes->count && work->left > 0; slam->redrawn++) {
-        const size_t k = slam->redrawn, last = keyframes->count - 1u, from = keyframes->start[k];
+        const size_t k = slam->redrawn, last = keyframes->count - 1u;
         const ek_real x = pose[k].x - pose[last].x, y = pose[k].y - pose[last].y;
         ek_work_spend(work, 1u);
         if (x * x + y * y <= reach * reach && keyframes->apart[k] <= slam->parameters.map_reach) {
-            ek_slam_draw(slam, 1u - slam->drawn, keyframes->points + 2u * from, keyframes->start[k + 1u] - from,
-                         ek_se2_compose(slam->next_odom_from_start, pose[k]), work);
+            draw_keyframe(slam, 1u - slam->drawn, k, ek_se2_compose(slam->next_odom_from_start, pose[k]), work);
         }
     }
     if (slam->redrawn == keyframes->count) {
@@ -143,7 +152,7 @@ void ek_slam_work(ek_slam *slam, ek_work *work)
 /* A lost track: the map begins anew with this keyframe. */
 static void begin_anew(ek_slam *slam, ek_work *work)
 {
-    const size_t last = slam->keyframes.count - 1u, from = slam->keyframes.start[last];
+    const size_t last = slam->keyframes.count - 1u;
     slam->waiting_count = 0u;
     if (slam->task == EK_TASK_FIND || slam->task == EK_TASK_REDRAW) {
         slam->finder.phase = EK_FINDER_IDLE;
@@ -152,8 +161,7 @@ static void begin_anew(ek_slam *slam, ek_work *work)
     slam->odom_from_start = ek_slam_odom_from_start(slam);
     slam->built_at = slam->keyframes.path[last];
     ek_voxel_map_clear(&slam->maps[slam->drawn]);
-    ek_slam_draw(slam, slam->drawn, slam->keyframes.points + 2u * from, slam->keyframes.start[last + 1u] - from,
-                 slam->odom_from_keyframe[last], work);
+    draw_keyframe(slam, slam->drawn, last, slam->odom_from_keyframe[last], work);
 }
 
 /* The last unconfirmed candidate, where another one may still confirm it; NULL: there is none. */
@@ -173,13 +181,14 @@ ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, ek_step_kind kin
     const size_t count = ek_thin(&slam->thinner, slam->scan.hits, slam->scan.count, STORED_VOXEL, slam->stored, work);
     ek_observer_take(&slam->observer, &slam->thinner, slam->stored, count, work);
     const ek_openness open = ek_observer_measure(&slam->observer, slam->parameters.map_radius);
+    const ek_real sensor[2] = {slam->parameters.scan.base_from_sensor.x, slam->parameters.scan.base_from_sensor.y};
     const ek_pose step = row ? ek_se2_between(slam->odom_from_keyframe[row - 1u], graph_pose) : identity;
     slam->in_room = ek_openness_is_room(&open);
     ek_slam_observe_wheels(slam, step, &open, kind == EK_STEP_MATCHED);
-    ek_status status = ek_keyframes_add(keyframes, slam->stored, count, step, kind, &open, slam->doubt, work);
+    ek_status status = ek_keyframes_add(keyframes, slam->stored, count, sensor, step, kind, &open, slam->doubt, work);
     if (status != EK_OK) { /* no room: from now on an odometry on the lasting map */
         slam->full = 1;
-        ek_slam_draw(slam, slam->drawn, slam->stored, count, odom_from_base, work);
+        ek_slam_draw(slam, slam->drawn, slam->stored, count, sensor, odom_from_base, work);
         return status == EK_TOO_MANY_POINTS ? EK_OK : status;
     }
     slam->odom_from_keyframe[row] = odom_from_base;
@@ -188,7 +197,7 @@ ek_status ek_slam_insert(ek_slam *slam, ek_pose odom_from_base, ek_step_kind kin
         begin_anew(slam, work);
         return EK_OK;
     }
-    ek_slam_draw(slam, slam->drawn, slam->stored, count, odom_from_base, work);
+    ek_slam_draw(slam, slam->drawn, slam->stored, count, sensor, odom_from_base, work);
     if (!slam->full && slam->task == EK_TASK_IDLE &&
         ek_loop_finder_begin(&slam->finder, keyframes, expected_candidate(slam), slam->wheels.has_last, work)) {
         slam->task = EK_TASK_FIND;

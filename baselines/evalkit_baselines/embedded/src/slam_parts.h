@@ -85,8 +85,9 @@ int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, cons
  * not matched where the odometry is good, and not set aside where it is not. */
 ek_status ek_slam_track(ek_slam *slam, const ek_prior *prior, ek_slam_estimate *estimate, ek_work *work);
 
-/* Draw points, in their own frame, into one of the two maps. */
-void ek_slam_draw(ek_slam *slam, uint32_t map, const ek_real *xy, size_t count, ek_pose odom_from_points, ek_work *work);
+/* Draw points, in their own frame, where the sensor was at x y, into one of the two maps. */
+void ek_slam_draw(ek_slam *slam, uint32_t map, const ek_real *xy, size_t count, const ek_real *sensor, ek_pose odom_from_points,
+                  ek_work *work);
 
 /* Begin to draw the map anew, with `next_odom_from_start`. */
 void ek_slam_redraw(ek_slam *slam);

@@ -35,6 +35,9 @@ static int failures;
 #define TOLERANCE 1e-10
 #endif
 
+/* Where a sensor is: x y (m). */
+#define AT_BASE ((const ek_real[]){EK_R(0.0), EK_R(0.0)})
+
 /* Random number in [low, high); the same sequence on every machine (Marsaglia 2003, xorshift64). */
 static inline ek_real uniform(uint64_t *state, double low, double high)
 {

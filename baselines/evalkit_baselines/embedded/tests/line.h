@@ -26,7 +26,7 @@ static inline void add_keyframe(double step, ek_step_kind kind)
 {
     static const ek_real point[] = {EK_R(0.0), EK_R(1.0)};
     ek_keyframes *const keyframes = &slam.keyframes;
-    CHECK(ek_keyframes_add(keyframes, point, 1u, pose_of(step, 0.0, 0.0), kind, &CLOSED, CERTAIN, &work) == EK_OK);
+    CHECK(ek_keyframes_add(keyframes, point, 1u, AT_BASE, pose_of(step, 0.0, 0.0), kind, &CLOSED, CERTAIN, &work) == EK_OK);
     slam.odom_from_keyframe[keyframes->count - 1u] = keyframes->graph.pose[keyframes->count - 1u];
 }
 

@@ -259,7 +259,7 @@ static ek_doubt doubt;
 static ek_status add_step(double x, size_t points, ek_step_kind kind, double ratio)
 {
     const ek_openness open = {.x = EK_R(0.6), .y = EK_R(0.8), .ratio = EK_R(ratio)};
-    return ek_keyframes_add(&keyframes, xy, points, pose_of(x, 0.0, 0.0), kind, &open, doubt, &work);
+    return ek_keyframes_add(&keyframes, xy, points, AT_BASE, pose_of(x, 0.0, 0.0), kind, &open, doubt, &work);
 }
 
 static ek_status add(double x, size_t points, int known, double ratio)
@@ -445,19 +445,42 @@ static void a_full_map_drops_new_voxels_and_a_full_voxel_new_points(void)
     ek_voxel_map voxels;
     ek_arena arena = memory_of(4096u);
     CHECK(ek_voxel_map_init(&voxels, &arena, 2u, EK_R(1.0), 1u) == EK_OK && ek_arena_check(&arena) == EK_OK);
-    ek_voxel_map_add(&voxels, four, 4u, pose_of(10.0, 0.0, 0.0), moved, cells, &work);
+    ek_voxel_map_add(&voxels, four, 4u, NULL, pose_of(10.0, 0.0, 0.0), moved, cells, &work);
     CHECK(voxels.count == 2u && voxels.dropped == 0u);
-    ek_voxel_map_add(&voxels, later, 2u, pose_of(10.0, 0.0, 0.0), moved, cells, &work);
+    ek_voxel_map_add(&voxels, later, 2u, NULL, pose_of(10.0, 0.0, 0.0), moved, cells, &work);
     CHECK(voxels.count == 2u && voxels.dropped == 1u);
-    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(5.0), means, points, 3u, &work) == 2u);
+    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(5.0), means, points, NULL, 3u, &work) == 2u);
     CHECK_NEAR(means[0], 10.4, TOLERANCE); /* of all three points of the first cloud, and none of the second */
     CHECK_NEAR(means[1], 0.3, TOLERANCE);
     CHECK_NEAR(means[2], 11.5, TOLERANCE);
     CHECK(points[0] == 3u && points[1] == 1u);
-    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(5.0), means, points, 1u, &work) == 1u);
-    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(1.0), means, points, 3u, &work) == 1u);
+    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(5.0), means, points, NULL, 1u, &work) == 1u);
+    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(1.0), means, points, NULL, 3u, &work) == 1u);
     ek_voxel_map_clear(&voxels);
-    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(5.0), means, points, 3u, &work) == 0u);
+    CHECK(ek_voxel_map_cloud(&voxels, EK_R(10.0), EK_R(0.0), EK_R(5.0), means, points, NULL, 3u, &work) == 0u);
+    free(arena.memory);
+}
+
+static void a_map_keeps_from_where_its_points_were_seen(void)
+{
+    const ek_real three[] = {EK_R(0.0), EK_R(2.0), EK_R(0.0), EK_R(-2.0), EK_R(3.0), EK_R(4.0)};
+    const ek_real sensors[2][2] = {{EK_R(0.0), EK_R(0.0)}, {EK_R(3.0), EK_R(-2.0)}};
+    static const double expected[] = {0.9, 0.3, -0.5, 0.5, 0.9, -0.3}; /* means of both, turned by 90 deg */
+    ek_real moved[6], means[6], seen_from[6];
+    int32_t cells[6];
+    ek_voxel_map voxels;
+    ek_arena arena = memory_of(4096u);
+    ek_voxel_map_init(&voxels, &arena, 8u, EK_R(1.0), 9u);
+    CHECK(ek_voxel_map_keep_views(&voxels, &arena) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    for (int k = 0; k < 2; k++) {
+        work = ek_work_make(INT64_MAX);
+        ek_voxel_map_add(&voxels, three, 3u, sensors[k], pose_of(0.5, 0.5, 1.5707963267948966), moved, cells, &work);
+        CHECK(work.done == 24u);
+    }
+    CHECK(ek_voxel_map_cloud(&voxels, EK_R(0.0), EK_R(0.0), EK_R(9.0), means, NULL, seen_from, 3u, &work) == 3u);
+    for (size_t k = 0; k < 6u; k++) {
+        CHECK_NEAR(seen_from[k], expected[k], TOLERANCE);
+    }
     free(arena.memory);
 }
 
@@ -485,6 +508,7 @@ int main(void)
     what_does_not_fit_is_refused_and_changes_nothing();
     constant_velocity_is_extrapolated_for_two_steps_at_most();
     the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two_sweeps();
+    a_map_keeps_from_where_its_points_were_seen();
     a_full_map_drops_new_voxels_and_a_full_voxel_new_points();
     free(arena.memory);
     return verdict();

@@ -1,5 +1,6 @@
 #include "check.h"
 #include "ek/icp.h"
+#include "ek/normals.h"
 #include "ek/wide.h"
 
 #define SIDE 70u /* points per wall */
@@ -219,6 +220,69 @@ static void a_limit_beyond_all_is_no_limit(void)
     CHECK(found.inliers == 0 && !found.converged);
 }
 
+/* A room 4 m high above a wall 0.1 m thin, whose lower face alone is in the map: every 0.1 m a point of the side walls and the
+ * ceiling, seen from (0, 2), and of the face at y = 0, seen from below. */
+static size_t build_thin_wall(ek_real *xy, ek_real *seen_from, ek_real below)
+{
+    size_t n = 0;
+    for (int k = 0; k < 60; k++) {
+        const double along = -2.95 + 0.1 * k, points[4][2] = {{-3.0, along + 3.5}, {3.0, along + 3.5}, {along, 4.0}, {along, 0.0}};
+        for (int wall = 0; wall < 4; wall++) {
+            if (wall >= 2 || points[wall][1] < 4.0) {
+                const double x = -points[wall][0], y = (wall < 3 ? 2.0 : -2.0) - points[wall][1], away = sqrt(x * x + y * y);
+                xy[2u * n] = EK_R(points[wall][0]);
+                xy[2u * n + 1u] = EK_R(points[wall][1]);
+                seen_from[2u * n] = EK_R(x / away);
+                seen_from[2u * n++ + 1u] = wall < 3 ? EK_R(y / away) : below;
+            }
+        }
+    }
+    return n;
+}
+
+/* Error along y of a match with it of what is seen from `sensor` in the room: the upper face. */
+static double error_at_thin_wall(int grouped, double sensor, ek_real below)
+{
+    static ek_real wall[2u * 240u], seen_from[2u * 240u], scan[2u * 240u], normals[2u * 240u], viewer[2];
+    const ek_pose truth = {EK_R(0.5), EK_R(-1.0), EK_R(0.2)}; /* of the base: below the wall */
+    const ek_real place[2] = {EK_R(0.0), EK_R(sensor)};
+    const size_t count = build_thin_wall(wall, seen_from, below);
+    ek_icp_parameters parameters = ek_icp_default();
+    ek_arena arena = memory_of((size_t)1 << 20);
+    ek_index index;
+    ek_icp matcher;
+    ek_match match;
+    CHECK(ek_icp_init(&matcher, &arena, 240u, 240u) == EK_OK && ek_icp_init_lines(&matcher, &arena) == EK_OK);
+    CHECK(ek_index_init(&index, &arena, 240u, 4096u) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    CHECK(ek_index_build(&index, wall, count) == EK_OK && ek_normals_defer(&index, 3u, normals) == EK_OK);
+    matcher.grouped = matcher.grouped && grouped;
+    index.seen_from = seen_from;
+    memcpy(scan, wall, sizeof scan);
+    for (size_t k = 0; k < count; k++) {
+        scan[2u * k + 1u] += wall[2u * k + 1u] == EK_R(0.0) ? EK_R(0.1) : EK_R(0.0);
+    }
+    ek_se2_transform(ek_se2_inverse(truth), scan, count, scan);
+    ek_se2_transform(ek_se2_inverse(truth), place, 1u, viewer);
+    parameters.metric = EK_METRIC_LINE;
+    parameters.one_to_one = 0;
+    parameters.origin_x = viewer[0];
+    parameters.origin_y = viewer[1];
+    CHECK(ek_icp_register(&matcher, &index, scan, count, truth, &parameters, NULL, NULL, &match) == EK_OK);
+    free(arena.memory);
+    return (double)(match.target_from_source.y - truth.y);
+}
+
+static void the_face_behind_a_thin_wall_has_no_pairs(void)
+{
+    for (int grouped = 0; grouped < 2; grouped++) {
+        CHECK_NEAR(error_at_thin_wall(grouped, 2.0, EK_R(-1.0)), 0.0, 1e-4);
+        CHECK_NEAR(error_at_thin_wall(grouped, 0.1, EK_R(-0.11)), 0.0, 1e-4);
+        CHECK(error_at_thin_wall(grouped, 2.0, EK_R(1.0)) < -0.03);   /* seen from above before */
+        CHECK(error_at_thin_wall(grouped, 2.0, EK_R(-0.09)) < -0.03); /* hardly from below */
+        CHECK(error_at_thin_wall(grouped, -0.5, EK_R(-1.0)) < -0.03); /* this time from below */
+    }
+}
+
 static void bad_input_is_named(void)
 {
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)}, lost = {(ek_real)NAN, EK_R(0.0), EK_R(0.0)};
@@ -252,6 +316,7 @@ int main(void)
     of_rivals_whose_squares_alone_differ_the_first_counts();
     too_few_pairs_give_the_guess();
     a_limit_beyond_all_is_no_limit();
+    the_face_behind_a_thin_wall_has_no_pairs();
     bad_input_is_named();
     free(arena.memory);
     return verdict();

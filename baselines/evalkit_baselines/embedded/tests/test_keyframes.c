@@ -89,7 +89,7 @@ static void the_information_of_a_step_follows_its_length(void)
             ek_pose_graph_reset(&keyframes->graph);
             add_keyframe(0.0, EK_STEP_MATCHED);
             const ek_pose step = pose_of(0.6 * steps[k], -0.8 * steps[k], 1.0);
-            CHECK(ek_keyframes_add(keyframes, point, 1u, step, EK_STEP_MATCHED, &open, CERTAIN, &work) == EK_OK);
+            CHECK(ek_keyframes_add(keyframes, point, 1u, AT_BASE, step, EK_STEP_MATCHED, &open, CERTAIN, &work) == EK_OK);
             const double length = steps[k] > 0.05 ? steps[k] : 0.05, variance = sigma * sigma * length;
             const double along = 20.0 * variance * shares[r];
             ek_sym3 covariance;

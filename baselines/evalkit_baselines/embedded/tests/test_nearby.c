@@ -110,7 +110,7 @@ static void note(void *context, const ek_icp_iteration *now)
  * searches. */
 static void a_registration_is_the_same(uint64_t *seed, int lattice)
 {
-    static ek_real source[2u * SOURCES], normals[2u * POINTS];
+    static ek_real source[2u * SOURCES], normals[2u * POINTS], seen_from[2u * POINTS];
     static ek_icp icp;
     static history in_groups, singly;
     ek_icp_parameters parameters = ek_icp_default();
@@ -121,6 +121,9 @@ static void a_registration_is_the_same(uint64_t *seed, int lattice)
     for (size_t k = 0; k < 2u * SOURCES; k++) { /* some have no neighbour */
         source[k] = cloud[k] + (lattice ? EK_R(0.125) * (ek_real)(k % 3u) : uniform(seed, -0.02, 0.02));
         source[k] += k % 40u == 0u ? EK_R(3.0) : EK_R(0.0);
+    }
+    for (size_t k = 0; k < 2u * POINTS; k++) {
+        seen_from[k] = uniform(seed, -0.7, 0.7);
     }
     CHECK(ek_index_build(&index_, cloud, POINTS) == EK_OK);
     for (int turn = 0; turn < 24; turn++) {
@@ -134,6 +137,7 @@ static void a_registration_is_the_same(uint64_t *seed, int lattice)
         parameters.max_correspondence = turn % 7 == 6 ? EK_R(0.0) : EK_R(0.3);
         parameters.metric = turn % 4 < 2 ? EK_METRIC_POINT : EK_METRIC_LINE;
         parameters.share_noise = turn % 4 == 3;
+        index_.seen_from = turn % 8 > 3 ? seen_from : NULL;
         icp.wide = turn % 3 != 1 && ek_is_wide();
         icp.grouped = EK_GROUPED;
         in_groups.iterations = singly.iterations = 0u;

@@ -431,6 +431,7 @@ static void of_capacities(void)
     CHECK(ek_lasting_map_init(&lasting, NULL, 1u, EK_R(0.1), EK_R(1.0), 1u, 0u) == EK_NULL_POINTER);
     CHECK(ek_voxel_map_init(NULL, &none, 1u, EK_R(0.1), 1u) == EK_NULL_POINTER);
     CHECK(ek_voxel_map_init(&map, NULL, 1u, EK_R(0.1), 1u) == EK_NULL_POINTER);
+    CHECK(ek_voxel_map_keep_views(NULL, &none) == EK_NULL_POINTER && ek_voxel_map_keep_views(&map, NULL) == EK_NULL_POINTER);
     CHECK(ek_voxel_map_init(&map, &none, 1u, EK_R(0.1), 0u) == EK_OUT_OF_RANGE);
     CHECK(ek_voxel_map_init(&map, &none, (size_t)1 << 26, EK_R(0.01), 1u) == EK_OK);
     CHECK(ek_voxel_map_init(&map, &none, ((size_t)1 << 26) + 1u, EK_R(0.01), 1u) == EK_OUT_OF_RANGE);

@@ -54,7 +54,7 @@ static void icp_of(size_t points, size_t targets, int lines)
     if (EK_GROUPED) {
         candidates_of(points);
     }
-    blocks(lines ? 4u : 0u, padded, REAL);
+    blocks(lines ? 5u : 0u, padded, REAL);
     blocks(lines ? 1u : 0u, padded, WORD);
 }
 
@@ -99,6 +99,11 @@ static void voxels_of(size_t voxels, size_t entries)
     block(entries, WORD);
 }
 
+static void views_of(size_t voxels)
+{
+    block(voxels, 2u * REAL);
+}
+
 static void graph_of(size_t poses, size_t loops)
 {
     block(poses, sizeof(ek_pose));
@@ -117,6 +122,7 @@ static void keyframes_of(size_t poses, size_t points, size_t loops)
 {
     graph_of(poses, loops);
     block(points, 2u * REAL);
+    block(poses, 2u * REAL);
     block(poses + 1u, sizeof(size_t));
     blocks(2u, poses, REAL);
     block(poses, WORD);
@@ -191,7 +197,7 @@ static void small_parts(void)
         TAKES(ek_index_init(&index, &arena, n, n + 7u), index_of(n, n + 7u));
         TAKES(ek_index_updater_init(&updater, &arena, n), updater_of(n));
         TAKES(ek_icp_init(&icp, &arena, n, n + 3u), icp_of(n, n + 3u, 0));
-        TAKES(ek_icp_init_lines(&icp, &arena), (blocks(4u, EK_PADDED(n), REAL), block(EK_PADDED(n), WORD)));
+        TAKES(ek_icp_init_lines(&icp, &arena), (blocks(5u, EK_PADDED(n), REAL), block(EK_PADDED(n), WORD)));
         TAKES(ek_icp_init_table(&icp, &arena), EK_GROUPED ? (void)0 : candidates_of(n));
         TAKES(ek_scan_init(&scan, &arena, n), scan_of(n));
         TAKES(ek_thinner_init(&thinner, &arena, n), thinner_of(n));
@@ -211,6 +217,7 @@ static void maps(void)
     for (size_t k = 0; k < 4u; k++) {
         ek_voxel_map map;
         TAKES(ek_voxel_map_init(&map, &arena, voxels[k], EK_R(0.1), 1u), voxels_of(voxels[k], entries[k]));
+        TAKES(ek_voxel_map_keep_views(&map, &arena), views_of(voxels[k]));
     }
     ek_lasting_map lasting;
     const ek_real voxel = EK_R(0.5);
@@ -274,9 +281,11 @@ static void wholes(void)
     continuity_of(2048u);
     voxels_of(16384u, 32768u);
     voxels_of(16384u, 32768u);
+    views_of(16384u);
+    views_of(16384u);
     blocks(4u, 2048u, 2u * REAL); /* last_points, last_normals, moved, stored */
     block(2048u, 2u * WORD);
-    blocks(2u, 12288u, 2u * REAL);
+    blocks(3u, 12288u, 2u * REAL);
     block(12288u, WORD);
     block(2048u, REAL);
     keyframes_of(2000u, 1000000u, 64u);

@@ -586,7 +586,7 @@ static void a_lost_robot_is_looked_for_at_all_places_in_turn(void)
         for (size_t k = 0; k < 6u; k++) {
             const ek_pose step = pose_of(k == 0u ? 0.0 : k < 5u ? 10.0 : steps[near], 0.0, 0.0);
             const ek_step_kind kind = k < 5u ? EK_STEP_MATCHED : EK_STEP_UNKNOWN;
-            CHECK(ek_keyframes_add(&slam.keyframes, point, 1u, step, kind, &closed, none, &work) == EK_OK);
+            CHECK(ek_keyframes_add(&slam.keyframes, point, 1u, AT_BASE, step, kind, &closed, none, &work) == EK_OK);
         }
         for (size_t k = 0; k < 12u; k++) {
             slam.finder.tried = 0;
@@ -613,7 +613,7 @@ static void after_a_step_of_the_wheels_alone_five_turns_look_at_four_kinds_of_pl
     ek_work work = ek_work_make(INT64_MAX);
     for (size_t k = 0; k < 8u; k++) {
         const ek_step_kind kind = k == 5u ? EK_STEP_MEASURED : EK_STEP_MATCHED;
-        CHECK(ek_keyframes_add(&slam.keyframes, point, 1u, pose_of(steps[k], 0.0, 0.0), kind, &closed, none, &work) == EK_OK);
+        CHECK(ek_keyframes_add(&slam.keyframes, point, 1u, AT_BASE, pose_of(steps[k], 0.0, 0.0), kind, &closed, none, &work) == EK_OK);
     }
     for (size_t k = 0; k < 10u; k++) {
         slam.finder.tried = 0;

@@ -170,7 +170,7 @@ static void what_is_begun_before_a_lost_track(void)
         slam.finder.phase = EK_FINDER_DRAW;
         slam.waiting_count = 3u;
         slam.odom_from_keyframe[9] = pose_of(9.0, 5.0, 0.0);
-        ek_slam_draw(&slam, 0u, slam.keyframes.points, 4u, ORIGIN, &work);
+        ek_slam_draw(&slam, 0u, slam.keyframes.points, 4u, AT_BASE, ORIGIN, &work);
         begin_anew(&slam, &work);
         CHECK(slam.task == (dropped ? EK_TASK_IDLE : (ek_slam_task)task) && slam.waiting_count == 0u);
         CHECK(slam.finder.phase == (dropped ? EK_FINDER_IDLE : EK_FINDER_DRAW));
@@ -190,7 +190,7 @@ static void drawing_aside_does_not_change_the_map(void)
     ek_arena arena = line_of(1u);
     for (uint32_t map = 0; map < 2u; map++) {
         slam.map_changed = 0;
-        ek_slam_draw(&slam, map, point, 1u, ORIGIN, &work);
+        ek_slam_draw(&slam, map, point, 1u, AT_BASE, ORIGIN, &work);
         CHECK(slam.map_changed == (map == 0u) && slam.maps[map].count == 1u);
     }
     free(arena.memory);

@@ -62,7 +62,7 @@ static void the_map_is_taken_again_after_a_tenth_of_its_radius(void)
     static const ek_real two[] = {EK_R(16.0), EK_R(0.0), EK_R(-3.0), EK_R(0.0)};
     ek_arena arena = line_of(1u);
     slam.parameters.map_radius = EK_R(15.0);
-    ek_slam_draw(&slam, 0u, two, 2u, ORIGIN, &work);
+    ek_slam_draw(&slam, 0u, two, 2u, AT_BASE, ORIGIN, &work);
     for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
         for (int changed = 0; changed < 2; changed++) {
             slam.map_changed = 1;
@@ -230,7 +230,7 @@ static void only_two_odometries_in_a_row_raise_doubt(void)
         memset(&estimate, 0, sizeof estimate);
         see_corner(ORIGIN);
         slam.map_changed = 1;
-        ek_slam_draw(&slam, 0u, slam.scan.hits, slam.scan.count, ORIGIN, &work);
+        ek_slam_draw(&slam, 0u, slam.scan.hits, slam.scan.count, AT_BASE, ORIGIN, &work);
         keep_last(&slam, ORIGIN);
         const ek_prior before = {1, had[k], ORIGIN}, prior = {2, has[k], pose_of(0.1, 0.0, 0.0)};
         ek_motion_store(&slam.motion, &before, ORIGIN);

@@ -32,6 +32,9 @@ typedef struct {
     ek_real cauchy;             /* scale of the Cauchy weight of EK_METRIC_LINE (m); 0: equal weights */
     int32_t share_noise;        /* 1: with EK_METRIC_LINE, each of c pairs with the same target point, which is the mean
                                    of n points (`support` of the index), weighs 1 / (1 + c / n), n at most 20 */
+    ek_real origin_x, origin_y; /* m: where the source points were seen from, in their frame; nan: unknown. With EK_METRIC_LINE,
+                                   a pair whose target point was seen from the other side of its line (`seen_from` of the
+                                   index) is none */
 } ek_icp_parameters;
 
 /* Result of a registration. Not converging is a result, not an error. */
@@ -71,6 +74,8 @@ typedef struct {
     ek_real *weight;        /* 1: a pair, 0: not */
     ek_real *nx, *ny;       /* normals of the nearest target points; NULL without ek_icp_init_lines */
     ek_real *across;        /* distance to their lines */
+    ek_real *facing;        /* 1: seen from the side of the target points' lines that these were seen from, or either; 0: not */
+    ek_real viewer_x, viewer_y; /* where the source points were seen from, in the target's frame at the guess (m) */
     ek_real *share;         /* weight of a pair among those with its target point; 0: no pair */
     uint32_t *lined;        /* with candidates: slot whose normal is stored, or `targets` */
     ek_real *cx, *cy;       /* candidates: EK_BLOCK target points that can be nearest; NULL without memory for them */

@@ -40,6 +40,8 @@ typedef struct {
     uint32_t neighbours;    /* that define a deferred normal */
     const uint32_t *support; /* NULL: 1 each; or how many points each point is the mean of, 1 or more, in the order of the
                                 cloud; set after each change of the points (for `share_noise` of icp.h) */
+    const ek_real *seen_from; /* NULL: unknown; or for each point the mean of unit vectors x y to where it was seen from, in
+                                 the order of the cloud; set after each change of the points (for EK_METRIC_LINE of icp.h) */
     ek_table *table;      /* NULL, or the table of its neighbours (table.h) */
 } ek_index;
 

@@ -38,6 +38,7 @@ typedef struct {
     ek_pose_graph graph;
     ek_drift drift;
     ek_real *points;     /* of all keyframes, each in its own frame; pairs x y (m) */
+    ek_real *sensor;     /* where the points of each were seen from, x y in its frame (m) */
     size_t *start;       /* first point of a keyframe; count + 1 entries */
     ek_real *path;       /* driven distance (m) */
     ek_real *apart;      /* distance from the last keyframe along steps and loops (m), or EK_APART */
@@ -54,10 +55,11 @@ typedef struct {
 ek_status ek_keyframes_init(ek_keyframes *keyframes, ek_arena *arena, size_t capacity, size_t points, size_t loops,
                             ek_drift drift);
 
-/* Add a keyframe by its motion from the last one: count pairs x y in its own frame (m). EK_TOO_MANY_POINTS: no room for
- * it or its points; what ek_pose_graph_add refuses. An error changes nothing. One operation a keyframe. */
-ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t count, ek_pose last_from_keyframe,
-                           ek_step_kind kind, const ek_openness *open, ek_doubt doubt, ek_work *work);
+/* Add a keyframe by its motion from the last one: count pairs x y in its own frame, seen from `sensor`, x y (m).
+ * EK_TOO_MANY_POINTS: no room for it or its points; what ek_pose_graph_add refuses. An error changes nothing. One operation a
+ * keyframe. */
+ek_status ek_keyframes_add(ek_keyframes *keyframes, const ek_real *xy, size_t count, const ek_real *sensor,
+                           ek_pose last_from_keyframe, ek_step_kind kind, const ek_openness *open, ek_doubt doubt, ek_work *work);
 
 /* Measure the distances through the graph again: at most one pass of all keyframes for each loop. */
 void ek_keyframes_measure(ek_keyframes *keyframes, ek_work *work);

@@ -112,7 +112,8 @@ typedef struct {
     int32_t last_compared;   /* and prepared when another scan is compared with them; */
     int32_t last_outdated;   /* 1: the scan that was prepared last is older than the one before */
     ek_pose last_odom_from_base, last_base_from_sensor;
-    uint32_t *map_support;   /* points of each mean in map_points */
+    uint32_t *map_support;   /* points of each mean in map_points, */
+    ek_real *map_seen_from;  /* and the mean of unit vectors x y to where they were seen from */
     ek_thinner thinner;
     ek_observer observer;
     ek_continuity continuity;

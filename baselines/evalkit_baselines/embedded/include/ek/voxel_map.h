@@ -26,11 +26,13 @@ typedef struct {
     ek_real size;           /* m */
     uint32_t max_points, cloud;
     ek_voxel *voxel;        /* in the order of their first points */
+    ek_real *seen_from;     /* NULL, or for each voxel the sum of unit vectors x y from its points to the sensor */
     uint32_t *entry;        /* hash table: 1 + voxel, 0: free */
     uint64_t dropped;       /* times that points of a new cell had no room */
 } ek_voxel_map;
 
 #define ek_voxel_map_init EK_NAME(voxel_map_init)
+#define ek_voxel_map_keep_views EK_NAME(voxel_map_keep_views)
 #define ek_voxel_map_clear EK_NAME(voxel_map_clear)
 #define ek_voxel_map_add EK_NAME(voxel_map_add)
 #define ek_voxel_map_cloud EK_NAME(voxel_map_cloud)
@@ -39,18 +41,23 @@ typedef struct {
  * above 100 m, max_points 0. */
 ek_status ek_voxel_map_init(ek_voxel_map *map, ek_arena *arena, size_t capacity, ek_real size, uint32_t max_points);
 
+/* Let an empty map keep from where its points are seen (memory in addition). */
+ek_status ek_voxel_map_keep_views(ek_voxel_map *map, ek_arena *arena);
+
 /* Remove all voxels. */
 void ek_voxel_map_clear(ek_voxel_map *map);
 
 /* Add points at a pose: count pairs x y (m), which stay within EK_MAX_COORDINATE; `moved` and `cells` are working memory for as
- * many pairs. A voxel takes all points of a cloud or none. 6 operations a point. */
-void ek_voxel_map_add(ek_voxel_map *map, const ek_real *xy, size_t count, ek_pose map_from_points, ek_real *moved,
-                      int32_t *cells, ek_work *work);
+ * many pairs. `sensor`: where they were seen from, x y in their frame (m); NULL for a map that does not keep that. A voxel takes
+ * all points of a cloud or none. 6 operations a point, 2 more where it is kept. */
+void ek_voxel_map_add(ek_voxel_map *map, const ek_real *xy, size_t count, const ek_real *sensor, ek_pose map_from_points,
+                      ek_real *moved, int32_t *cells, ek_work *work);
 
-/* Write the means within a radius (m) of a place, at most `capacity` pairs, and the number of points of each (`points`; NULL:
- * not wanted); returns the number of means. 1 operation a voxel. */
+/* Write the means within a radius (m) of a place, at most `capacity` pairs, the number of points of each (`points`; NULL:
+ * not wanted), and the mean of the unit vectors to where they were seen from (`seen_from`, pairs x y; NULL: not wanted, or not
+ * kept); returns the number of means. 1 operation a voxel. */
 size_t ek_voxel_map_cloud(const ek_voxel_map *map, ek_real x, ek_real y, ek_real radius, ek_real *means, uint32_t *points,
-                          size_t capacity, ek_work *work);
+                          ek_real *seen_from, size_t capacity, ek_work *work);
 
 #ifdef __cplusplus
 }
