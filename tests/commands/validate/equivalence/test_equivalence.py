@@ -163,10 +163,10 @@ class Alternating:
 
 
 class TiesToTheHigher(Icp):
-    def _pairs(self, association, moved, targets):
+    def _pairs(self, association, moved, target, *_views):
         nearest, distance = association.find(moved)
         at = np.flatnonzero(np.isfinite(distance))[::-1]
-        at = np.sort(at[icp.select_closest(nearest[at], distance[at], targets)])
+        at = np.sort(at[icp.select_closest(nearest[at], distance[at], len(target))])
         return at, nearest[at]
 
 
