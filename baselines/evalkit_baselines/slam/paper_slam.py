@@ -45,6 +45,7 @@ from evalkit_baselines.slam.second_try import (
     CoarseToFine,
     SecondTry,
 )
+from evalkit_baselines.slam.speckles import Speckles
 from evalkit_baselines.slam.uneven_turns import UnevenTurns
 
 DCS_PHI = 10.0
@@ -130,6 +131,7 @@ class PaperSlam:
         self._scale = OdometryScale()
         self._doubt = MatchDoubt()
         self._turns = UnevenTurns()
+        self._speckles = Speckles()
         self._hits = 0  # of the front end's last keyframe
         self._wheels: Pose | None = None  # raw odometry at the last keyframe
         self._fitted_ns: int | None = None  # stamp of the last scan that was not lost
@@ -149,7 +151,7 @@ class PaperSlam:
             raise ValueError(f"paper-slam: {found}; give the scans in the order of time")
         self._corrected = False
         wheels = frame.odom_from_base
-        frame = self._scale.correct(replace(frame, scan=smooth_ranges(frame.scan)))
+        frame = self._scale.correct(replace(frame, scan=self._speckles.drop(smooth_ranges(frame.scan))))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         last = Pose.of(self._odom_from_base[-1]) if self._stamps_ns else None
         step = last.inverse() @ predicted if measured and last is not None else None

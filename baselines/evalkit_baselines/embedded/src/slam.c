@@ -102,7 +102,7 @@ static ek_status init_front(ek_slam *slam, ek_arena *arena, const ek_slam_parame
     slam->moved = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->cells = (int32_t *)ek_arena_alloc(arena, p->points, 2u * sizeof(int32_t));
     slam->stored = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
-    slam->smoothed = (ek_real *)ek_arena_alloc(arena, p->points, sizeof(ek_real));
+    slam->cleaned = (ek_real *)ek_arena_alloc(arena, p->points, sizeof(ek_real));
     return status;
 }
 
@@ -113,6 +113,7 @@ ek_status ek_slam_init(ek_slam *slam, ek_arena *arena, const ek_slam_parameters 
     memset(slam, 0, sizeof *slam);
     slam->parameters = *parameters;
     ek_slam_start_wheels(slam);
+    slam->dirt = ek_dirt_default();
     ek_status status = check_parameters(parameters);
     status = status == EK_OK ? init_front(slam, arena, parameters) : status;
     if (status == EK_OK) {
@@ -410,9 +411,10 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     const ek_slam_parameters *const p = &slam->parameters;
     ek_status status = check_sweep(slam, sweep);
     ek_wheels wheels = slam->wheels;
+    ek_dirt dirt = slam->dirt;
     ek_sweep prepared = *sweep;
     if (status == EK_OK) {
-        prepared = ek_slam_prepare(slam, sweep, &wheels);
+        prepared = ek_slam_prepare(slam, sweep, &wheels, &dirt);
         status = ek_motion_project(&slam->motion, &slam->scan, &prepared, &p->scan, p->deskew);
     }
     status = status == EK_OK ? check_points(&slam->scan) : status;
@@ -435,6 +437,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
         return status == EK_OK ? EK_OUT_OF_RANGE : status;
     }
     slam->wheels = wheels;
+    slam->dirt = dirt;
     ek_work task = ek_work_make(0);
     if (!estimate->set_aside) {
         status = is_direct(estimate) ? EK_OK : take_map(slam, estimate->odom_from_base, &work);

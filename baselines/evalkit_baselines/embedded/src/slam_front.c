@@ -51,11 +51,12 @@ static ek_pose scaled(ek_pose motion, ek_real scale)
     return motion;
 }
 
-ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *wheels)
+ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *wheels, ek_dirt *dirt)
 {
     const ek_real scale = slam->wheels.matched / slam->wheels.driven;
     ek_sweep prepared = *sweep;
     *wheels = slam->wheels;
+    *dirt = slam->dirt;
     wheels->has_last = sweep->has_odometry;
     wheels->now = sweep->odom_from_base;
     if (sweep->has_odometry) {
@@ -66,9 +67,12 @@ ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *
         prepared.odom_from_base = wheels->scaled;
         prepared.start_from_end = scaled(sweep->start_from_end, scale);
     }
-    if (sweep->ranges && sweep->angles && sweep->beams <= slam->parameters.points &&
-        ek_smooth_ranges(sweep->ranges, sweep->angles, sweep->beams, slam->smoothed)) {
-        prepared.ranges = slam->smoothed;
+    if (sweep->ranges && sweep->angles && sweep->beams <= slam->parameters.points) {
+        const ek_scan_parameters *const limits = &slam->parameters.scan;
+        const int smoothed = ek_smooth_ranges(sweep->ranges, sweep->angles, sweep->beams, slam->cleaned);
+        ek_drop_speckles(smoothed ? slam->cleaned : sweep->ranges, sweep->angles, sweep->beams, limits->range_min,
+                         limits->range_max, dirt, slam->cleaned);
+        prepared.ranges = slam->cleaned;
     }
     return prepared;
 }

@@ -38,8 +38,9 @@ ek_status ek_slam_init(ek_slam *slam, ek_arena *arena, const ek_slam_parameters 
 /* Scale 1 for the wheel odometry. */
 void ek_slam_start_wheels(ek_slam *slam);
 
-/* The sweep with smoothed ranges and scaled odometry; `wheels` becomes the state after this sweep. */
-ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *wheels);
+/* The sweep with smoothed ranges, without the speckles of a dirty lidar, and with scaled odometry; `wheels` and `dirt` become
+ * the state after this sweep. */
+ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *wheels, ek_dirt *dirt);
 
 /* Compare the motion between the last two keyframes as matched with that of the wheels. */
 void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *open, int known);

@@ -11,6 +11,7 @@
 #include "ek/continuity.h"
 #include "ek/loop_finder.h"
 #include "ek/motion.h"
+#include "ek/speckles.h"
 #include "ek/voxel_map.h"
 
 #ifdef __cplusplus
@@ -139,6 +140,7 @@ typedef struct {
     uint32_t *record_of_loop;
     ek_slam_task task;
     ek_wheels wheels;
+    ek_dirt dirt;
     ek_doubt doubt;          /* of the step since the last keyframe */
     ek_real usual_error;     /* m: of matches with the map */
     ek_real usual_gap, usual_turn; /* m, rad: between them and the odometry */
@@ -146,7 +148,7 @@ typedef struct {
     ek_gate gate;            /* of this scan */
     int64_t fitted_ns;       /* stamp of the last scan that fitted */
     ek_uneven uneven;
-    ek_real *smoothed;
+    ek_real *cleaned;
     int32_t undecided, corrected, full, rounds;
     ek_real mu, built_at;
     size_t redrawn;
