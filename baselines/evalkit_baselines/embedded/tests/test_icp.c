@@ -240,6 +240,8 @@ static size_t build_thin_wall(ek_real *xy, ek_real *seen_from, ek_real below)
     return n;
 }
 
+static size_t kept; /* pairs of the last match there */
+
 /* Error along y of a match with it of what is seen from `sensor` in the room: the upper face. */
 static double error_at_thin_wall(int grouped, double sensor, ek_real below)
 {
@@ -269,6 +271,7 @@ static double error_at_thin_wall(int grouped, double sensor, ek_real below)
     parameters.origin_y = viewer[1];
     CHECK(ek_icp_register(&matcher, &index, scan, count, truth, &parameters, NULL, NULL, &match) == EK_OK);
     free(arena.memory);
+    kept = (size_t)match.inliers;
     return (double)(match.target_from_source.y - truth.y);
 }
 
@@ -276,10 +279,13 @@ static void the_face_behind_a_thin_wall_has_no_pairs(void)
 {
     for (int grouped = 0; grouped < 2; grouped++) {
         CHECK_NEAR(error_at_thin_wall(grouped, 2.0, EK_R(-1.0)), 0.0, 1e-4);
+        CHECK(kept == 130u); /* 60 of the ceiling and 35 of each side wall */
         CHECK_NEAR(error_at_thin_wall(grouped, 0.1, EK_R(-0.11)), 0.0, 1e-4);
         CHECK(error_at_thin_wall(grouped, 2.0, EK_R(1.0)) < -0.03);   /* seen from above before */
         CHECK(error_at_thin_wall(grouped, 2.0, EK_R(-0.09)) < -0.03); /* hardly from below */
         CHECK(error_at_thin_wall(grouped, -0.5, EK_R(-1.0)) < -0.03); /* this time from below */
+        CHECK(error_at_thin_wall(grouped, 0.01, EK_R(-1.0)) < -0.03); /* along it, by 0.02, but for ten points */
+        CHECK(kept == 180u);
     }
 }
 
@@ -295,6 +301,12 @@ static void bad_input_is_named(void)
           EK_TOO_MANY_POINTS);
     CHECK(ek_icp_register(&icp, &reference, room, POINTS, lost, &good, NULL, NULL, &match) == EK_NOT_FINITE);
     bad.epsilon = -EK_R(1.0);
+    CHECK(ek_icp_register(&icp, &reference, room, POINTS, identity, &bad, NULL, NULL, &match) == EK_OUT_OF_RANGE);
+    bad = good;
+    bad.origin_x = EK_R(2.0) * EK_MAX_COORDINATE;
+    CHECK(ek_icp_register(&icp, &reference, room, POINTS, identity, &bad, NULL, NULL, &match) == EK_OUT_OF_RANGE);
+    bad.origin_x = EK_R(0.0);
+    bad.origin_y = -(ek_real)INFINITY;
     CHECK(ek_icp_register(&icp, &reference, room, POINTS, identity, &bad, NULL, NULL, &match) == EK_OUT_OF_RANGE);
     moved[3] = (ek_real)INFINITY;
     CHECK(ek_icp_register(&icp, &reference, moved, POINTS, identity, &good, NULL, NULL, &match) == EK_NOT_FINITE);
