@@ -116,6 +116,7 @@ static void ask(ek_icp *icp, ek_index *index, const clouds *known, ek_input *inp
     index->support = metric & 64u ? support : NULL;
     index->seen_from = metric & 32u ? seen_from : NULL;
     parameters.origin_x = metric & 16u ? take_real(input) : EK_R(0.0);
+    parameters.origin_y = metric & 16u ? take_real(input) : EK_R(0.0);
     ek_match match, again;
     memset(&match, 0xA5, sizeof match);
     again = match;

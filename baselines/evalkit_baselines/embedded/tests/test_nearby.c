@@ -138,6 +138,7 @@ static void a_registration_is_the_same(uint64_t *seed, int lattice)
         parameters.metric = turn % 4 < 2 ? EK_METRIC_POINT : EK_METRIC_LINE;
         parameters.share_noise = turn % 4 == 3;
         index_.seen_from = turn % 8 > 3 ? seen_from : NULL;
+        parameters.origin_x = parameters.origin_y = EK_R(0.3);
         icp.wide = turn % 3 != 1 && ek_is_wide();
         icp.grouped = EK_GROUPED;
         in_groups.iterations = singly.iterations = 0u;
@@ -147,7 +148,7 @@ static void a_registration_is_the_same(uint64_t *seed, int lattice)
         CHECK(ek_normals_defer(&index_, 8u, normals) == EK_OK);
         CHECK(ek_icp_register(&icp, &index_, source, SOURCES, start, &parameters, note, &singly, &expected) == EK_OK);
         CHECK(memcmp(&found.target_from_source, &expected.target_from_source, sizeof(ek_pose)) == 0);
-        CHECK(found.error == expected.error && found.inliers == expected.inliers && found.inliers > 50);
+        CHECK(found.error == expected.error && found.inliers == expected.inliers && found.inliers > 10);
         CHECK(found.iterations == expected.iterations && found.converged == expected.converged);
         CHECK(memcmp(in_groups.pairs, singly.pairs, in_groups.iterations * sizeof singly.pairs[0]) == 0);
         searches[0] += found.queries;
