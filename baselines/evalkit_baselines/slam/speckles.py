@@ -1,8 +1,8 @@
 """Leave out single beams of a dirty lidar whose range has nothing to do with those of their neighbours: speckles.
 
 Dust, sunlight, and glass give single beams any range. In the map such points look like walls: in a bare corridor they
-fix the position along it, and hold the robot back. Where few are alone, most have been seen through a gap: they are
-far away, and loops are found by them.
+fix the position along it, and hold the robot back. Where few are alone, many are real, and farther away than their
+neighbours: a wall seen through a gap. A long corridor lost loops without them.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
@@ -63,7 +64,6 @@ def find_speckles(ranges: Floats, angles: Floats) -> Bools:
     if len(ranges) <= len(_NEIGHBOURS):
         return np.zeros(len(ranges), dtype=np.bool_)
     beyond = np.stack([np.roll(ranges, step) for step in _NEIGHBOURS]) - ranges
-    apart = np.abs(np.stack([np.roll(angles, step) for step in _NEIGHBOURS]) - angles)
-    turn = np.where(apart > np.pi, np.abs(2.0 * np.pi - apart), apart)
+    turn = np.abs(se2.wrap(np.stack([np.roll(angles, step) for step in _NEIGHBOURS]) - angles))
     alone = (np.abs(beyond) > NEAR_M + STEEPEST * ranges * turn).all(axis=0)
     return np.asarray(alone & ((beyond > 0.0).sum(axis=0) != len(_NEIGHBOURS) // 2))

@@ -1,4 +1,5 @@
 #include "ek/speckles.h"
+#include "ek/se2.h"
 
 #define NEAR EK_R(0.2)     /* m: hits whose ranges differ by no more than this, */
 #define STEEPEST EK_R(5.0) /* and so many times the distance between their beams, may lie on one wall */
@@ -29,9 +30,8 @@ static int is_speckle(const ek_real *marked, const ek_real *angles, size_t beams
             do {
                 other = (other + step) % beams;
             } while (!is_hit(range_of(marked, other), low, high));
-            const ek_real beyond = range_of(marked, other) - range, apart = EK_FABS(angles[other] - angles[beam]);
-            const ek_real turn = apart > EK_PI ? EK_FABS(EK_R(2.0) * EK_PI - apart) : apart;
-            if (!(EK_FABS(beyond) > NEAR + STEEPEST * range * turn)) {
+            const ek_real beyond = range_of(marked, other) - range, turn = ek_se2_wrap(angles[other] - angles[beam]);
+            if (!(EK_FABS(beyond) > NEAR + STEEPEST * range * EK_FABS(turn))) {
                 return 0;
             }
             farther += beyond > EK_R(0.0) ? 1u : 0u;
