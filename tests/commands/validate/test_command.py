@@ -6,15 +6,21 @@ import subprocess
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from evalkit.cli import app
 from evalkit.commands.validate import level_answers, plan, probes, run
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
+from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.probes import EXACT
 from evalkit.core.errors import BadExperiment, BadParameter, NotInstalled, UnknownName
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
 from evalkit.execution import sandbox
 from evalkit.external import INCLUDE
 from evalkit.plugins import defaults, registry
@@ -89,11 +95,27 @@ def test_an_injected_fault_is_named_at_the_level_of_registrations(name, misfits)
 
 
 @pytest.mark.parametrize(
-    ("name", "margin"), [("embedded", EXACT), ("embedded-f32", FLOAT32), ("embedded-pipeline", EXACT)]
-)
-def test_the_compiled_core_equals_the_reference_within_the_margin_of_its_precision(name, margin):
-    level, found = registrations(present(name))
+    ("name", "reference", "margin"),
+    [
+        ("embedded", "paper", EXACT), ("embedded-f32", "paper", FLOAT32), ("embedded-pipeline", "paper", EXACT),
+        ("embedded-slam", "paper-slam", EXACT),
+    ],
+)  # fmt: skip
+def test_the_compiled_core_equals_the_reference_within_the_margin_of_its_precision(name, reference, margin):
+    level, found = registrations(present(name), reference)
     assert (level.outcome("equal"), found) == ("passed", margin), level.checks
+
+
+@pytest.mark.parametrize(("x", "other", "undecided"), [(0.0, 0.0, True), (0.0, 1.0, False), (0.5, 0.0, False)])
+def test_an_odometry_is_not_asked_for_the_answer_that_rounding_decides(x, other, undecided):
+    # its answer is on which side of x = 0 the last point lies: on the line itself, rounding decides
+    side = SimpleNamespace(
+        register=lambda _, source, __: Match(Pose(float(source.points[0, 0] >= 0.0)), True, 0, 0.0, 0)
+    )
+    question = Question(1, "pair", Cloud(np.eye(2)), Cloud(np.array([[x, 1.0]])), Pose())
+    right = side.register(question.target, question.source, question.guess)
+    answered = AnswerPair(question, right, replace(right, target_from_source=Pose(other)))
+    assert probes._is_undecided(side, answered) is undecided
 
 
 def test_another_stop_rule_is_not_equal_but_not_worse():

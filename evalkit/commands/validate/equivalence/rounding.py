@@ -14,8 +14,8 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.plugins.protocols import Registration
 
-COPIES, DOUBLE_COPIES = 16, 4
-"""Copies of a question, perturbed by rounding to single and to double precision."""
+COPIES = 16
+"""Copies of a question, perturbed by rounding to single or to double precision."""
 
 FLOAT64_ROUNDOFF = float(np.finfo(np.float64).eps)
 
@@ -26,7 +26,7 @@ def is_decided_by_rounding(reference: Registration, question: Question, right: M
     ``right``: the reference's answer to the unperturbed points. Where it is so, no implementation in single precision
     can be asked for the same answer.
     """
-    for match in _answer_perturbed(reference, question, FLOAT32_ROUNDOFF, COPIES):
+    for match in _answer_perturbed(reference, question, FLOAT32_ROUNDOFF):
         counts = (match.inliers, match.iterations, match.converged)
         if counts != (right.inliers, right.iterations, right.converged) or not margin.holds(
             match.target_from_source, right.target_from_source
@@ -42,17 +42,17 @@ def is_ill_conditioned(reference: Registration, question: Question, right: Match
     """
     tenth = replace(margin, metres=0.1 * margin.metres, radians=0.1 * margin.radians)
     expected = _list_poses(right)
-    for match in _answer_perturbed(reference, question, FLOAT64_ROUNDOFF, DOUBLE_COPIES):
+    for match in _answer_perturbed(reference, question, FLOAT64_ROUNDOFF):
         if _count_pairs(match) == _count_pairs(right) and not all(map(tenth.holds, _list_poses(match), expected)):
             return True
     return False
 
 
-def _answer_perturbed(reference: Registration, question: Question, roundoff: float, copies: int) -> Iterator[Match]:
+def _answer_perturbed(reference: Registration, question: Question, roundoff: float) -> Iterator[Match]:
     """The answers of the reference to copies of a question with perturbed points."""
     rng = np.random.default_rng(0)
     reach = TIE_ROUNDINGS * roundoff * GeometryScale.of(question.target, question.source, question.guess).reach_m
-    for _ in range(copies):
+    for _ in range(COPIES):
         target, source = (
             Cloud(one.points + rng.uniform(-reach, reach, one.points.shape))
             for one in (question.target, question.source)
