@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,7 +58,11 @@ def trajectories_level(
     """Level 3; ``perturbed``: the reference's paths over copies of a sequence perturbed by rounding, for float32."""
     checks: list[Check | None] = [*_complete_runs({place: runs[terms.backend] for place, runs in records.items()})]
     both = {place: runs for place, runs in records.items() if _have_answers(runs, terms.backend, terms.reference)}
-    checks += [_same_path(place, runs, margins.get(place), terms) for place, runs in both.items()]
+    for place, runs in both.items():
+        checks.append(_same_path("path", place, runs, margins.get(place), terms))
+        if corrected := _take_corrected(runs, terms):
+            checks.append(_same_path("corrected path", place, corrected, margins.get(place), terms))
+            checks.append(_same_closures(place, corrected, terms))
     checks += [
         _within_rounding(place, both[place], result, margins.get(place), terms)
         for place, result in perturbed.items()
@@ -150,8 +154,44 @@ def _complete_runs(runs: Mapping[str, RunRecord]) -> list[Check]:
     return checks
 
 
+def _take_corrected(runs: Mapping[str, RunRecord], terms: ComparisonTerms) -> Mapping[str, RunRecord] | None:
+    """The runs of both methods with their corrected poses in place of the answers; None unless both correct them."""
+    corrected = {}
+    for label in (terms.backend, terms.reference):
+        result = runs[label].result.with_final_answers
+        if result is None:
+            return None
+        corrected[label] = replace(runs[label], result=result)
+    return corrected
+
+
+def _same_closures(place: str, runs: Mapping[str, RunRecord], terms: ComparisonTerms) -> Check:
+    """The check that the candidates for loop closures and what became of them are those of the reference."""
+    own, known = (
+        {(loop.stamp_ns, loop.other_stamp_ns): loop.accepted for loop in runs[label].result.loop_closures}
+        for label in (terms.backend, terms.reference)
+    )
+    name = f"the loop closures of {terms.reference}"
+    observed = f"candidates: {len(known)}, accepted: {sum(known.values())}"
+    differing = sorted(pair for pair in own.keys() | known.keys() if own.get(pair) != known.get(pair))
+    if differing:
+        begin = runs[terms.reference].result.steps["stamp_ns"][0]
+        later, earlier = ((stamp - begin) * 1e-9 for stamp in differing[0])
+        states = {None: "no candidate", True: "accepted", False: "rejected"}
+        ours, theirs = (states[each.get(differing[0])] for each in (own, known))
+        first = f"{later:.1f} s with {earlier:.1f} s: {ours}, but {theirs} by {terms.reference}"
+        observed = f"{len(differing)} differ; first {first}"
+    if terms.margin == FLOAT32:
+        return Check(name, place, "informative", "never", observed)
+    return Check(name, place, "failed" if differing else "passed", "equal", observed)
+
+
 def _same_path(
-    place: str, runs: Mapping[str, RunRecord], margin: tuple[float, float] | None, terms: ComparisonTerms
+    what: str,
+    place: str,
+    runs: Mapping[str, RunRecord],
+    margin: tuple[float, float] | None,
+    terms: ComparisonTerms,
 ) -> Check | None:
     """The check that the path is the reference's; informative in single precision, where a tie may change a path."""
     if margin is None:
@@ -160,7 +200,7 @@ def _same_path(
     bound, reason = _path_bound(margin, len(apart), runs[terms.reference].result.estimate.path_m)
     worst = int(np.argmax(apart))
     beyond = np.flatnonzero(apart > bound)
-    name = f"the path of {terms.reference}"
+    name = f"the {what} of {terms.reference}"
     observed = f"largest distance {apart[worst]:.2g} m, at {seconds[worst]:.1f} s; at the end {apart[-1]:.2g} m"
     if terms.margin == FLOAT32:
         detail = "paths may diverge at a tie that single precision breaks differently; see the check on rounding"

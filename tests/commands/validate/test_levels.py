@@ -11,7 +11,10 @@ from evalkit.commands.validate.acceptance import AcceptanceLevel, Check
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin, format_margin
 from evalkit.commands.validate.known_motion import judge_gap, known_motion_checks, peer_check
 from evalkit.core.ground_truth import Truth
+from evalkit.core.loop_closure import LoopClosure
+from evalkit.core.pose import Pose
 from evalkit.core.run_status import RunStatus
+from evalkit.core.trajectory import Trajectory
 from evalkit.execution.sandbox import ENDED
 
 TERMS = ComparisonTerms("mine", "paper", "exact", 0.5)
@@ -53,6 +56,29 @@ def test_a_path_beyond_the_margin_is_found_at_its_first_scan(reference):
     single = trajectories(away_m, reference, terms=SINGLE)[1]
     assert (single.outcome, single.observed) == ("informative", away.partition("; ")[2])
     assert len(trajectories(away_m, reference, margin=None)) == len(same) - 1
+
+
+def test_slams_are_compared_by_their_corrected_paths_and_closures(reference):
+    stamps = reference.result.steps["stamp_ns"]
+
+    def close(last_m=0.0, accepted=True):
+        poses = reference.result.estimate.poses.copy()
+        poses[-1, 0] += last_m
+        loops = (LoopClosure(int(stamps[30]), int(stamps[5]), Pose(), accepted, "chi2 0.1"),)
+        final = Trajectory(stamps, poses, "start", "base")
+        return replace(reference, result=replace(reference.result, final=final, loop_closures=loops))
+
+    path, corrected, closures = trajectories(close(), close())[1:4]
+    assert [each.name for each in (path, corrected, closures)] == [
+        "the path of paper", "the corrected path of paper", "the loop closures of paper"
+    ]  # fmt: skip
+    assert [each.outcome for each in (path, corrected, closures)] == ["passed"] * 3
+    assert closures.observed == "candidates: 1, accepted: 1"
+    path, corrected, closures = trajectories(close(0.5, accepted=False), close())[1:4]
+    assert [each.outcome for each in (path, corrected, closures)] == ["passed", "failed", "failed"]
+    assert corrected.observed.startswith("beyond the margin from scan 60 (5.9 s) on; largest distance 0.5 m")
+    assert closures.observed == "1 differ; first 3.0 s with 0.5 s: rejected, but accepted by paper"
+    assert len(trajectories(close(), reference)) == len(trajectories(reference, reference))  # one corrects nothing
 
 
 def test_a_path_in_single_precision_is_as_close_as_one_more_perturbed_copy_may_be(reference):
