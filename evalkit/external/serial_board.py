@@ -20,7 +20,7 @@ from typing import Any
 
 from evalkit.external.serial_line import BAUDS, Line, LineError, Link, open_command, open_device
 
-VERSION = 1
+VERSION = 2
 KINDS = {"r": "registration", "o": "odometry"}
 REALS = {4: "f", 8: "d"}
 HAS_ODOMETRY, HAS_MOTION = 1, 2
@@ -127,7 +127,7 @@ class Board:
         self._check(len(target) // 2, self.firmware.targets, "points of a target")
         head = struct.pack("<3d2I", *question["guess"], len(source) // 2, len(target) // 2)
         answer = self._ask(b"R" + head + self._reals(source) + self._reals(target))
-        *pose, error, converged, iterations, inliers, elapsed_ns = self._unpack("<4d4I", answer)
+        *pose, error, converged, iterations, inliers, elapsed_ns = self._unpack("<4d3IQ", answer)
         return {
             "pose": pose,
             "converged": bool(converged),
@@ -147,7 +147,7 @@ class Board:
         head += struct.pack("<2q2I", question["stamp_ns"], question["time_increment_ns"], len(ranges), flags)
         head += struct.pack(f"<{len(poses)}d", *poses)
         answer = self._ask(b"U" + head + self._reals(ranges) + self._reals(question["angles"]))
-        *pose, elapsed_ns = self._unpack("<3dI", answer)
+        *pose, elapsed_ns = self._unpack("<3dQ", answer)
         return {"pose": pose, "elapsed_ns": elapsed_ns}
 
     def _check(self, count: int, most: int, what: str) -> None:

@@ -45,11 +45,11 @@ TRAPS = ["-fsanitize=float-cast-overflow", "-fsanitize-undefined-trap-on-error"]
 def make_firmware(tmp_path_factory):
     """Return what links the example firmware, with compiler options, as a program that traps undefined conversions."""
     folder = tmp_path_factory.mktemp("firmware")
-    sources = [*(CORE / "src").glob("*.c"), CORE / "board" / "link.c", CORE / "board" / "host.c"]
+    sources = [*(CORE / "src").glob("*.c"), CORE / "board" / "link.c"]
     subprocess.run([CC, *FLAGS, "-c", *map(str, sources)], cwd=folder, check=True)
 
-    def make(name, *options):
-        parts = [CORE / "board" / "firmware.c", *folder.glob("*.o"), "-lm", "-o", folder / name]
+    def make(name, *options, port=CORE / "board" / "host.c"):
+        parts = [CORE / "board" / "firmware.c", port, *folder.glob("*.o"), "-lm", "-o", folder / name]
         subprocess.run([CC, *FLAGS, *TRAPS, *options, *map(str, parts)], check=True)
         return folder / name
 
@@ -239,6 +239,35 @@ def test_a_firmware_with_too_little_memory_says_how_much_the_session_needs(make_
         create(needed - 1)
 
 
+PORT_WITH_OTHER_CLOCK = """#define port_clock_ns clock_of_this_computer
+#include "host.c"
+#undef port_clock_ns
+uint64_t port_clock_ns(void)
+{
+    static uint64_t now;
+    return now += 17400000000u;
+}
+"""
+
+
+@needs_firmware
+def test_a_board_may_compute_for_longer_than_a_clock_of_32_bits_counts(make_firmware, tmp_path):
+    """17.4 s are four times 2^32 ns and 0.22 s."""
+    (tmp_path / "port.c").write_text(PORT_WITH_OTHER_CLOCK)
+    line = StandIn(make_firmware("late", f"-I{CORE / 'board'}", port=tmp_path / "port.c"))
+    try:
+        link = Link(line.line, timeout_s=0.2, tries=10)
+        for kind, asked in (
+            ("o", question(next(frames(1)))),
+            ("r", {"ask": "register", "guess": [0.0] * 3, "source": [], "target": []}),
+        ):
+            board = Board(link, kind, "stand-in")
+            board.answer({"ask": "create", "parameters": PARAMETERS})
+            assert board.answer(asked)["elapsed_ns"] == 17_400_000_000
+    finally:
+        line.close()
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
@@ -293,13 +322,13 @@ def test_no_frame_with_one_damaged_byte_is_taken():
 
 
 def test_a_greeting_of_another_version_is_refused():
-    assert parse_hello(b"\x01\x00\x04\x00" + bytes(8) + b"o\nmine\nsize 3\nlimit 0.5\n").parameters == (
+    assert parse_hello(b"\x02\x00\x04\x00" + bytes(8) + b"o\nmine\nsize 3\nlimit 0.5\n").parameters == (
         ("size", 3), ("limit", 0.5),
     )  # fmt: skip
     assert parse_default("true") is True
     assert parse_default("-2") == -2
-    for answer in (b"", b"\x02\x00\x04\x00" + bytes(8) + b"o\nmine\n", b"\x01\x00\x04\x00" + bytes(8) + b"x\nmine\n"):
-        with pytest.raises(LineError, match="is this firmware for version 1"):
+    for answer in (b"", b"\x01\x00\x04\x00" + bytes(8) + b"o\nmine\n", b"\x02\x00\x04\x00" + bytes(8) + b"x\nmine\n"):
+        with pytest.raises(LineError, match="is this firmware for version 2"):
             parse_hello(answer)
 
 

@@ -201,14 +201,14 @@ static int __attribute__((noinline)) update(const ek_sweep *sweep, int silent)
     for (deepest = here - PAINTED; deepest < here; deepest++) {
         *deepest = PAINT;
     }
-    const uint32_t from = port_clock_ns();
+    const uint64_t from = port_clock_ns();
     const ek_status status = ek_pipeline_update(&pipeline, sweep, &estimate);
-    const uint32_t taken = port_clock_ns() - from;
+    const uint64_t taken = port_clock_ns() - from;
     for (deepest = here - PAINTED; deepest < here && *deepest == PAINT;) {
         deepest++;
     }
     if (!silent) {
-        printf("%lu %lu\n", (unsigned long)taken, (unsigned long)(here - deepest) * sizeof *here);
+        printf("%llu %lu\n", (unsigned long long)taken, (unsigned long)(here - deepest) * sizeof *here);
     }
     return status == EK_OK ? 0 : fail("update", status);
 }

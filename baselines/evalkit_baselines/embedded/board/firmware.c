@@ -7,10 +7,11 @@
  *                                                 u32 largest target, text (see `about`)
  *     C  u8 kind ('r', 'o')  f64 parameters[]  -> u32 bytes of memory used
  *     R  f64 guess[3]  u32 source, target  real source[2 x n], target[2 x m]
- *                                              -> f64 pose[3], error, u32 converged, iterations, inliers, nanoseconds
+ *                                              -> f64 pose[3], error, u32 converged, iterations, inliers
+ *                                                 u64 nanoseconds
  *     U  f64 range_min, range_max, base_from_sensor[3]  i64 stamp_ns, time_increment_ns  u32 beams, flags (scanlog.h)
  *        f64 odom_from_base[3], start_from_end[3] (as flagged)  real ranges[n], angles[n]
- *                                              -> f64 pose[3], u32 nanoseconds
+ *                                              -> f64 pose[3], u64 nanoseconds
  */
 #include <string.h>
 
@@ -33,7 +34,7 @@
 #define BOARD_TARGETS (BOARD_POINTS * BOARD_KEYFRAMES)
 #define TARGET_CELLS ((size_t)1 << 16)
 #define PARAMETERS 5u
-#define VERSION 1u
+#define VERSION 2u
 #define MESSAGE_BYTES (64u + 2u * sizeof(ek_real) * (BOARD_POINTS + BOARD_TARGETS))
 
 static const char about[] = "ro\n"
@@ -230,18 +231,18 @@ static ek_status register_clouds(reader *in, writer *out)
         return EK_BAD_FILE;
     }
     ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
-    const uint32_t begin = port_clock_ns();
+    const uint64_t begin = port_clock_ns();
     ek_status status = ek_index_build(&target, points + 2u * sources, targets);
     if (status == EK_OK && sources && targets) {
         status = ek_icp_register(&icp, &target, points, sources, guess, &matching, NULL, NULL, &match);
     }
-    const uint32_t taken = port_clock_ns() - begin;
+    const uint64_t taken = port_clock_ns() - begin;
     put_pose(out, match.target_from_source);
     put_double(out, (double)match.error);
     put_unsigned(out, (uint64_t)match.converged, 4u);
     put_unsigned(out, (uint64_t)match.iterations, 4u);
     put_unsigned(out, (uint64_t)match.inliers, 4u);
-    put_unsigned(out, taken, 4u);
+    put_unsigned(out, taken, 8u);
     return status;
 }
 
@@ -281,12 +282,12 @@ static ek_status update_pose(reader *in, writer *out)
     sweep.ranges = points;
     sweep.angles = points + sweep.beams;
     ek_status status = ek_scan_check(scan);
-    const uint32_t begin = port_clock_ns();
+    const uint64_t begin = port_clock_ns();
     status = status == EK_OK ? ek_pipeline_update(&pipeline, &sweep, &estimate) : status;
-    const uint32_t taken = port_clock_ns() - begin;
+    const uint64_t taken = port_clock_ns() - begin;
     if (status == EK_OK) {
         put_pose(out, estimate.start_from_base);
-        put_unsigned(out, taken, 4u);
+        put_unsigned(out, taken, 8u);
     }
     return status;
 }

@@ -20,9 +20,9 @@ void port_write(unsigned char byte)
     putchar(byte);
 }
 
-uint32_t port_clock_ns(void)
+uint64_t port_clock_ns(void)
 {
     struct timespec now;
     clock_gettime(CLOCK_MONOTONIC, &now);
-    return (uint32_t)((uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec);
+    return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
 }

@@ -45,7 +45,10 @@ void port_write(unsigned char byte)
     UART_DATA = byte;
 }
 
-uint32_t port_clock_ns(void)
+/* The timer has 32 bits and wraps after 172 s: one wrap between two calls is counted. */
+uint64_t port_clock_ns(void)
 {
-    return (0xffffffffu - TIMER_VALUE) * TICK_NS;
+    static uint64_t ticks;
+    ticks += 0xffffffffu - TIMER_VALUE - (uint32_t)ticks;
+    return ticks * TICK_NS;
 }

@@ -11,8 +11,8 @@ int port_read(void);
 
 void port_write(unsigned char byte);
 
-/* A clock in nanoseconds that may wrap; only differences count. In an emulator that counts instructions
- * (-icount shift=0) it is the number of instructions, in steps of 40. */
-uint32_t port_clock_ns(void);
+/* A clock in nanoseconds; only differences count. It must not wrap while a message is answered: 32 bits of nanoseconds do
+ * after 4.3 s. In an emulator that counts instructions (-icount shift=0) it is their number, in steps of 40. */
+uint64_t port_clock_ns(void);
 
 #endif
