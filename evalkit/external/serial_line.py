@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 DATA_BYTES = 512
 """Largest number of bytes in a frame, besides sequence, flags and checksum."""
 
-LAST, FIRST, NO_SESSION, TOO_LONG = 1, 2, 4, 8
+LAST, FIRST, NO_SESSION, TOO_LONG, BUSY = 1, 2, 4, 8, 16
 CHECKSUM_BYTES = 4
 MAX_CODED_BYTES = 4 * DATA_BYTES
 """More bytes without a zero are noise."""
@@ -195,10 +195,25 @@ class Link:
             answer = self._receive(time.monotonic() + self.timeout_s)
             if answer is not None:
                 self._started = True
-                return answer
+                return self._wait() if answer[0] & BUSY else answer
         raise LineError(
-            f"no answer from the board in {self.tries} tries of {self.timeout_s:g} s; check device, speed and firmware"
+            f"no answer from the board in {self.tries} tries of {self.timeout_s:g} s; "
+            "check device, speed and firmware; a slow line needs a larger --timeout"
         )
+
+    def _wait(self) -> tuple[int, bytes]:
+        """Return the answer of a board that has the message and computes; evalkit's answer_timeout_s is the limit.
+
+        The answer may be lost on the line: an empty frame with the same sequence asks for it, at doubled intervals.
+        """
+        wait_s = self.timeout_s
+        while True:
+            answer = self._receive(time.monotonic() + wait_s)
+            if answer is None:
+                self.line.write(b"\0" + encode_frame(self._sequence, 0, b""))
+                wait_s *= 2.0
+            elif not answer[0] & BUSY:
+                return answer
 
     def _receive(self, end: float) -> tuple[int, bytes] | None:
         """Return flags and data of the frame with the current sequence, or None if none came in time."""

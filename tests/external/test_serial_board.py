@@ -21,7 +21,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.external import serial_board, serial_line
 from evalkit.external.serial_board import Board, parse_default, parse_hello
-from evalkit.external.serial_line import FIRST, LAST, LineError, Link
+from evalkit.external.serial_line import BUSY, FIRST, LAST, NO_SESSION, LineError, Link
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit_baselines.embedded import compiled, registration
@@ -300,6 +300,49 @@ def test_a_silent_board_is_an_error():
     reader, writer = os.pipe()[0], os.pipe()[1]
     with pytest.raises(LineError, match=r"no answer from the board in 3 tries of 0.01 s"):
         Link(serial_line.Line(reader, writer), timeout_s=0.01, tries=3).ask(b"H")
+
+
+class Slow:
+    """A board that says busy and then is silent, until it was asked ``deaf`` times more."""
+
+    def __init__(self, deaf, flags, data):
+        self._deaf, self._answer, self._ready, self.asked = deaf, (flags, data), b"", []
+
+    def write(self, content):
+        self.asked.append(serial_line.decode_frame(content.strip(b"\0")))
+        sequence = self.asked[-1][0]
+        if len(self.asked) == 1:
+            self._ready = serial_line.encode_frame(sequence, BUSY, b"")
+        elif len(self.asked) > self._deaf:
+            self._ready = serial_line.encode_frame(sequence, *self._answer)
+
+    def read(self, _wait_s):
+        ready, self._ready = self._ready, b""
+        return ready
+
+
+def test_a_busy_board_has_all_its_time_and_is_only_asked_with_empty_frames():
+    """Two tries, and five frames without an answer."""
+    board = Slow(5, LAST, b"adone")
+    link = Link(board, timeout_s=1e-3, tries=2)
+    assert link.ask(b"R" + bytes(400)) == b"adone"
+    assert board.asked == [(1, FIRST | LAST, b"R" + bytes(400))] + 5 * [(1, 0, b"")]
+    assert link.repeats == 0
+
+
+def test_a_board_that_restarts_while_it_computes_is_an_error():
+    with pytest.raises(LineError, match="has started again and lost its state"):
+        Link(Slow(1, LAST | NO_SESSION, b""), timeout_s=1e-3, tries=2).ask(b"R")
+
+
+@needs_firmware
+def test_the_firmware_says_busy_before_it_answers(firmware):
+    sent = serial_line.encode_frame(1, FIRST | LAST, b"H") + 2 * serial_line.encode_frame(1, 0, b"")
+    printed = subprocess.run([firmware], input=sent, capture_output=True, check=True).stdout
+    busy, *answers = [serial_line.decode_frame(one) for one in printed.split(b"\0")[:-1]]
+    assert busy == (1, BUSY, b"")
+    assert [answer[:2] for answer in answers] == 3 * [(1, LAST)]
+    assert {parse_hello(answer[2][1:]).kinds for answer in answers} == {"ro"}
 
 
 def test_frames_and_checksums_are_the_published_ones():

@@ -326,6 +326,13 @@ static void answer_message(void)
     link_answer(&line, out.bytes, out.count);
 }
 
+static void write_answer(void)
+{
+    for (size_t k = 0; k < line.answer_bytes; k++) {
+        port_write(line.answer[k]);
+    }
+}
+
 int main(void)
 {
     int byte;
@@ -335,10 +342,12 @@ int main(void)
     while ((byte = port_read()) >= 0) {
         const int taken = link_take(&line, (unsigned char)byte);
         if (taken > 0) {
+            link_busy(&line);
+            write_answer();
             answer_message();
         }
-        for (size_t k = 0; taken && k < line.answer_bytes; k++) {
-            port_write(line.answer[k]);
+        if (taken) {
+            write_answer();
         }
     }
     return 0;

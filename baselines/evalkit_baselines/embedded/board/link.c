@@ -82,6 +82,11 @@ void link_answer(link_state *link, const unsigned char *data, size_t bytes)
     encode_frame(link, LINK_LAST, data, bytes);
 }
 
+void link_busy(link_state *link)
+{
+    encode_frame(link, LINK_BUSY, NULL, 0u);
+}
+
 /* Append the data of a frame to the message; returns what link_take returns. */
 static int take_data(link_state *link, unsigned char flags, const unsigned char *data, size_t bytes)
 {

@@ -27,6 +27,8 @@ static int take_bytes(link_state *link, const unsigned char *bytes, size_t count
         HOLDS(taken == 0 || bytes[k] == 0u);
         if (taken > 0) {
             HOLDS(link->started && !link->overflow);
+            link_busy(link);
+            HOLDS(check_answer(link, NULL, 0u) == LINK_BUSY);
             link_answer(link, link->message, link->bytes < LINK_DATA ? link->bytes : LINK_DATA);
             check_answer(link, link->message, link->bytes < LINK_DATA ? link->bytes : LINK_DATA);
         }
