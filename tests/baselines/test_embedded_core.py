@@ -88,6 +88,15 @@ def test_every_fuzzer_compiles(source):
     )
 
 
+@needs_tools
+@pytest.mark.parametrize("option", ["", "-ffast-math", "-ffinite-math-only", "-Ofast"])
+def test_the_core_is_not_compiled_without_infinite_numbers_and_nan(option):
+    words = ["cc", "-std=c99", *option.split(), "-fsyntax-only", f"-I{FOLDER / 'include'}", FOLDER / "src" / "scan.c"]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    refused = "compile without -ffast-math, -Ofast and /fp:fast" in ended.stderr
+    assert (ended.returncode != 0, refused) == (bool(option), bool(option))
+
+
 @pytest.mark.slow(40)
 @pytest.mark.thorough
 @needs_tools

@@ -11,6 +11,13 @@
 #include <stddef.h>
 #include <stdint.h>
 
+/* A lidar's beam without an echo is infinite or nan, and wrong input is refused where it is: neither works if the compiler may
+ * assume that there are none. */
+#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(_M_FP_FAST) || \
+    (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "evalkit needs infinite numbers, nan and sums in their order: compile without -ffast-math, -Ofast and /fp:fast"
+#endif
+
 #define EK_JOIN_(a, b) a##b
 #define EK_JOIN(a, b) EK_JOIN_(a, b)
 
