@@ -425,4 +425,9 @@ def test_no_scan_on_the_emulated_cortex_m4f_takes_more_instructions_than_its_bou
     for precision in ("double", "float"):
         assert f"random, {precision}: 100 scans, 0 above their weighted tallies" in printed
         assert f"{precision}: no tally exceeds its bound in 10000 random scans" in printed
-    assert printed.count(" B | ") == 2 * len(load_figures().CONFIGURATIONS)
+    figures = load_figures()
+    assert printed.count(" kB | ") == 2 * len(figures.CONFIGURATIONS)
+    stacks = dict(re.findall(r"\n\| (`.*) \| \d+ B \| (\d+) B \|", printed))
+    assert tuple(stacks) == figures.CALLS
+    start, with_table = int(stacks["`ek_pipeline_start`"]), int(stacks["`ek_icp_register` on a target with a table"])
+    assert 0 < start < int(stacks["`ek_pipeline_update`, points and keyframes"]) < with_table < 8192

@@ -7,6 +7,8 @@
  *     count log CONFIGURATION FILE     a recording (scanlog.h)
  *     count random SEED SESSIONS       sessions of 20 random scans with random parameters
  *     count bound SEED SESSIONS        the same, and print only the number of scans and the largest share of each bound
+ *     count stack                      on a board: print the stack of ek_pipeline_bytes, _start and _update with points and keyframes,
+ *                                  then with lines and a lasting map, and of ek_icp_register with a table
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -14,6 +16,7 @@
 
 #include "ek/pipeline.h"
 #include "ek/scanlog.h"
+#include "ek/table.h"
 #include "ek/tally.h"
 
 #define MAX_BEAMS 2048u
@@ -192,23 +195,40 @@ static void print_shares(void)
 {
 }
 
-/* One scan: instructions, and bytes of the stack below this function. Nothing interrupts the emulated processor. */
-static int __attribute__((noinline)) update(const ek_sweep *sweep, int silent)
+typedef ek_status (*measured_call)(void *context);
+
+static uint64_t instructions; /* of the last call */
+
+/* Bytes of the stack that a call takes below this function. Nothing interrupts the emulated processor. */
+static unsigned long __attribute__((noinline)) stack_of(measured_call call, void *context, ek_status *status)
 {
-    ek_estimate estimate;
     volatile uint32_t *here, *deepest;
     __asm volatile("mov %0, sp" : "=r"(here));
     for (deepest = here - PAINTED; deepest < here; deepest++) {
         *deepest = PAINT;
     }
     const uint64_t from = port_clock_ns();
-    const ek_status status = ek_pipeline_update(&pipeline, sweep, &estimate);
-    const uint64_t taken = port_clock_ns() - from;
+    *status = call(context);
+    instructions = port_clock_ns() - from;
     for (deepest = here - PAINTED; deepest < here && *deepest == PAINT;) {
         deepest++;
     }
+    return (unsigned long)(here - deepest) * sizeof *here;
+}
+
+static ek_status call_update(void *sweep)
+{
+    static ek_estimate estimate;
+    return ek_pipeline_update(&pipeline, (const ek_sweep *)sweep, &estimate);
+}
+
+static int update(const ek_sweep *sweep, int silent)
+{
+    ek_sweep copy = *sweep;
+    ek_status status;
+    const unsigned long stack = stack_of(call_update, &copy, &status);
     if (!silent) {
-        printf("%llu %lu\n", (unsigned long long)taken, (unsigned long)(here - deepest) * sizeof *here);
+        printf("%llu %lu\n", (unsigned long long)instructions, stack);
     }
     return status == EK_OK ? 0 : fail("update", status);
 }
@@ -355,6 +375,119 @@ static int print_sizes(const configuration *chosen)
     return 0;
 }
 
+#ifdef BOARD_COUNT
+static size_t bytes_of_pipeline;
+static unsigned char *aligned;
+
+static ek_status call_bytes(void *parameters)
+{
+    return ek_pipeline_bytes((const ek_pipeline_parameters *)parameters, &bytes_of_pipeline);
+}
+
+static ek_status call_start(void *parameters)
+{
+    return ek_pipeline_start(&pipeline, aligned, bytes_of_pipeline, (const ek_pipeline_parameters *)parameters);
+}
+
+/* Print the stack of the calls of a pipeline: bytes, start, and the most of 40 updates in a room. */
+static int print_stack_of_pipeline(ek_pipeline_parameters parameters)
+{
+    ek_status status;
+    const unsigned long bytes = stack_of(call_bytes, &parameters, &status);
+    int failed = status == EK_OK ? begin(&parameters) : fail("bytes", status);
+    aligned = (unsigned char *)memory + (EK_ALIGNMENT - (uintptr_t)memory % EK_ALIGNMENT);
+    const unsigned long start = failed ? 0u : stack_of(call_start, &parameters, &status);
+    unsigned long most = 0u;
+    for (int number = 0; number < 2 * SCANS && status == EK_OK && !failed; number++) {
+        ek_sweep sweep;
+        memset(&sweep, 0, sizeof sweep);
+        sweep.stamp_ns = (int64_t)(number + 1) * 100000000;
+        sweep.time_increment_ns = 50000;
+        sweep.beams = parameters.frontend.points;
+        sweep.ranges = ranges;
+        sweep.angles = angles;
+        draw_scan(ROOM, number, sweep.beams, (double)parameters.scan.range_max);
+        const unsigned long stack = stack_of(call_update, &sweep, &status);
+        most = stack > most ? stack : most;
+    }
+    printf("%lu %lu %lu\n", bytes, start, most);
+    return failed || status == EK_OK ? failed : fail("update", status);
+}
+
+typedef struct {
+    ek_icp icp;
+    ek_index index;
+    ek_table table;
+    ek_icp_parameters parameters;
+    ek_pose guess;
+    ek_match match;
+} registration;
+
+#define TARGETS 1000u
+#define SOURCES 90u
+
+static ek_status call_register(void *context)
+{
+    registration *const r = (registration *)context;
+    return ek_icp_register(&r->icp, &r->index, ranges, SOURCES, r->guess, &r->parameters, NULL, NULL, &r->match);
+}
+
+/* Print the stack of registrations on a target with a table: the most of 20 on the walls of a room. */
+static int print_stack_of_table(void)
+{
+    static registration r;
+    static ek_real target[2u * TARGETS];
+    ek_status status = EK_OK;
+    for (uint32_t k = 0; k < TARGETS; k++) {
+        const double along = 8.0 * (double)k / TARGETS;
+        target[2u * k] = EK_R(k % 2u ? along : 0.0);
+        target[2u * k + 1u] = EK_R(k % 2u ? 0.0 : along);
+    }
+    memcpy(ranges, target, 2u * SOURCES * sizeof *ranges); /* pairs x y */
+    r.parameters = ek_icp_default();
+    ek_arena arena = ek_arena_make(NULL, 0u);
+    for (int pass = 0; pass < 2; pass++) {
+        free(memory);
+        memory = pass ? malloc(arena.used + EK_ALIGNMENT) : NULL;
+        if (pass) {
+            arena = ek_arena_make((unsigned char *)memory + (EK_ALIGNMENT - (uintptr_t)memory % EK_ALIGNMENT), arena.used);
+        }
+        (void)ek_index_init(&r.index, &arena, TARGETS, 4096u);
+        (void)ek_icp_init(&r.icp, &arena, SOURCES, TARGETS);
+        (void)ek_icp_init_table(&r.icp, &arena);
+        (void)ek_table_init(&r.table, &arena, &r.index, 2000u, 4000u);
+    }
+    status = ek_arena_check(&arena);
+    status = status == EK_OK ? ek_index_build(&r.index, target, TARGETS) : status;
+    unsigned long most = 0u;
+    for (int k = 0; k < SCANS && status == EK_OK; k++) {
+        r.guess.x = EK_R(0.002 * k);
+        r.guess.theta = EK_R(0.001 * k);
+        const unsigned long stack = stack_of(call_register, &r, &status);
+        most = stack > most ? stack : most;
+    }
+    printf("%lu\n", most);
+    return status == EK_OK && r.table.blocks ? 0 : fail("registrations with a table", status);
+}
+
+static int print_stack(void)
+{
+    ek_pipeline_parameters parameters = configured(&configurations[3]);
+    state = 1u;
+    int failed = print_stack_of_pipeline(parameters);
+    parameters.frontend.map_voxel = EK_R(0.1);
+    parameters.frontend.scan_to_scan.metric = parameters.frontend.scan_to_map.metric = EK_METRIC_LINE;
+    parameters.frontend.scan_to_scan.one_to_one = parameters.frontend.scan_to_map.one_to_one = 0;
+    return failed || print_stack_of_pipeline(parameters) || print_stack_of_table();
+}
+#else
+static int print_stack(void)
+{
+    fprintf(stderr, "count: stack: on a board only\n");
+    return 1;
+}
+#endif
+
 int main(int argc, char **argv)
 {
 #ifdef BOARD_COUNT
@@ -367,10 +500,12 @@ int main(int argc, char **argv)
     if (sizes || log) {
         const configuration *const chosen = find(argv[2]);
         failed = !chosen ? 1 : sizes ? print_sizes(chosen) : run_log(chosen, argv[3]);
+    } else if (strcmp(what, "stack") == 0 && argc == 2) {
+        failed = print_stack();
     } else if ((silent || strcmp(what, "random") == 0) && argc == 4) {
         failed = run_random(strtoull(argv[2], NULL, 10), strtol(argv[3], NULL, 10), silent);
     } else {
-        fprintf(stderr, "usage: count sizes CONFIGURATION | log CONFIGURATION FILE | random|bound SEED SESSIONS\n");
+        fprintf(stderr, "usage: count sizes CONFIGURATION | log CONFIGURATION FILE | random|bound SEED SESSIONS | stack\n");
     }
     free(memory);
     return failed;
