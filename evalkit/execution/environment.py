@@ -55,6 +55,11 @@ def host_name() -> str:
     return plain(os.environ.get("EVALKIT_HOST") or platform.node() or "unknown")
 
 
+def load_average() -> str:
+    """The load of this machine over the last minute."""
+    return f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
+
+
 def machine() -> dict[str, str]:
     """The part of the description that differs between the machines of a cluster."""
     return {
@@ -63,7 +68,7 @@ def machine() -> dict[str, str]:
         "processor": _read_processor(),
         "host": host_name(),
         "governor": _read_governor(),
-        "load before": f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",
+        "load before": load_average(),
     }
 
 

@@ -68,9 +68,15 @@ class Benchmark:
 def write_benchmark(
     name: str, series: Sequence[BenchmarkSeries], ran_on: Mapping[str, str], folder: Path = FOLDER
 ) -> Path:
-    """Write samples, medians, quartiles and the environment (read before the measurement); return the file's path."""
+    """Write samples, medians, quartiles, the environment (read before measuring) and the load now; return the path."""
+    after = {"load after": environment.load_average()}
     measured = [{**asdict(one), "median": one.median, "quartiles": one.quartiles} for one in series]
-    content = {"schema": SCHEMA, "name": name, "written": datetime.now(UTC).isoformat(), "environment": dict(ran_on)}
+    content = {
+        "schema": SCHEMA,
+        "name": name,
+        "written": datetime.now(UTC).isoformat(),
+        "environment": {**ran_on, **after},
+    }
     path = folder / f"{name}.json"
     write_text(path, indent_json({**content, "series": measured}), folder)
     return path
