@@ -1,9 +1,11 @@
 """The C library and its binding: the tests of the library under sanitizers, and the input that the binding rejects."""
 
 import math
+import re
 import shutil
 import subprocess
 import sys
+import textwrap
 import threading
 from dataclasses import replace
 from functools import partial
@@ -104,6 +106,51 @@ def test_the_core_is_not_compiled_without_infinite_numbers_and_nan(option):
 def test_the_tests_of_the_core_pass_without_a_warning(tmp_path, checks):
     build_core(tmp_path, [checks, "-DCMAKE_C_FLAGS_DEBUG=-O1", "-DEK_BUILD_PROGRAMS=OFF"])
     assert "100% tests passed" in run_tool("ctest", "--test-dir", str(tmp_path), "--output-on-failure")
+
+
+NEXT_SCANS = """#include <math.h>
+#include <stdio.h>
+int next_scan(ek_real *ranges, ek_real *angles, size_t *beams, int64_t *first_beam_ns)
+{
+    static int number;
+    const double ahead = 0.1 * number; /* in a room of 8 m x 6 m */
+    for (int k = 0; k < 300; k++) {
+        const double angle = 2.0 * 3.14159265358979 * k / 300.0, c = cos(angle), s = sin(angle);
+        const double across = ((c > 0.0 ? 4.0 : -4.0) - ahead) / c, up = (s > 0.0 ? 3.0 : -3.0) / s;
+        angles[k] = (ek_real)angle;
+        ranges[k] = (ek_real)(across < up ? across : up);
+    }
+    *beams = 300u;
+    *first_beam_ns = 100000000 * (int64_t)number;
+    return number++ < 5;
+}
+void take_pose(ek_pose pose)
+{
+    printf("%.9g %.9g %.9g\\n", (double)pose.x, (double)pose.y, (double)pose.theta);
+}
+int main(void)
+{
+    puts(run());
+    return 0;
+}
+"""
+
+
+@needs_tools
+@pytest.mark.parametrize("precision", [[], ["-DEK_FLOAT"]])
+def test_the_program_and_the_sources_of_the_readme_give_the_poses_of_a_drive(tmp_path, precision):
+    """0.1 m ahead in each scan."""
+    readme = (FOLDER / "README.md").read_text(encoding="utf-8")
+    block = re.search(r"## Use\n\n((?:    .*\n|\n)+)", readme)
+    names = re.search(r"^Sources of a pipeline, all in `src`: ([^.]+)\.", readme, re.MULTILINE)
+    (tmp_path / "use.c").write_text(textwrap.dedent(block[1]) + NEXT_SCANS)
+    sources = [FOLDER / "src" / f"{name}.c" for name in re.split(r",\s+", names[1])]
+    words = ["cc", "-std=c99", "-O1", "-Wall", "-Wextra", *precision, f"-I{FOLDER / 'include'}", tmp_path / "use.c"]
+    run_tool(*map(str, words), *map(str, sources), "-lm", "-o", str(tmp_path / "use"))
+    *poses, status = run_tool(str(tmp_path / "use")).splitlines()
+    assert status == "no error"
+    found = np.array([[float(number) for number in line.split()] for line in poses])
+    assert found == pytest.approx(np.array([[0.1 * k, 0.0, 0.0] for k in range(5)]), abs=0.02)
 
 
 def test_every_header_begins_with_its_name_and_purpose():
