@@ -2,6 +2,7 @@
 
 import importlib.machinery
 import importlib.util
+import math
 import os
 import random
 import re
@@ -188,6 +189,14 @@ def test_the_command_registers_as_the_core_does(firmware, tmp_path):
     nothing = made.register(Cloud(np.zeros((0, 2))), source, Pose(0.5, 0.0, 0.0))
     assert nothing.target_from_source == Pose(0.5, 0.0, 0.0)
     assert not nothing.converged
+
+
+@needs_firmware
+def test_a_guess_that_is_not_finite_is_refused_also_without_points(stand_in):
+    board = Board(Link(stand_in().line, timeout_s=0.2, tries=10), "r", "stand-in")
+    board.answer({"ask": "create", "parameters": PARAMETERS})
+    with pytest.raises(LineError, match="a number that must be finite is nan"):
+        board.answer({"ask": "register", "guess": [math.nan, 0.0, 0.0], "source": [], "target": []})
 
 
 @needs_firmware

@@ -7,8 +7,8 @@
  *     count log CONFIGURATION FILE     a recording (scanlog.h)
  *     count random SEED SESSIONS       sessions of 20 random scans with random parameters
  *     count bound SEED SESSIONS        the same, and print only the number of scans and the largest share of each bound
- *     count stack                      on a board: print the stack of ek_pipeline_bytes, _start and _update with points and keyframes,
- *                                  then with lines and a lasting map, and of ek_icp_register with a table
+ *     count stack                      on a board: print the stack of ek_pipeline_bytes, _start and _update with points
+ *                                      and keyframes, then with lines and a lasting map, and of ek_icp_register with a table
  */
 #include <stdio.h>
 #include <stdlib.h>

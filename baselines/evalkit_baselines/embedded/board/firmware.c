@@ -230,6 +230,9 @@ static ek_status register_clouds(reader *in, writer *out)
     if (in->short_by || in->left) {
         return EK_BAD_FILE;
     }
+    if (!ek_se2_is_finite(guess)) { /* without points it is the answer */
+        return EK_NOT_FINITE;
+    }
     ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
     const uint64_t begin = port_clock_ns();
     ek_status status = ek_index_build(&target, points + 2u * sources, targets);

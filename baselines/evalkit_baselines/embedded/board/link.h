@@ -29,7 +29,8 @@ typedef struct {
 } link_state;
 
 /* Take a byte from the line. Returns 1 if a message is complete: write the frame of link_busy to the line, compute, and
- * answer with link_answer. What arrives meanwhile may be lost. Returns -1 if link->answer must be written to the line now (answer_bytes of it), and 0 if nothing is to do. */
+ * answer with link_answer; what arrives meanwhile may be lost. Returns -1 if link->answer must be written to the line now
+ * (answer_bytes of it), and 0 if nothing is to do. */
 int link_take(link_state *link, unsigned char byte);
 
 /* Encode that the message is complete and the answer will follow, into link->answer. */
