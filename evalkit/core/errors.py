@@ -153,6 +153,18 @@ class BackendFailed(_RemediedError):
     """An external implementation that failed: ``BackendFailed(name, what, remedy)``."""
 
 
+class BackendRefused(BackendFailed):
+    """It answered that it cannot answer this question; it can be asked the next one."""
+
+
+class BackendLate(BackendFailed):
+    """It did not answer in time."""
+
+
+class BackendEnded(BackendFailed):
+    """It ended instead of answering."""
+
+
 class NotLocalised(_RemediedError):
     """A robot whose place in a known map was not found: ``NotLocalised(map, what, remedy)``."""
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from evalkit.core.arrays import Ints
-from evalkit.core.errors import BackendFailed
+from evalkit.core.errors import BackendFailed, BackendRefused
 from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.match import Iteration, Match
 from evalkit.core.odometry_estimate import OdometryEstimate
@@ -221,9 +221,8 @@ class Instance:
         """Call a function of the instance; raises BackendFailed with its last error where it returns an error code."""
         code = getattr(self._library, function)(self._self, *arguments)
         if code:
-            raise BackendFailed(
-                self._name, f"{function} returned error {code}{self._last_error()}", "see what it needs"
-            )
+            what = f"{function} returned error {code}{self._last_error()}"
+            raise BackendRefused(self._name, what, "see what it needs")
 
     def ask(self, function: str, *arguments: object) -> int | None:
         """Return the number that an optional function of the instance returns; None where the library lacks it."""

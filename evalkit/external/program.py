@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import selectors
 import signal
 import subprocess
@@ -17,13 +18,16 @@ from typing import IO, Any
 
 import psutil
 
-from evalkit.core.errors import BackendFailed, brief
+from evalkit.core.errors import BackendEnded, BackendFailed, BackendLate, BackendRefused, brief
 from evalkit.execution.subprocesses import signal_name
 from evalkit.execution.usage import Usage
 from evalkit.io import untrusted_io
 
 MAX_ANSWER_BYTES = 1 << 20
 """Limit of one answer."""
+
+NOT_FINITE = re.compile(rb'\s*\{.*?"(\w+)":[^"]*?(-?\b(?:nan|inf|infinity)\b)', re.IGNORECASE)
+"""A number as C prints it where it is not finite, behind its key."""
 
 EXIT_WAIT_S, LATE_POLL_S = 0.5, 0.05
 CHUNK_BYTES = 1 << 16
@@ -38,6 +42,7 @@ class Program:
 
     def __init__(self, name: str, argv: list[str], answer_timeout_s: float) -> None:
         self._name, self.answer_timeout_s = name, answer_timeout_s
+        self._failed: BackendFailed | None = None
         try:
             self._process = subprocess.Popen(
                 argv,
@@ -66,7 +71,12 @@ class Program:
         return json.dumps(question, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
     def exchange(self, question: bytes) -> bytes:
-        """Send a line and return the line that the program answers; raises BackendFailed."""
+        """Send a line and return the line that the program answers; raises BackendFailed.
+
+        After a failure that ended the program, every further question raises the same.
+        """
+        if self._failed is not None:
+            raise type(self._failed)(*self._failed.args)
         asked, used_ns = time.monotonic(), self.cpu_ns()
         waiting, received = memoryview(question), bytearray()
         with selectors.DefaultSelector() as selector:
@@ -82,7 +92,8 @@ class Program:
                 ready = selector.select(max(left_s, LATE_POLL_S))
                 if time.monotonic() - asked > self.answer_timeout_s and self._is_late(asked, used_ns):
                     what = f"no answer within {self.answer_timeout_s:g} s"
-                    raise self._failure(what, "see where it hangs, or set a larger answer_timeout_s")
+                    remedy = "see where it hangs, or set a larger answer_timeout_s"
+                    raise self._failure(what, remedy, BackendLate)
                 for key, _ in ready:
                     if key.fileobj is self._stdout:
                         self._receive(received)
@@ -96,16 +107,19 @@ class Program:
         return used.exceeds(self.answer_timeout_s)
 
     def read(self, line: bytes) -> dict[str, Any]:
-        """Parse the line of an answer; raises BackendFailed with the program's own message where it has one."""
+        """Parse the line of an answer; raises BackendRefused with the program's reason, or BackendFailed."""
         try:
             answer = untrusted_io.parse_json(line)
         except ValueError:
-            what = f"the answer is not one line of JSON: {_printable(line)}"
-            raise self._failure(what, "print messages to stderr") from None
+            what, remedy = _find_not_finite(line), "answer finite numbers"
+            if not what:
+                what, remedy = f"the answer is not one line of JSON: {_printable(line)}", "print messages to stderr"
+            raise self._failure(what, remedy) from None
         if not isinstance(answer, dict):
             raise self._failure(f"the answer is {_printable(line)}", "expected a JSON object")
         if "failed" in answer:
-            raise self._failure(f"reports a failure: {str(answer['failed'])[:300]}", "see what it needs")
+            what = f"reports a failure: {str(answer['failed'])[:300]}"
+            raise BackendRefused(self._name, what + self._last_message(), "see what it needs")
         return answer
 
     def malformed(self, key: str, found: object, expected: str) -> BackendFailed:
@@ -145,18 +159,27 @@ class Program:
         try:
             code = self._process.wait(EXIT_WAIT_S)
         except subprocess.TimeoutExpired:
-            return self._failure("closed its output without an answer", "answer every line with one line")
+            what = "closed its output without an answer"
+            return self._failure(what, "answer every line with one line", BackendEnded)
         how = f"code {code}" if code >= 0 else signal_name(-code)
         self._reader.join(EXIT_WAIT_S)  # its last output may still be in the pipe
-        return self._failure(f"ended with {how} instead of answering", "see its messages")
+        return self._failure(f"ended with {how} instead of answering", "see its messages", BackendEnded)
 
-    def _failure(self, what: str, remedy: str) -> BackendFailed:
-        self._kill()  # nothing more is read from it
-        stderr = _printable(b"".join(self._last_messages)[-300:].strip())
-        return BackendFailed(self._name, what + (f"; last message: {stderr}" if stderr else ""), remedy)
-
-    def _kill(self) -> None:
+    def _failure(self, what: str, remedy: str, kind: type[BackendFailed] = BackendFailed) -> BackendFailed:
+        """Return the error, and end the program: nothing more is read from it."""
         _kill_group(self._process)
+        self._failed = kind(self._name, what + self._last_message(), remedy)
+        return self._failed
+
+    def _last_message(self) -> str:
+        stderr = _printable(b"".join(self._last_messages)[-300:].strip())
+        return f"; last message: {stderr}" if stderr else ""
+
+
+def _find_not_finite(line: bytes) -> str:
+    """What an answer has that JSON has not, "" if it is another mistake."""
+    found = NOT_FINITE.match(line)
+    return f"the answer has {found[2].decode()} in '{found[1].decode()}': JSON has no such number" if found else ""
 
 
 def _require_pipe(pipe: IO[bytes] | None) -> IO[bytes]:

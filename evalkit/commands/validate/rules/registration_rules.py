@@ -16,7 +16,7 @@ from evalkit.commands.validate.rules import resource_rules
 from evalkit.commands.validate.rules.process_state import StateWatch
 from evalkit.commands.validate.rules.range_rules import RANGE_RULES, validate_match
 from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, ResourceUse
-from evalkit.commands.validate.rules.rule import RuleBroken, rule_table
+from evalkit.commands.validate.rules.rule import RuleBroken, is_refusal, rule_table
 from evalkit.commands.validate.rules.scenes import (
     CloudPair,
     clear_pair,
@@ -253,9 +253,9 @@ def check_wall(fixture: RegistrationFixture) -> str:
     pair = wall_pair()
     try:
         answer = validate_match(fixture.shared.register(pair.target, pair.source, pair.guess)).target_from_source
-    except RuleBroken:
-        raise
-    except Exception as error:  # noqa: BLE001 - a back end may refuse with any exception
+    except Exception as error:
+        if not is_refusal(error):
+            raise
         return format_exception(error)
     if distance_m(answer, pair.truth) > 1.0:
         raise RuleBroken(f"5 cm beside a single wall the answer is far off, {format_pose(answer)}")

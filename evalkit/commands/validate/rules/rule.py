@@ -7,7 +7,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from evalkit.core.errors import NotInstalled, format_exception
+from evalkit.core.errors import (
+    BackendEnded,
+    BackendFailed,
+    BackendLate,
+    BackendRefused,
+    NotInstalled,
+    format_exception,
+)
+
+ProcessRule = Literal["alive", "in-time"]
+"""The rules about a process as a whole."""
 
 RuleOutcome = Literal["passed", "failed", "not applicable"]
 
@@ -35,12 +45,16 @@ class Rule:
 
 @dataclass(frozen=True)
 class RuleResult:
-    """The result of one rule; ``observed``: the observation, or why the rule could not be checked."""
+    """The result of one rule; ``observed``: the observation, or why the rule could not be checked.
+
+    ``also_breaks``: the rule about processes that the program of the plug-in broke meanwhile.
+    """
 
     rule: str
     sentence: str
     outcome: RuleOutcome
     observed: str
+    also_breaks: ProcessRule | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -69,6 +83,7 @@ class RuleReport:
 def check_rule(rule: Rule, fixture: object) -> RuleResult:
     """Checks one rule in this process; raises NotInstalled if the plug-in turns out not to be installed."""
     outcome: RuleOutcome = "passed"
+    also_breaks: ProcessRule | None = None
     try:
         observed = rule.check(fixture)
     except NotInstalled:
@@ -76,10 +91,26 @@ def check_rule(rule: Rule, fixture: object) -> RuleResult:
     except RuleNotApplicable as reason:
         outcome, observed = "not applicable", str(reason)
     except RuleBroken as observation:
-        outcome, observed = "failed", str(observation)
+        outcome, observed, also_breaks = "failed", str(observation), _find_process_rule(observation.__cause__)
     except Exception as error:  # noqa: BLE001 - any exception of a third party's code is the observation
-        outcome, observed = "failed", format_exception(error)
-    return RuleResult(rule.name, rule.sentence, outcome, observed)
+        outcome, observed, also_breaks = "failed", format_exception(error), _find_process_rule(error)
+    return RuleResult(rule.name, rule.sentence, outcome, observed, also_breaks)
+
+
+def is_refusal(error: Exception) -> bool:
+    """Whether an exception is a way to refuse a question.
+
+    Any of Python code is, except one for a number that is not finite; of a program or a library only its own "failed".
+    """
+    if isinstance(error, BackendFailed):
+        return isinstance(error, BackendRefused)
+    return not isinstance(error, RuleBroken) and "not finite" not in str(error)
+
+
+def _find_process_rule(error: BaseException | None) -> ProcessRule | None:
+    if isinstance(error, BackendLate):
+        return "in-time"
+    return "alive" if isinstance(error, BackendEnded) else None
 
 
 def rule_table(*checks: Callable[[Any], str]) -> dict[str, Rule]:

@@ -106,11 +106,19 @@ def _check_here(
     fixture = _make_fixture(spec, parameters, seed, {})
     why = "checked in this process: another one cannot load an interactive session; save it in a file to isolate it"
     of_process = [RuleResult(name, sentence, "not applicable", why) for name, sentence in PROCESS_RULES.items()]
-    return (*(check_rule(rule, fixture) for rule in rules.values()), *of_process)
+    return (*(_check_rule(rule, fixture) for rule in rules.values()), *of_process)
+
+
+def _check_rule(rule: Rule, fixture: object) -> RuleResult:
+    """The result of a rule; after a failure the next rule has a new object, because this one may have ended."""
+    result = check_rule(rule, fixture)
+    if result.outcome == "failed" and isinstance(fixture, RegistrationFixture):
+        fixture.renew()
+    return result
 
 
 class _RuleRunner:
-    """Checks all rules of one back end, with a new process after each early end."""
+    """Checks all rules of one back end, with a new process after each early end, also of the program behind it."""
 
     def __init__(self, request: Mapping[str, Any], rules: Mapping[str, Rule], limit_s: float, memory_mib: int) -> None:
         self._request, self._rules = request, rules
@@ -173,7 +181,10 @@ class _RuleRunner:
             if line.get("outcome") == NOT_INSTALLED:
                 raise NotInstalled(*line["observed"])
             if "begun" not in line:
-                self._results[line["rule"]] = RuleResult(**line)
+                result = self._results[line["rule"]] = RuleResult(**line)
+                if result.also_breaks:
+                    ends = self._hangs if result.also_breaks == "in-time" else self._crashes
+                    ends.append(f"{result.rule}: {result.observed}")
 
 
 def _read_lines(folder: Path) -> list[dict[str, Any]]:
@@ -206,12 +217,12 @@ def main() -> int:
             file.write(begun)
             fixture.note_progress = partial(file.write, begun)
             try:
-                result: dict[str, Any] = asdict(check_rule(RULES[kind][name], fixture))
+                result: dict[str, Any] = asdict(_check_rule(RULES[kind][name], fixture))
             except NotInstalled as error:
                 result = {"outcome": NOT_INSTALLED, "observed": error.args}
             file.write(json.dumps(result) + "\n")
-            if name == STARTS and result["outcome"] != "passed":
-                break
+            if (name == STARTS and result["outcome"] != "passed") or result.get("also_breaks"):
+                break  # the program behind it has ended: it counts as an end of this process
     return 0
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 
 from evalkit.commands.validate.rules.resource_rules import BATCHES, in_another_thread
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, is_refusal
 from evalkit.commands.validate.rules.scenes import CloudPair, drawn_pair
 from evalkit.core.errors import format_exception
 from evalkit.core.match import Match
@@ -41,10 +41,12 @@ ELSEWHERE_S, ELSEWHERE_MIB = 60.0, 2048
 
 
 def answer_bits(registration: Registration, pair: CloudPair) -> Bits:
-    """All fields of an answer, to compare to the bit, or the exception."""
+    """All fields of an answer, to compare to the bit, or the refusal; raises what is no refusal."""
     try:
         match = registration.register(pair.target, pair.source, pair.guess)
-    except Exception as error:  # noqa: BLE001 - a back end may refuse with any exception
+    except Exception as error:
+        if not is_refusal(error):
+            raise
         return (format_exception(error),)
     return match_bits(match)
 

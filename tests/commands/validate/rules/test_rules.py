@@ -266,6 +266,64 @@ def test_after_three_ended_processes_the_other_rules_are_skipped():
     assert reason == "skipped after 3 ends of its process"
 
 
+PROGRAM = """
+import json, sys, time
+def say(**answer): print(json.dumps(answer), flush=True)
+for line in sys.stdin:
+    q = json.loads(line)
+    sources, targets = len(q.get("source", ())) // 2, len(q.get("target", ())) // 2
+    if q["ask"] == "hello": say(protocol=1, kind="registration", summary="the guess", parameters=[])
+    elif q["ask"] == "create": say()
+    elif FAULT
+    else: say(pose=q["guess"], converged=False, iterations=0, error_m=None, inliers=sources)
+"""
+
+
+@pytest.fixture
+def check_program(tmp_path):
+    """Check rules on a program that returns the guess except where the given fault applies."""
+
+    def check(fault, *only, **parameters):
+        file = tmp_path / "program.py"
+        file.write_text(PROGRAM.replace("FAULT", fault), encoding="utf-8")
+        return runner.check(f"exec:{sys.executable} -I -S {file}", parameters, only=only)
+
+    return check
+
+
+def test_a_program_that_refuses_large_clouds_fails_the_rules_that_ask_for_them_alone(check_program):
+    refuses = "targets > 1024: say(failed=f'{targets} points, at most 1024 fit')"
+    checked = check_program(refuses, "moves", "order", "wall", "few-points", "converged", "inliers", "call-order")
+    assert outcomes(checked) == {
+        "moves": "failed", "order": "failed", "wall": "passed", "few-points": "passed", "converged": "failed",
+        "inliers": "passed", "call-order": "passed", "alive": "passed", "in-time": "passed",
+    }  # fmt: skip
+    assert all("reports a failure: 1200 points, at most 1024 fit" in one.observed for one in checked.broken)
+
+
+@pytest.mark.parametrize(
+    ("fault", "breaks", "said"),
+    [
+        ("sources == 2: time.sleep(60)", "in-time", "two points: raises BackendLate: .* no answer within 0.5 s"),
+        ("sources == 2: sys.exit(3)", "alive", "two points: raises BackendEnded: .* ended with code 3 instead of"),
+    ],
+)
+def test_a_program_that_hangs_or_ends_has_not_refused_a_question(check_program, fault, breaks, said):
+    checked = check_program(fault, "few-points", "wall", "inliers", answer_timeout_s=0.5)
+    passed = dict.fromkeys(("wall", "inliers", "alive", "in-time"), "passed")
+    assert outcomes(checked) == {**passed, "few-points": "failed", breaks: "failed"}
+    assert all(re.search(said, one.observed) for one in checked.broken)
+
+
+def test_a_program_with_an_invalid_answer_is_started_again_for_the_next_rule(check_program):
+    """The noisy scene has 1200 targets. The program is ended for it; that end is not held against it."""
+    wrong = """targets == 1200: print('{"pose":[nan,0,0],"converged":false}', flush=True)"""
+    checked = check_program(wrong, "order", "inliers", "stateless", "wall")
+    passed = dict.fromkeys(("inliers", "wall", "alive", "in-time"), "passed")
+    assert outcomes(checked) == {**passed, "order": "failed", "stateless": "failed"}
+    assert all("the answer has nan in 'pose': JSON has no such number" in one.observed for one in checked.broken)
+
+
 def test_a_missing_back_end_raises_not_installed():
     with pytest.raises(NotInstalled, match="pip install nothing"):
         runner.check("faulty_backends:MISSING")
