@@ -33,16 +33,18 @@ class ComparisonTerms:
 def choose_margin(results: ResultsByPlace, margins: Sequence[str]) -> str:
     """The first margin under which all results are equal.
 
-    Single precision is chosen only if every result shows its rounding and the back end repeats all its answers to the
-    bit: a difference in some results, or one that comes and goes, is no rounding. If there is no such margin, so that
-    the claim fails: the last one if rounding explains the simplest answers, to show the other differences, else the
-    first.
+    Single precision is chosen only if every result shows its rounding, in most of its poses, and the back end repeats
+    all its answers to the bit: a difference in some, or one that comes and goes, is no rounding. If there is no such
+    margin, so that the claim fails: the last one if rounding explains the simplest answers, to show the other
+    differences, else the first.
     """
     completed = [result for result in results.values() if ENDED not in result]
     if not completed or any(result.get("unrepeated") for result in completed):
         return margins[0]
     first = [result[margins[0]]["first"] for result in completed]
     if any(one and one["kind"] == "rounding" for one in first):  # to decimals or cells: no single precision
+        return margins[0]
+    if any(_is_mostly_equal(result[margins[0]]) for result in completed):
         return margins[0]
     for margin in margins:
         contradicted = margin != margins[0] and any(is_equal(result[margins[0]], margins[0]) for result in completed)
@@ -65,6 +67,14 @@ def is_equal(comparison: Mapping[str, Any], margin: str) -> bool:
     if margin != FLOAT32 or comparison["level"] == "trajectories":
         return bool(comparison["equivalent"])
     return not comparison["beyond_rounding"] and not comparison["unanswered"]
+
+
+def _is_mostly_equal(comparison: Mapping[str, Any]) -> bool:
+    """Whether at least half of the poses lie within the margin: single precision would round nearly all of them."""
+    if "apart" not in comparison:  # trajectories
+        return False
+    answered = comparison["questions"] - comparison["unanswered"]
+    return bool(answered) and 2 * comparison["apart"] <= answered
 
 
 def format_margin(results: ResultsByPlace, margin: str) -> str:

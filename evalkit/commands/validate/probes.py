@@ -248,7 +248,8 @@ def _compare(
 ) -> dict[str, Any]:
     """The comparison under every margin; ``beyond_rounding``: answers beyond it for another reason than rounding.
 
-    ``excepted``: those beyond it that rounding decides.
+    ``apart``: all beyond it; ``excepted``: those that rounding decides. ``equal_fields``, ``excused_fields``: see
+    ``comparison.count_equal_fields``.
 
     ``reference_of``: the reference of a stage, which is asked again with perturbed points where an answer differs under
     the float32 margin: what rounding decides is no difference.
@@ -267,8 +268,10 @@ def _compare(
         apart = [one for one in answered if one.b is not None
                  and not result.margin.holds(one.a.target_from_source, one.b.target_from_source)]  # fmt: skip
         excepted = sum(one not in beyond for one in apart)
+        equal_fields, excused_fields = comparison.count_equal_fields(((one, result.margin) for one in answered), fields)
         results[name] = result.as_json() | {
-            "beyond_rounding": len(beyond), "excepted": excepted, "fields": dict(fields),
+            "beyond_rounding": len(beyond), "apart": len(apart), "excepted": excepted, "fields": dict(fields),
+            "equal_fields": equal_fields, "excused_fields": excused_fields,
         }  # fmt: skip
     return results
 

@@ -12,7 +12,13 @@ import numpy as np
 
 from evalkit.commands.validate.drive_probes import compare_drives
 from evalkit.commands.validate.equivalence import lockstep
-from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING, MarginChoice, count_fields
+from evalkit.commands.validate.equivalence.comparison import (
+    FLOAT32,
+    ROUNDING,
+    MarginChoice,
+    count_equal_fields,
+    count_fields,
+)
 from evalkit.commands.validate.equivalence.diagnosis import mistakes_in_start
 from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence, wrong_fields
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, Question
@@ -35,8 +41,6 @@ TIE_M = 1e-5
 
 MAX_MOVED = 5
 """Questions of a family that are asked again with the source moved by the guess."""
-
-FIELDS_OF_TRACE = ("trace length", "trace inliers", "trace error", "trace pose")
 
 ProbedEffect = Literal["none", "some", "not asked"]
 """The effect of a changed parameter on an answer, where it has one on the reference."""
@@ -154,6 +158,7 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
     verdicts: list[tuple[Asked, bool]] = []
     restarted: list[tuple[Asked, Margin]] = []
     widest, beyond, unanswered, first = Margin(1e-300, 1e-300), 0, 0, None
+    equal_fields = excused_fields = 0
     plausible = True
 
     @cache
@@ -181,6 +186,8 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
             if not one.others and not (plausible and _has_wrong_field(one, known) and is_undecided(one, known))
         ]  # fmt: skip
         fields = count_fields([(one.answers, known) for one, known in plain], margin)
+        alike = count_equal_fields([(one.answers, known) for one, known in members if not one.others], fields)
+        equal_fields, excused_fields = equal_fields + alike[0], excused_fields + alike[1]
         examples = {
             name: one.drawn.what for one, known in reversed(plain) if one.answers.b is not None
             for name in wrong_fields(one.answers.a, one.answers.b, known)
@@ -190,6 +197,7 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
         beyond, unanswered = beyond + len(wrong), unanswered + missing
         families[family] = {
             "asked": len(members), "wrong": len(wrong), "unanswered": missing, "fields": fields,
+            "apart": len(members) - missing - sum(_holds(*each) for each in members),
             "examples": {name: examples[name] for name in fields},
             **_describe_differences([each for each in members if each[0] not in dict(wrong)]),
             "recounted": sum(_is_recounted(*each) for each in wrong),
@@ -202,7 +210,8 @@ def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
     count = sum(one["asked"] for one in families.values())
     return {
         "equivalent": not beyond, "level": "answers", "n": count, "questions": count, "unanswered": unanswered,
-        "beyond_rounding": beyond, "first": first, "classes": {}, "intervals": [], "fields": {},
+        "beyond_rounding": beyond, "apart": sum(one["apart"] for one in families.values()), "first": first,
+        "classes": {}, "intervals": [], "fields": {}, "equal_fields": equal_fields, "excused_fields": excused_fields,
         "margin": asdict(widest), "families": families,
         "where": _describe_where(verdicts), "start": _describe_start(restarted),
     }  # fmt: skip
@@ -246,10 +255,15 @@ def _describe_where(verdicts: list[tuple[Asked, bool]]) -> str:
 
 def _describe_differences(accepted: list[tuple[Asked, Margin]]) -> dict[str, Any]:
     """The largest difference of accepted answers, by its margin, and the number of those beyond their margin."""
-    apart = [(_distance_m(one.answers), margin.metres) for one, margin in accepted if one.answers.b is not None
-             and margin.holds(one.answers.a.target_from_source, one.answers.b.target_from_source)]  # fmt: skip
+    apart = [(_distance_m(one.answers), margin.metres) for one, margin in accepted if _holds(one, margin)]
     largest_m, allowed_m = max(apart, key=lambda each: each[0] / each[1], default=(0.0, 0.0))
     return {"largest_m": largest_m, "allowed_m": allowed_m, "excepted": len(accepted) - len(apart)}
+
+
+def _holds(one: Asked, margin: Margin) -> bool:
+    """Whether there is an answer, and its pose is equal within the margin."""
+    a, b = one.answers.a, one.answers.b
+    return b is not None and margin.holds(a.target_from_source, b.target_from_source)
 
 
 def _distance_m(answers: AnswerPair) -> float:
@@ -298,7 +312,7 @@ def _describe_start(wrong: list[tuple[Asked, Margin]]) -> str:
         question, b = one.drawn.question, one.answers.b
         if b is None:
             return ""
-        unreported = {*(FIELDS_OF_TRACE if not b.history else ()), *(("error",) if math.isnan(b.error) else ())}
+        unreported = {"error"} if math.isnan(b.error) else set()
         explained = []
         for start in mistakes_in_start(question.guess.row):
             if found is None or start.what in found:

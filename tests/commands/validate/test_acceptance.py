@@ -148,6 +148,16 @@ def test_single_precision_is_chosen_only_where_every_result_shows_it_and_all_ans
     assert choose_margin({"pairs": result(True, True), "scans": result(True, True)}, both) == "exact"
 
 
+def test_single_precision_is_not_chosen_where_most_poses_are_equal_in_double_precision():
+    def chosen(apart, unanswered=0):
+        found = {"equivalent": False, "level": "answers", "beyond_rounding": 0, "unanswered": unanswered,
+                 "questions": 132, "apart": apart, "first": {"kind": "different"}}  # fmt: skip
+        return choose_margin({"scans": {"exact": found, "float32": found | {"unanswered": 0}}}, ["exact", "float32"])
+
+    assert [chosen(1), chosen(66), chosen(67), chosen(132)] == ["exact", "exact", "float32", "float32"]
+    assert chosen(0, unanswered=132) == "float32"  # no answer contradicts it
+
+
 def test_a_library_in_single_precision_with_a_fault_is_shown_by_what_exceeds_its_rounding():
     def questions(clear):
         wrong = {"equivalent": False, "level": "answers", "beyond_rounding": 3, "unanswered": 0,

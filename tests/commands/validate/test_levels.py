@@ -375,6 +375,15 @@ def test_what_single_precision_excuses_is_said():
     assert plain.observed == "largest difference 0.00019 m"
 
 
+def test_how_many_fields_are_equal_is_said_and_how_many_rounding_excuses():
+    comparison = {"fields": {}, "equal_fields": 103, "excused_fields": 0}
+    found = level_answers._field_checks({"room": {"float32": comparison}}, SINGLE)[0]
+    assert found.observed.endswith("agree, where they are reported, in 103 questions with an equal pose")
+    found = level_answers._field_checks({"room": {"float32": comparison | {"excused_fields": 25}}}, SINGLE)[0]
+    assert found.observed.endswith("equal pose; in 25 more one of them differs, where rounding decides it")
+    assert level_answers._field_checks({"room": {"float32": comparison | {"equal_fields": 0}}}, SINGLE) == []
+
+
 def make_poses_comparison(worst_m, worst_rad):
     """Two odometries whose mean difference lies within 1e-9 m and rad, with their largest differences."""
     pairs = (("m", worst_m), ("rad", worst_rad))

@@ -181,20 +181,30 @@ def compare_answers(sides: Sides, name: str, answered: list[AnswerPair], margin:
 def count_fields(answered: Iterable[tuple[AnswerPair, Margin]], margin: MarginChoice) -> dict[str, int]:
     """The number of questions with an equal pose whose other field differs, by field.
 
-    A field that the second side never reports (an error that is always nan, no trace) is not compared. Under the
-    float32 margin rounding may decide a count: there a field differs if it does in more than a tenth of the questions,
-    and in more than two.
+    An error that the second side never reports is not compared. Under the float32 margin rounding may decide a count:
+    there a field differs if it does in more than a tenth of the questions, and in more than two.
     """
     known = [(one.a, one.b, limits) for one, limits in answered if one.b is not None]
     capped = any(_is_capped(a, b, limits) for a, b, limits in known)
-    traced = any(b.history for _, b, _ in known)
-    errors = any(not math.isnan(b.error) for _, b, _ in known)
-    counts = Counter(
-        name for a, b, limits in known for name in wrong_fields(a, b, limits)
-        if (traced or not name.startswith("trace")) and (errors or name != "error")
-    )  # fmt: skip
+    counts = Counter(name for wrong in _find_wrong_fields(known) for name in wrong)
     least = max(0.1 * len(known), 2.0) if margin == FLOAT32 else 0.0
     return {name: count for name, count in counts.items() if count > least or (capped and name == "iterations")}
+
+
+def count_equal_fields(answered: Iterable[tuple[AnswerPair, Margin]], counted: Mapping[str, int]) -> tuple[int, int]:
+    """The number of questions with an equal pose whose other fields are equal, and of those that rounding excuses.
+
+    ``counted``: the fields of ``count_fields``; any other that differs is excused.
+    """
+    known = [(one.a, one.b, limits) for one, limits in answered if one.b is not None]
+    others = [wrong for wrong in _find_wrong_fields(known) if "pose" not in wrong]
+    return sum(not wrong for wrong in others), sum(not counted.keys() >= set(wrong) for wrong in others)
+
+
+def _find_wrong_fields(known: list[tuple[Match, Match, Margin]]) -> list[list[str]]:
+    """The fields of each answer that differ and that the second side reports."""
+    errors = any(not math.isnan(b.error) for _, b, _ in known)
+    return [[name for name in wrong_fields(a, b, limits) if errors or name != "error"] for a, b, limits in known]
 
 
 def _is_capped(a: Match, b: Match, limits: Margin) -> bool:

@@ -70,11 +70,8 @@ def first_divergence(answered: AnswerPair, margin: Margin, explain: bool = True)
     if b is None:
         return Divergence(question.scan, question.stage, None, "answer", "different", f"B {answered.failure}")
     wrong = wrong_fields(a, b, margin)
-    explained = (
-        {"pose"},
-        {"iterations", "trace length"},
-        {"error", "trace error"},
-    )  # by the first iteration that differs
+    stops = {"iterations", "trace length"} if bool(a.history) == bool(b.history) else {"iterations"}
+    explained = ({"pose"}, stops, {"error", "trace error"})  # by the first iteration that differs
     if wrong and not any(each <= set(wrong) for each in explained):
         what = f"the pose is equal, but not {', '.join(wrong)}: {_format_field(wrong[0], a, b)}"
         return Divergence(question.scan, question.stage, None, "answer", "field", what)
@@ -83,13 +80,16 @@ def first_divergence(answered: AnswerPair, margin: Margin, explain: bool = True)
 
 
 def wrong_fields(a: Match, b: Match, margin: Margin) -> list[str]:
-    """The fields of an answer that differ; without equal poses "pose" alone."""
+    """The fields of an answer that differ; without equal poses "pose" alone.
+
+    A trace is optional: one that only one side reports is no difference.
+    """
     if not margin.holds(a.target_from_source, b.target_from_source):
         return ["pose"]
     wrong = [name for name in ("converged", "iterations", "inliers") if getattr(a, name) != getattr(b, name)]
     if math.isnan(a.error) != math.isnan(b.error) or abs(a.error - b.error) > margin.metres:
         wrong.append("error")
-    if b.history or a.history:
+    if a.history and b.history:
         if len(a.history) != len(b.history):
             wrong.append("trace length")
         entries = list(zip(a.history, b.history, strict=False))

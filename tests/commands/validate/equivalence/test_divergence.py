@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from evalkit.commands.validate.equivalence.comparison import count_equal_fields, count_fields
 from evalkit.commands.validate.equivalence.correspondences import explain_difference
 from evalkit.commands.validate.equivalence.diagnosis import best_step, find_mistake, name_cost
-from evalkit.commands.validate.equivalence.divergence import first_divergence
+from evalkit.commands.validate.equivalence.divergence import first_divergence, wrong_fields
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.equivalence.margins import Margin
 from evalkit.commands.validate.equivalence.other_points import written_decimals
@@ -126,6 +127,24 @@ def test_the_error_of_an_equal_answer_is_compared_where_one_counts_no_iterations
     assert difference(a, match(error=0.02)) == "scan 1, s2s, cost: cost: 0.01 m against 0.02 m for the same answer"
     assert difference(a, match(error=0.010001)).startswith("scan 1, s2s, cost: precision: 0.01 m against 0.010001 m")
     assert difference(a, match(error=math.nan)) is None  # an unknown error is no difference
+
+
+def test_a_trace_that_only_one_reports_is_no_difference_and_hides_none():
+    path = [entry(OTHER), entry()]
+    a, b = match(history=path, iterations=2), match(iterations=2)
+    assert difference(a, b) is difference(b, a) is None
+    assert wrong_fields(a, b, Margin()) == []
+    assert wrong_fields(a, match(history=path[1:], iterations=2), Margin())[0] == "trace length"
+    assert difference(a, replace(b, inliers=5)).endswith("the pose is equal, but not inliers: inliers 6 against 5")
+
+
+def test_equal_fields_are_counted_where_the_pose_is_equal_and_others_are_excused():
+    """Of five answers two are equal, two have other pairs at the same pose, one has another pose."""
+    answers = [match(), match(), match(inliers=5), match(inliers=4), match(OTHER, inliers=3)]
+    answered = [(AnswerPair(QUESTION, match(), b), Margin()) for b in answers]
+    assert count_fields(answered, "float32") == {}  # no more than two
+    assert count_equal_fields(answered, {}) == (2, 2)
+    assert count_equal_fields(answered, count_fields(answered, Margin())) == (2, 0)
 
 
 def traced(pose=RIGHT, **fields):
