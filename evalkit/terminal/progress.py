@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
@@ -168,7 +169,7 @@ def announce_kept(console: WordConsole, what: str, option: str = "") -> Iterator
 
 
 def print_table(console: WordConsole, table: Table) -> None:
-    """Print a table: fitted to a terminal, one line per row elsewhere.
+    """Print a table: fitted to a terminal or to COLUMNS, one line per row elsewhere.
 
     On a terminal it has no frame; words stay whole if those of all columns fit beside each other. Else they are folded,
     except the names in the first column where they take at most a third of the width.
@@ -186,7 +187,12 @@ def print_table(console: WordConsole, table: Table) -> None:
                 column.min_width = size
         elif 3 * longest[0] <= console.width:
             table.columns[0].min_width = longest[0]
-    (console if console.is_terminal else WordConsole(width=WIDE)).print(table)
+    (console if has_width(console) else WordConsole(width=WIDE)).print(table)
+
+
+def has_width(console: WordConsole) -> bool:
+    """Whether a console has a width: that of its terminal, or COLUMNS."""
+    return console.is_terminal or os.environ.get("COLUMNS", "").isdecimal()
 
 
 def format_unavailable(experiment: Experiment) -> list[str]:

@@ -132,6 +132,15 @@ def test_a_table_on_a_terminal_cuts_no_word():
     assert max(map(len, text.splitlines())) <= 80
 
 
+@pytest.mark.parametrize(("columns", "lines"), [("60", 3), ("", 1)])
+def test_a_row_that_is_piped_is_folded_to_columns_where_it_is_set(monkeypatch, capsys, columns, lines):
+    monkeypatch.setenv("COLUMNS", columns)
+    table = Table("text")
+    table.add_row("word " * 30)
+    print_table(WordConsole(), table)
+    assert sum("word" in line for line in capsys.readouterr().out.splitlines()) == lines
+
+
 def test_names_in_the_first_column_stay_whole_where_other_words_must_be_folded():
     printed = io.StringIO()
     table = Table("method", *(f"within {'x' * 12}" for _ in range(6)))

@@ -26,22 +26,36 @@ TRACE_ALONE = "the pose is equal, but not trace"
 CROWDED = ("edges", "points", "sizes")
 """Families of drawn questions of points that have several others near, at the scale of a room."""
 
+NOT_JUDGED = "not judged: an exception ends it"
+"""Begins the observation of a rule that ends as another one did."""
+
 STAGES = {"s2s": "scan to scan", "s2m": "scan to map"}
 
 
 def rules_level(
     results: Sequence[RuleResult], subject: str = "back end", waivers: Mapping[str, str] | None = None
 ) -> AcceptanceLevel:
-    """Level 0 from the results of all rules; ``waivers``: reasons by the name of a rule that may be broken."""
+    """Level 0 from the results of all rules; ``waivers``: reasons by the name of a rule that may be broken.
+
+    Where one exception ends several rules, only the first one is broken by it; the others were not judged.
+    """
     waived = {one.rule for one in results if one.outcome == "failed" and one.rule in (waivers or {})}
     broken = [one for one in results if one.outcome == "failed" and one.rule not in waived]
     applicable = sum(one.outcome != "not applicable" for one in results)
-    names = f": {', '.join(one.rule for one in broken)}" if broken else ""
-    summary = f"{len(broken)} of {applicable} rules broken{names}" + (f", {len(waived)} waived" if waived else "")
+    causes: dict[str, list[str]] = {}
+    for one in broken:
+        causes.setdefault(one.observed if one.raised else one.rule, []).append(one.rule)
+    names = f": {', '.join(first for first, *_ in causes.values())}" if broken else ""
+    summary = f"{len(causes)} of {applicable} rules broken{names}" + (f", {len(waived)} waived" if waived else "")
+    unjudged = {rule: first for first, *others in causes.values() for rule in others}
+    for first, *others in causes.values():
+        summary += f"; not judged, as the exception of {first} ends them: {', '.join(others)}" if others else ""
     checks = [Check("all rules", "", "failed" if broken else "passed", "always", summary)]
     for one in results:
         name = f"rule {one.rule}"
-        if one.outcome == "failed":
+        if one.rule in unjudged:
+            checks.append(Check(name, "", one.outcome, "always", f"{NOT_JUDGED}, as in rule {unjudged[one.rule]}"))
+        elif one.outcome == "failed":
             checks.append(Check(name, "", one.outcome, "always", f"{one.sentence} Observed: {one.observed}"))
         else:
             checks.append(Check(name, "", one.outcome, "never", one.observed, detail=one.sentence))

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import shlex
 import sys
+import textwrap
+from collections import Counter
 from pathlib import Path
 
 import typer
 from rich.table import Table
 
-from evalkit.commands.validate.acceptance import AcceptanceReport, as_junit
+from evalkit.commands.validate.acceptance import AcceptanceReport, Check, CheckOutcome, as_junit
+from evalkit.commands.validate.level_answers import NOT_JUDGED
 from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import out
+
+HIDDEN: tuple[CheckOutcome, ...] = ("passed", "not applicable")
+"""Outcomes whose checks are not printed where others failed; the page shows all."""
 
 MAX_LINES = 4
 """Checks of a level in the printed summary of a report with several levels; the page shows all."""
@@ -35,23 +41,53 @@ def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | 
         options.print_json(content)
     else:
         progress.print_table(out, format_table(report))
-        out.print(report.verdict)
+        if hidden := _count_hidden(report):
+            _print(f"not shown here: {hidden}")
+        _print(report.verdict)
         if report.why_reference:
-            out.print(f"reference {report.reference}: {report.why_reference}")
+            _print(f"reference {report.reference}: {report.why_reference}")
         if (seed := report.settings.get("seed")) is not None:
             out.print(f"{report.asked} checks, questions drawn with --seed {seed}")
         out.print(str((folder / "index.html").resolve()))
         if report.next_step:
-            out.print(f"next: {report.next_step}")
+            _print(f"next: {report.next_step}")
     if not report.passed:
         raise typer.Exit(1)
 
 
+def _print(text: str) -> None:
+    """Print a text, wrapped where a width is known."""
+    if progress.has_width(out):
+        text = textwrap.fill(text, out.width, break_long_words=False, break_on_hyphens=False)
+    out.print(text)
+
+
+def _select_checks(report: AcceptanceReport) -> list[Check]:
+    """The checks of a single level to print."""
+    (level,) = report.levels
+    if not _is_short(report):
+        return list(level.checks)
+    return [one for one in level.checks if one.outcome not in HIDDEN and not one.observed.startswith(NOT_JUDGED)]
+
+
+def _is_short(report: AcceptanceReport) -> bool:
+    """Whether only some checks are printed: those of a single level of which some refute the claim."""
+    return len(report.levels) == 1 and report.levels[0].outcome(report.claim) in ("failed", "not shown")
+
+
+def _count_hidden(report: AcceptanceReport) -> str:
+    """How many checks of a single level are not printed, by outcome; "" if all are."""
+    if not _is_short(report):
+        return ""
+    counts = Counter(one.outcome for one in report.levels[0].checks if one.outcome in HIDDEN)
+    return ", ".join(f"{counts[outcome]} {outcome}" for outcome in HIDDEN if counts[outcome])
+
+
 def format_table(report: AcceptanceReport) -> Table:
-    """One row per level; of a single level, one row per check."""
+    """One row per level; of a single level, one row per check, but if any failed not for those that passed."""
     if len(report.levels) == 1:
         table = Table("check", "outcome", "observed", expand=out.is_terminal)
-        for check in report.levels[0].checks:
+        for check in _select_checks(report):
             name = f"{check.name}, {check.on}" if check.on else check.name
             table.add_row(name, check.outcome, check.observed)
         return table

@@ -124,6 +124,29 @@ def test_a_waived_check_does_not_refute_and_keeps_its_reason():
     assert rules_level(broken, waivers={"wall": "unused"}).outcome("equal") == "failed"
 
 
+def test_one_exception_that_ends_several_rules_is_said_once_and_breaks_the_first():
+    def raised(name, observed):
+        return RuleResult(name, f"It holds: {name}.", "failed", observed, raised=True)
+
+    results = [
+        raised("order", "raises E: nan"), RuleResult("wall", "It holds.", "failed", "it does not"),
+        raised("large", "raises E: nan"), raised("buffers", "raises E: nan"), raised("thread", "raises other"),
+        RuleResult("moves", "It holds.", "passed", "yes"),
+    ]  # fmt: skip
+    level = rules_level(results)
+    assert level.checks[0].observed == (
+        "3 of 6 rules broken: order, wall, thread; not judged, as the exception of order ends them: large, buffers"
+    )
+    by_name = {one.name: one for one in level.checks}
+    assert [name for name, one in by_name.items() if "raises E" in one.observed] == ["rule order"]
+    assert by_name["rule large"].observed == "not judged: an exception ends it, as in rule order"
+    assert len(level.failed("equal")) == 6  # none of them has passed
+    waived = rules_level(results, waivers={"order": "noise"}).checks
+    assert waived[0].observed.startswith("3 of 6 rules broken: wall, large, thread, 1 waived; not judged, as the exc")
+    everything = dict.fromkeys(("order", "wall", "large", "buffers", "thread"), "known")
+    assert rules_level(results, waivers=everything).outcome("equal") == "passed"
+
+
 def test_a_loss_is_worse_only_where_its_interval_lies_beyond_the_margin():
     assert judge_gap(0.1, 0.0, 0.2, 0.3, 50)[0] == "passed"
     assert judge_gap(0.6, 0.4, 0.8, 0.3, 50)[0] == "failed"

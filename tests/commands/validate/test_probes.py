@@ -1,6 +1,7 @@
 """What surrounds a validation: options, the quantity that separates wrong answers, drives, maps and pairs by hand."""
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from evalkit.commands.validate.equivalence.divergence import Divergence
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, PosePair, Question
 from evalkit.commands.validate.equivalence.margins import Margin
 from evalkit.commands.validate.equivalence.questions import DrawnQuestion
+from evalkit.commands.validate.level_answers import NOT_JUDGED
 from evalkit.commands.validate.rules import scenes
 from evalkit.core.errors import BadParameter, DataMissing, NotInstalled, UnknownName
 from evalkit.core.grid import OccupancyGrid
@@ -309,11 +311,31 @@ def test_a_report_is_printed_by_level_or_by_check_and_kept_for_a_build_server(tm
     rows = printing.format_table(report).row_count
     both = printing.format_table(replace(report, levels=(level, replace(level, number=1)))).row_count
     assert (rows, both) == (6, 2)
+    unjudged = replace(level, checks=(*checks, replace(checks[0], observed=f"{NOT_JUDGED}, as in rule order")))
+    assert printing.format_table(replace(report, levels=(unjudged,))).row_count == 6  # "all rules" names it
     with pytest.raises(typer.Exit) as ended:
         printing.finish(report, tmp_path, False, tmp_path / "junit.xml")
     assert ended.value.exit_code == 1
     assert sorted(one.name for one in tmp_path.iterdir()) == ["acceptance.json", "index.html", "junit.xml"]
     assert "[b]5" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "printed"),
+    [
+        (("passed", "not applicable", "failed", "waived", "passed"), ["failed", "waived"]),
+        (("passed", "not applicable", "waived"), ["passed", "not applicable", "waived"]),
+    ],
+)
+def test_where_a_check_failed_those_that_passed_are_only_counted(outcomes, printed, tmp_path, capsys):
+    checks = tuple(Check(f"check {number}", "", one, "always", "yes") for number, one in enumerate(outcomes))
+    level = AcceptanceLevel(0, "rules", "?", checks)
+    report = AcceptanceReport("mine", "", "", (), {}, "equal", "", "", (level,), {}, {})
+    with suppress(typer.Exit):
+        printing.finish(report, tmp_path, False, None)
+    text = capsys.readouterr().out
+    assert [one for line in text.splitlines() if "check " in line for one in outcomes if f" {one} " in line] == printed
+    assert ("not shown here: 2 passed, 1 not applicable" in text) == ("failed" in outcomes)
 
 
 def test_fatal_rules_end_a_validation_before_anything_else_runs(monkeypatch):

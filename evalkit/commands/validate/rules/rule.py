@@ -47,6 +47,7 @@ class Rule:
 class RuleResult:
     """The result of one rule; ``observed``: the observation, or why the rule could not be checked.
 
+    ``raised``: whether an exception of the plug-in ended the check, so that the rule itself was not judged.
     ``also_breaks``: the rule about processes that the program of the plug-in broke meanwhile.
     """
 
@@ -54,6 +55,7 @@ class RuleResult:
     sentence: str
     outcome: RuleOutcome
     observed: str
+    raised: bool = False
     also_breaks: ProcessRule | None = None
 
 
@@ -83,7 +85,7 @@ class RuleReport:
 def check_rule(rule: Rule, fixture: object) -> RuleResult:
     """Checks one rule in this process; raises NotInstalled if the plug-in turns out not to be installed."""
     outcome: RuleOutcome = "passed"
-    also_breaks: ProcessRule | None = None
+    raised, also_breaks = False, None
     try:
         observed = rule.check(fixture)
     except NotInstalled:
@@ -93,8 +95,9 @@ def check_rule(rule: Rule, fixture: object) -> RuleResult:
     except RuleBroken as observation:
         outcome, observed, also_breaks = "failed", str(observation), _find_process_rule(observation.__cause__)
     except Exception as error:  # noqa: BLE001 - any exception of a third party's code is the observation
-        outcome, observed, also_breaks = "failed", format_exception(error), _find_process_rule(error)
-    return RuleResult(rule.name, rule.sentence, outcome, observed, also_breaks)
+        outcome, observed, raised = "failed", format_exception(error), True
+        also_breaks = _find_process_rule(error)
+    return RuleResult(rule.name, rule.sentence, outcome, observed, raised, also_breaks)
 
 
 def is_refusal(error: Exception) -> bool:
