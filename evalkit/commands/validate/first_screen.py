@@ -13,7 +13,7 @@ from evalkit.commands.validate.known_motion import noise_level
 from evalkit.report.html.blocks import Figure
 from evalkit.report.html.svg import element, join
 
-GOOD, BAD, OPEN = ("#1a7f45", "#b42318", "#9a6700")
+GOOD, BAD, OPEN, NEUTRAL = ("#1a7f45", "#b42318", "#9a6700", "#5b6672")
 FONT = "system-ui, sans-serif"
 LOW, HIGH = -16.0, 0.0
 """Ends of the bar: powers of ten of a metre."""
@@ -39,27 +39,33 @@ def first_figures(report: AcceptanceReport) -> tuple[list[Figure], list[Figure]]
     ]  # fmt: skip
     if measured and allowed:
         pairs = levels[1].results.get("results", {}) if 1 in levels else {}
-        above.append(_bar(max(measured), max(allowed), noise_level(pairs, 1.0)[0] if pairs else math.nan))
+        noise_m = noise_level(pairs, 1.0)[0] if pairs else math.nan
+        above.append(_bar(max(measured), max(allowed), noise_m, report.passed))
     maps = map_figures(levels[4], report.subject, report.reference) if 4 in levels and levels[4].results else iter(())
     return above, list(islice(maps, 3))
 
 
 def _stamp(report: AcceptanceReport) -> Figure:
-    failed = any(level.failed(report.claim) for level in report.levels)
+    failed = sum(len(level.failed(report.claim)) for level in report.levels)
     word, colour = ("PASSED", GOOD) if report.passed else ("FAILED", BAD) if failed else ("NOT SHOWN", OPEN)
-    claim = {"equal": "equivalent", "as-good": "as good"}[report.claim] if report.reference else "rules"
-    against = f"{claim}, against {report.reference}" if report.reference else "rules kept"
+    text = f"{report.asked} checks"
+    if report.passed and report.reference:  # the title names it
+        text = f"{'equivalent to' if report.claim == 'equal' else 'as good as'} the reference; {text}"
+    elif failed:
+        text = f"{failed} of {text} failed"
     parts = [
         element("rect", x=8, y=8, width=444, height=124, rx=14, fill="none", stroke=colour, stroke_width=7),
         _text(230, 82, word, colour, 58, 800, anchor="middle"),
-        _text(230, 114, f"{against}; {report.asked} checks", colour, 17, 600, anchor="middle"),
+        _text(230, 114, text, colour, 17, 600, anchor="middle"),
     ]
     return Figure(_document(parts, 140), f"{word}: {report.subject}", "", size=(460, 140))
 
 
-def _bar(measured_m: float, allowed_m: float, matters_m: float) -> Figure:
-    """Three lengths on one logarithmic bar; a matter of nan is left out."""
-    marks = [("measured", measured_m, BAD if measured_m > allowed_m else GOOD), ("allowed", allowed_m, "#5b6672")]
+def _bar(measured_m: float, allowed_m: float, matters_m: float, passed: bool) -> Figure:
+    """Three lengths on one logarithmic bar; a matter of nan is left out. ``passed``: whether all other checks did."""
+    within = measured_m <= allowed_m
+    marks = [("measured", measured_m, BAD if not within else GOOD if passed else NEUTRAL)]
+    marks += [("allowed", allowed_m, NEUTRAL)]
     marks += [("noise of the sensor", matters_m, "#0b5cad")] if math.isfinite(matters_m) else []
     parts = [element("rect", x=LEFT, y=62, width=RIGHT - LEFT, height=12, rx=6, fill="#d5dbe2")]
     end = _place(measured_m)
@@ -71,8 +77,9 @@ def _bar(measured_m: float, allowed_m: float, matters_m: float) -> Figure:
         text = f"{name} {_format_metres(metres)}"
         parts.append(_text(at, 106 if below else 40 if number == 0 else 20, text, colour, 15, 600, anchor))
     what = f"measured {_format_metres(measured_m)}, allowed {_format_metres(allowed_m)}"
-    caption = "Largest difference of two answers to one question, on a logarithmic scale from 0.1 fm to 1 m."
-    return Figure(_document(parts, 120), f"Difference: {what}", caption, size=(460, 120))
+    caption = "Largest difference of two answers to the same scans, on a logarithmic scale from 0.1 fm to 1 m."
+    caption += " Other checks failed." if within and not passed else ""
+    return Figure(_document(parts, 120), f"Difference on scans: {what}", caption, size=(460, 120))
 
 
 def _place(metres: float) -> float:

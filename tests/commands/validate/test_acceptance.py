@@ -11,12 +11,15 @@ import evalkit.commands.validate as package
 from evalkit.commands.validate import plan
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check, Claim, as_junit
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin
+from evalkit.commands.validate.first_screen import GOOD as GREEN_TEXT
+from evalkit.commands.validate.first_screen import first_figures
 from evalkit.commands.validate.known_motion import judge_gap
 from evalkit.commands.validate.level_answers import TRACE_ALONE, name_traces, rules_level, waive
 from evalkit.commands.validate.rules.rule import RuleResult
 
 SCHEMA = json.loads((Path(package.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
 EFFORT = {"pairs": 4, "scans": 8, "timed": 8}
+GREEN = GREEN_TEXT.encode()
 SETTINGS = {"backend": {}, "reference": {}, "on": ["room"], "seeds": 1, "noise_share": 0.5, "effort": EFFORT}
 
 
@@ -111,6 +114,19 @@ def test_a_check_with_too_few_data_gives_no_verdict_and_names_the_line_that_deci
     assert found.verdict.startswith("it is not shown that mine is as good as paper, nor that it is worse; level 3")
     assert found.verdict.endswith("as good: no larger; margin 5 mm; about 900 values would show it")
     assert report(KEPT, level(3, "trajectories", unclear, SAME)).passed  # it decides another claim
+
+
+def test_the_stamp_of_the_page_agrees_with_its_word_and_a_small_difference_is_no_praise_where_others_failed():
+    measured = {"intervals": [{"unit": "m", "worst": 7.7e-16}], "margin": {"metres": 1e-9}}
+    same, wrong = replace(SAME, data=measured), replace(SAME, outcome="failed")
+    (stamp, bar), _ = first_figures(report(KEPT, level(1, "registrations", same)))
+    assert b">equivalent to the reference; 2 checks<" in stamp.svg
+    assert GREEN in bar.svg
+    (stamp, bar), _ = first_figures(report(KEPT, level(1, "registrations", same, wrong)))
+    assert b">FAILED<" in stamp.svg
+    assert b">1 of 3 checks failed<" in stamp.svg
+    assert GREEN not in bar.svg
+    assert bar.caption.endswith(" Other checks failed.")
 
 
 def test_a_waived_check_does_not_refute_and_keeps_its_reason():
