@@ -46,7 +46,7 @@ PROCESS_RULES = {
 }
 """Rules about the process as a whole, after those of every kind."""
 
-STARTS = "starts"
+STARTS, NOT_STARTED = "starts", "it does not start"
 """The first rule of every kind; if it is broken, the others cannot be checked."""
 
 RULES: Mapping[str, Mapping[str, Rule]] = {
@@ -73,8 +73,8 @@ def check(
 
     ``limit_s``: wall clock limit of one rule (s), or of each call where a rule makes a few long ones; ``memory_mib``:
     memory limit of the process; ``only``: names of the rules, () for all; ``seed``: of the drawn questions. Raises
-    NotInstalled if the back end cannot run here, BackendFailed if it is a file of results, BadParameter or UnknownName
-    for parameters and rules.
+    NotInstalled if the back end cannot run here, BackendFailed if it does not load or is a file of results,
+    BadParameter or UnknownName for parameters and rules.
     """
     address, spec = address_of(backend), backend_at(backend)
     if spec.recorded:
@@ -82,6 +82,8 @@ def check(
         raise BackendFailed(address.label, what, RECORDED_REMEDY)
     if why := spec.missing():
         raise NotInstalled(address.label, "cannot be checked here", why)
+    if spec.broken:
+        raise BackendFailed(address.label, "cannot be checked here", spec.broken)
     rules = RULES[spec.kind]
     for name in only:
         if name not in rules:
@@ -137,14 +139,26 @@ class _RuleRunner:
                 self._run_process(waiting)
         return (
             *self._results.values(),
-            _process_rule("alive", self._crashes),
-            _process_rule("in-time", self._hangs),
+            self._process_rule("alive", self._crashes),
+            self._process_rule("in-time", self._hangs),
         )
 
-    def _stop_reason(self) -> str:
+    def _process_rule(self, name: str, ends: list[str]) -> RuleResult:
+        """The result of a rule about the process as a whole."""
+        sentence = PROCESS_RULES[name]
+        if ends:
+            return RuleResult(name, sentence, "failed", "; ".join(ends))
+        if self._does_not_start():
+            return RuleResult(name, sentence, "not applicable", NOT_STARTED)
+        return RuleResult(name, sentence, "passed", "through all rules")
+
+    def _does_not_start(self) -> bool:
         starts = self._results.get(STARTS)
-        if starts is not None and starts.outcome == "failed":
-            return "it does not start"
+        return starts is not None and starts.outcome == "failed"
+
+    def _stop_reason(self) -> str:
+        if self._does_not_start():
+            return NOT_STARTED
         ends = len(self._crashes) + len(self._hangs)
         return f"skipped after {MAX_CRASHES} ends of its process" if ends >= MAX_CRASHES else ""
 
@@ -194,11 +208,6 @@ def _read_lines(folder: Path) -> list[dict[str, Any]]:
     except FileNotFoundError:
         return []
     return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
-
-
-def _process_rule(name: str, ends: list[str]) -> RuleResult:
-    """The result of a rule about the process as a whole."""
-    return RuleResult(name, PROCESS_RULES[name], "failed" if ends else "passed", "; ".join(ends) or "through all rules")
 
 
 def main() -> int:

@@ -254,6 +254,18 @@ def test_a_back_end_that_does_not_start_is_not_checked_further():
         checked = runner.check(f"faulty_backends:{name}", only=("starts", "wall", "order"))
         assert said in checked.results[0].observed
         assert [one.observed for one in checked.results[1:3]] == ["it does not start"] * 2
+        crashed = name == "ALWAYS_SEGFAULT"
+        assert [one.outcome for one in checked.results[3:]] == [
+            "failed" if crashed else "not applicable",
+            "not applicable",
+        ]
+
+
+def test_a_file_that_is_no_library_has_no_rules(tmp_path):
+    file = tmp_path / "x.o"
+    file.write_bytes(b"no library")
+    with pytest.raises(BackendFailed, match=r"x\.o: cannot be checked here; x\.o is no"):
+        runner.check(f"lib:{file}", only=("wall",))
 
 
 def test_after_three_ended_processes_the_other_rules_are_skipped():
@@ -354,7 +366,7 @@ def test_parameters_are_passed_to_the_back_end():
     ("words", "code", "said"),
     [
         (("SOUND", "--rule", "wall"), 0, "faulty_backends:SOUND passes every level that was run (rules)"),
-        (("PARAMETERISED", "--rule", "starts", "--set", "stop=13"), 1, "2 of 3 rules broken"),
+        (("PARAMETERISED", "--rule", "starts", "--set", "stop=13"), 1, "2 of 2 rules broken"),
         (("PARAMETERISED", "--only", "rules", "--set", "stop=x"), 2, "parameter 'stop': found 'x', expected"),
         (("MISSING", "--only", "rules"), 2, "cannot be checked here; not installed: pip install nothing"),
         (("SOUND", "--rule", "wal"), 2, "no rule named 'wal'"),
