@@ -196,9 +196,11 @@ def check_turn(turn: float, wanted: float) -> str:
     """The observation of a turn (rad); raises RuleBroken, with a likely cause, if it is wrong."""
     if abs(turn - wanted) <= UNIT_TOLERANCE:
         return f"{wanted:.3g} rad was returned as {turn:.4f}"
-    hint = ""
-    if abs(Pose(0.0, 0.0, turn - math.degrees(wanted)).theta) < UNIT_TOLERANCE:
-        hint = f": these are {math.degrees(wanted):.1f} degrees, interpreted as radians?"
+    hint, degrees = "", math.degrees(wanted)
+    if abs(Pose(0.0, 0.0, turn - degrees).theta) < UNIT_TOLERANCE:
+        turns = round((degrees - turn) / (2.0 * math.pi))
+        modulo = f", that is {degrees:.4g} {'-' if turns > 0 else '+'} {abs(turns)} * 2 pi" if turns else ""
+        hint = f"{modulo}: is the angle in degrees? {wanted:.3g} rad are {degrees:.4g} degrees"
     elif abs(turn + wanted) <= UNIT_TOLERANCE:
         hint = ": it has the wrong sign?"
     raise RuleBroken(f"{wanted:.3g} rad was returned as {turn:.4f}{hint}")
@@ -208,11 +210,12 @@ def check_direction(fixture: RegistrationFixture) -> str:
     """The answer is target_from_source: it maps source points to the target frame."""
     pair = clear_pair()
     answer = fixture.register(pair)
-    if distance_m(answer, pair.truth.inverse()) < distance_m(answer, pair.truth):
-        raise RuleBroken(
-            f"{format_pose(answer)} is source_from_target; target_from_source is {format_pose(pair.truth)}"
-        )
-    return f"{format_pose(answer)} maps source points into the target frame"
+    truth, inverse = pair.truth, pair.truth.inverse()
+    if distance_m(answer, inverse) >= distance_m(answer, truth):
+        return f"{format_pose(answer)} maps source points into the target frame"
+    if math.dist(answer.row[:2], inverse.row[:2]) < math.dist(answer.row[:2], truth.row[:2]):
+        raise RuleBroken(f"{format_pose(answer)} is source_from_target; target_from_source is {format_pose(truth)}")
+    return f"x and y of {format_pose(answer)} are nearer to those of target_from_source, {format_pose(truth)}"
 
 
 def check_inverse(fixture: RegistrationFixture) -> str:

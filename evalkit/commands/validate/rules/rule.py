@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import traceback
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from evalkit.core.errors import (
@@ -95,7 +97,7 @@ def check_rule(rule: Rule, fixture: object) -> RuleResult:
     except RuleBroken as observation:
         outcome, observed, also_breaks = "failed", str(observation), _find_process_rule(observation.__cause__)
     except Exception as error:  # noqa: BLE001 - any exception of a third party's code is the observation
-        outcome, observed, raised = "failed", format_exception(error), True
+        outcome, observed, raised = "failed", _describe_exception(error), True
         also_breaks = _find_process_rule(error)
     return RuleResult(rule.name, rule.sentence, outcome, observed, raised, also_breaks)
 
@@ -108,6 +110,15 @@ def is_refusal(error: Exception) -> bool:
     if isinstance(error, BackendFailed):
         return isinstance(error, BackendRefused)
     return not isinstance(error, RuleBroken) and "not finite" not in str(error)
+
+
+def _describe_exception(error: Exception) -> str:
+    """An exception as an observation; with its place and a remedy where a cloud was written to."""
+    text = format_exception(error)
+    if isinstance(error, ValueError) and "read-only" in str(error):
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        text += f" ({Path(at.filename).name}, line {at.lineno}): the points of a cloud are read-only, work on a copy"
+    return text
 
 
 def _find_process_rule(error: BaseException | None) -> ProcessRule | None:

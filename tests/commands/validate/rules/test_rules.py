@@ -109,7 +109,7 @@ def test_every_shipped_back_end_follows_every_rule_that_needs_no_other_process_o
         (faulty.Identity, "equivariance", "from the answer moved with the target"),
         (faulty.IgnoresTheGuess, "equivariance", "from the answer moved with the target"),
         (faulty.Inverse, "direction", "is source_from_target"),
-        (faulty.Degrees, "radians", "these are 17.2 degrees, interpreted as radians"),
+        (faulty.Degrees, "radians", r"as -1.66\d+, that is 17.19 - 3 \* 2 pi: is the angle in degrees\?"),
         (faulty.Clockwise, "radians", "it has the wrong sign"),
         (faulty.Millimetres, "metres", "0.3 m was returned as 300: the answer is in millimetres"),
         (faulty.Biased, "identity", r"30.0 mm and 0.00 deg from the identity"),
@@ -119,6 +119,7 @@ def test_every_shipped_back_end_follows_every_rule_that_needs_no_other_process_o
         (faulty.Stateful, "stateless", "has another answer after other questions"),
         (faulty.Random, "deterministic", "has another answer from a new object"),
         (faulty.WritesWithNumpy, "read-only", "it writes to the points of a cloud .*read-only.*: use a copy"),
+        (faulty.WritesWithNumpy, "starts", r"read-only \(faulty_backends.py, line \d+\): .*, work on a copy"),
         (faulty.WritesThroughPointer, "read-only", "the points of a cloud changed in the call"),
         (faulty.AlwaysConverged, "converged", "reports converged on 0 pairs, 100 m off"),
         (faulty.NoPairs, "inliers", "inliers 0; with too few, evalkit's front end keeps the guess"),
@@ -134,7 +135,7 @@ def test_every_shipped_back_end_follows_every_rule_that_needs_no_other_process_o
         (faulty.OfTheSensor, "mounting", "with the lidar turned by 90 degrees"),
         (faulty.OfOtherScans, "first-beam", "of a scan's duration away"),
         (faulty.TurnsRight, "radians", "it has the wrong sign"),
-        (faulty.DegreesOdometry, "radians", "interpreted as radians"),
+        (faulty.DegreesOdometry, "radians", r"2 pi: is the angle in degrees\?"),
         (faulty.MillimetresOdometry, "metres", "was returned as 600: the answer is in millimetres"),
         (faulty.Backwards, "metres", "base_from_start instead of start_from_base"),
         (faulty.NeedsHits, "no-hits", "raises ValueError"),
@@ -173,6 +174,12 @@ def test_a_correct_back_end_breaks_no_rule(few_calls):
     left = {rule for rule, one in outcome.items() if one != "passed"}
     assert left == {"process"} | with_children()  # this object has no address
     assert outcome["process"] == "not applicable"
+
+
+def test_an_answer_in_degrees_is_not_taken_for_the_inverse():
+    one = result_of(faulty.Degrees, "direction")
+    assert one.outcome == "passed"
+    assert one.observed.endswith("rad) are nearer to those of target_from_source, (0.300 m, 0.000 m, 0.3000 rad)")
 
 
 def test_an_exception_for_too_few_points_is_allowed_and_observed():
