@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from evalkit.external.serial_line import BAUDS, Line, LineError, Link, open_command, open_device
+from evalkit.external.serial_line import BAUDS, BoardRefused, Line, LineError, Link, open_command, open_device
 
 VERSION = 2
 KINDS = {"r": "registration", "o": "odometry"}
@@ -90,7 +90,7 @@ class Board:
         answer = self._link.ask(message)
         if answer[:1] == b"a":
             return answer[1:]
-        raise LineError(f"the board refuses: {answer[1:].decode('ascii', 'replace') or 'empty answer'}")
+        raise BoardRefused(f"the board refuses: {answer[1:].decode('ascii', 'replace') or 'empty answer'}")
 
     def _describe(self) -> dict[str, Any]:
         limits = f"{8 * array(self.firmware.real).itemsize} bits"
@@ -152,7 +152,8 @@ class Board:
 
     def _check(self, count: int, most: int, what: str) -> None:
         if count > most:
-            raise LineError(f"{count} {what}, but the firmware takes at most {most}; build it with more, or send fewer")
+            what = f"{count} {what}, but the firmware takes at most {most}; build it with more, or send fewer"
+            raise BoardRefused(what)
 
     def _unpack(self, layout: str, answer: bytes) -> tuple[Any, ...]:
         try:
@@ -187,7 +188,7 @@ def parse_tries(text: str) -> int:
 
 
 def main() -> int:
-    """Answer every line of standard input with a line, until the end of the input."""
+    """Answer every line of standard input with a line, until its end, or until the board does not answer."""
     parser = argparse.ArgumentParser(prog="serial_board", description=__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("device", nargs="?", help="serial device of the board, such as /dev/ttyACM0")
     parser.add_argument("--command", help="start this program and talk to its standard input and output instead")
@@ -209,6 +210,9 @@ def main() -> int:
                     board = Board(link, kind, arguments.device or "board behind a program")
                 answer = board.answer(json.loads(question))
             except LineError as error:
+                if board is not None and not isinstance(error, BoardRefused):
+                    sys.stderr.write(f"serial_board: {error}\n")
+                    return 1  # the session on the board is lost
                 answer = {"failed": str(error)}
             sys.stdout.write(json.dumps(answer) + "\n")
             sys.stdout.flush()

@@ -33,6 +33,10 @@ class LineError(Exception):
     """The line does not work, or the board does not answer; the text says what to do."""
 
 
+class BoardRefused(LineError):
+    """The firmware cannot take a question; it can be asked the next one."""
+
+
 @dataclass
 class Line:
     """Both directions of a line as file descriptors, without buffers; ``process`` is behind a line to a program."""
@@ -181,7 +185,7 @@ class Link:
             if flags & NO_SESSION:
                 raise LineError("the board has started again and lost its state; see why it resets")
             if flags & TOO_LONG:
-                raise LineError(f"a message of {len(message)} bytes is too long for the firmware; send fewer points")
+                raise BoardRefused(f"a message of {len(message)} bytes is too long for the firmware; send fewer points")
         return answer
 
     def _exchange(self, flags: int, data: bytes) -> tuple[int, bytes]:

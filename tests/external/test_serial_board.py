@@ -2,6 +2,7 @@
 
 import importlib.machinery
 import importlib.util
+import io
 import math
 import os
 import random
@@ -22,7 +23,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.external import serial_board, serial_line
 from evalkit.external.serial_board import Board, parse_default, parse_hello
-from evalkit.external.serial_line import BUSY, FIRST, LAST, NO_SESSION, LineError, Link
+from evalkit.external.serial_line import BUSY, FIRST, LAST, NO_SESSION, BoardRefused, LineError, Link
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit_baselines.embedded import compiled, registration
@@ -352,6 +353,33 @@ def test_the_firmware_says_busy_before_it_answers(firmware):
     assert busy == (1, BUSY, b"")
     assert [answer[:2] for answer in answers] == 3 * [(1, LAST)]
     assert {parse_hello(answer[2][1:]).kinds for answer in answers} == {"ro"}
+
+
+@pytest.mark.parametrize(
+    ("error", "answers", "code", "said"),
+    [
+        (BoardRefused("300 points"), ['{"failed": "300 points"}', "{}"], 0, ""),
+        (LineError("no answer from the board"), [], 1, "serial_board: no answer from the board\n"),
+    ],
+)
+def test_the_bridge_goes_on_after_a_refusal_and_ends_where_the_board_is_silent(
+    monkeypatch, capsys, error, answers, code, said
+):
+    class Board:
+        def __init__(self, *_):
+            self._outcomes = [error, None]
+
+        def answer(self, _question):
+            if (outcome := self._outcomes.pop(0)) is not None:
+                raise outcome
+            return {}
+
+    monkeypatch.setattr(serial_board, "Board", Board)
+    monkeypatch.setattr(sys, "argv", ["serial_board", "--command", f"{sys.executable} -c 0"])
+    monkeypatch.setattr(sys, "stdin", io.StringIO('{"ask":"register"}\n' * 2))
+    assert serial_board.main() == code
+    printed = capsys.readouterr()
+    assert (printed.out.splitlines(), printed.err) == (answers, said)
 
 
 def test_frames_and_checksums_are_the_published_ones():
