@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-import textwrap
 from collections import Counter
 from pathlib import Path
 
@@ -42,24 +41,17 @@ def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | 
     else:
         progress.print_table(out, format_table(report))
         if hidden := _count_hidden(report):
-            _print(f"not shown here: {hidden}")
-        _print(report.verdict)
+            out.print(f"not shown here: {hidden}")
+        out.print(report.verdict)
         if report.why_reference:
-            _print(f"reference {report.reference}: {report.why_reference}")
+            out.print(f"reference {report.reference}: {report.why_reference}")
         if (seed := report.settings.get("seed")) is not None:
             out.print(f"{report.asked} checks, questions drawn with --seed {seed}")
         out.print(str((folder / "index.html").resolve()))
         if report.next_step:
-            _print(f"next: {report.next_step}")
+            out.print(f"next: {report.next_step}")
     if not report.passed:
         raise typer.Exit(1)
-
-
-def _print(text: str) -> None:
-    """Print a text, wrapped where a width is known."""
-    if progress.has_width(out):
-        text = textwrap.fill(text, out.width, break_long_words=False, break_on_hyphens=False)
-    out.print(text)
 
 
 def _select_checks(report: AcceptanceReport) -> list[Check]:
