@@ -36,6 +36,14 @@ def test_the_experiment_of_the_readme_is_valid():
     assert len(list(plan.runs())) == 6
 
 
+@pytest.mark.parametrize("page", ["README.md", "docs/pages/index.md", "docs/pages/tutorial.md"])
+def test_a_reader_learns_how_evalkit_gets_on_the_path_before_the_first_command(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    first = re.search(r"^(    |\$ )evalkit (?!compare drive\.bag$)", text, re.MULTILINE)  # that picture explains, once
+    assert first is not None
+    assert ". .venv/bin/activate" in text[: first.start()]
+
+
 @pytest.mark.parametrize("line", COMMANDS)
 def test_every_command_and_option_of_the_readme_exists(line):
     words = shlex.split(line, comments=True)[1:]
