@@ -648,6 +648,8 @@ def test_a_ros_bag_is_compared_by_one_command(evalkit, carmen, tmp_path):
             ("drive.log", "--set", "every=x"),
             "parameter 'every': found 'x', expected a whole number (take every n-th scan)",
         ),
+        (("drive.log", "--start", "1,2,90"), "--start: needs --map"),
+        (("drive.log", "--align-truth"), "--align-truth: needs --map"),
         (("drive.log", "--backends", "papr"), "no backend named 'papr' (did you mean 'paper'?)"),
         (("drive.log", "--backends", "paper", "--topic", "/scan"), "no parameter named 'topic'"),
     ],

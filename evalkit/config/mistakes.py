@@ -76,7 +76,7 @@ def _find_in(table: TomlTable) -> Iterator[tuple[str, str]]:
         if name in table.content:
             yield from _find_in_value(table, name, key)
         elif key.required:
-            yield table.place, _describe_missing(name, key)
+            yield table.place, _describe_missing(table, name, key)
     if table.form.plugins and isinstance(table.content.get("use"), str):
         yield from _find_in_plugin(table, *PLUGINS[table.form.plugins])
 
@@ -115,10 +115,10 @@ def _find_in_plugin(table: TomlTable, find: Find, resolve: Resolve) -> Iterator[
             yield "", str(error)
 
 
-def _describe_missing(name: str, key: Key) -> str:
+def _describe_missing(table: TomlTable, name: str, key: Key) -> str:
     if key.type in ("table", "tables"):
         return f"no table [{name}]" if key.type == "table" else f"no [[{name}]]"
-    return f"missing key '{name}'"
+    return table.describe_missing(name)
 
 
 def _join(place: str, what: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -65,11 +66,17 @@ class TomlTable:
             if key not in known:
                 raise self.error(str(UnknownName("key", key, known)))
 
+    def describe_missing(self, key: str) -> str:
+        """Return that a key is missing; where others are parameters of a plug-in, that one near to it is no key."""
+        others = [name for name in self.content if name not in self.form.keys] if self.form.plugins else []
+        near = difflib.get_close_matches(key, others, n=1)
+        return f"no key named {brief(near[0])} (did you mean '{key}'?)" if near else f"missing key '{key}'"
+
     def text(self, key: str, default: str | None = None) -> str:
         """A text."""
         value = self._find(key, default)
         if value is None and key not in self.content:
-            raise self.error(f"missing key '{key}'")
+            raise self.error(self.describe_missing(key))
         if not isinstance(value, str):
             raise self.bad_value(key, "a text")
         return value

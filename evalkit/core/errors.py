@@ -60,17 +60,31 @@ class EvalkitError(Exception):
     """Base of all errors that a user can fix; the command line prints their message and exits with code 2."""
 
 
-class UnknownName(EvalkitError):
-    """A name that is not registered: ``UnknownName(kind, name, known, where="")``."""
+def suggest(name: str, known: Iterable[str]) -> str:
+    """Return " (did you mean 'NAME'?)" with the known name nearest to a name, "" where none is near.
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
-        super().__init__(kind, name, tuple(sorted(known)), where)
+    >>> suggest("/scn", ["/odom", "/scan"])
+    " (did you mean '/scan'?)"
+    """
+    known = tuple(known)
+    name = name[:100]  # the time grows with the square of the length
+    close = difflib.get_close_matches(name, known, n=1) or _find_longer(name, known)
+    return f" (did you mean {' or '.join(repr(one) for one in close)}?)" if close else ""
+
+
+class UnknownName(EvalkitError):
+    """A name that is not registered: ``UnknownName(kind, name, known, where="", hint="")``.
+
+    ``hint``: what to do, instead of the known name nearest to it.
+    """
+
+    def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "", hint: str = "") -> None:
+        super().__init__(kind, name, tuple(sorted(known)), where, hint)
 
     def __str__(self) -> str:
-        kind, name, known, where = self.args
+        kind, name, known, where, hint = self.args
         name = name if len(name) <= 100 else f"{name[:100]}[...]"
-        close = difflib.get_close_matches(name, known, n=1) or _find_longer(name, known)
-        hint = f" (did you mean {' or '.join(repr(one) for one in close)}?)" if close else ""
+        hint = f" ({hint})" if hint else suggest(name, known)
         place = f"{where}: " if where else ""
         return plain(f"{place}no {kind} named '{name}'{hint}; known: {', '.join(known) or 'none'}")
 
@@ -92,7 +106,7 @@ class UnknownModule(UnknownName):
         super().__init__("module", module, schemes, file)
 
     def __str__(self) -> str:
-        _, module, schemes, file = self.args
+        _, module, schemes, file, _ = self.args
         remedy = f"{file} is in this folder: set PYTHONPATH=." if file else "set PYTHONPATH to the folder that has it"
         return plain(f"no module {module} found: {remedy} (no scheme has this name; known: {', '.join(schemes)})")
 

@@ -125,11 +125,11 @@ def _read_settings(path: Path) -> dict[str, Any]:
 
     content = read_bytes(path, "the YAML file of a map")
     if len(content) > MAX_YAML_BYTES:
-        raise BadData(str(path), "", f"{len(content)} bytes, more than {MAX_YAML_BYTES}", "give the YAML file of a map")
+        raise _no_yaml_error(path, f"{len(content)} bytes, more than {MAX_YAML_BYTES}")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise BadData(str(path), f"byte {error.start}", "not UTF-8 text", "give the YAML file of a map") from None
+        raise _no_yaml_error(path, f"no UTF-8 text at byte {error.start}") from None
     try:
         loaded = YAML(typ="safe", pure=True).load(text)
     except (YAMLError, ValueError, RecursionError) as error:
@@ -137,17 +137,22 @@ def _read_settings(path: Path) -> dict[str, Any]:
             str(path), "", f"not valid YAML ({' '.join(str(error).split())[:100]})", "save the map again"
         ) from None
     if not isinstance(loaded, dict):
-        raise BadData(str(path), "", "no keys in it", "give the YAML file of a map")
+        raise _no_yaml_error(path, "it has no keys")
     known = {"mode": "trinary", "negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.196, **loaded}
     for key in ("image", "resolution", "origin"):
         if key not in known:
-            raise BadData(str(path), "", f"missing key '{key}'", "give the YAML file of a map")
+            raise _no_yaml_error(path, f"missing key '{key}'")
     for key in ("image", "mode"):
         if not isinstance(known[key], str):  # value not shown: nested aliases can be arbitrarily long
             raise BadData(str(path), key, "not a string", "give the YAML file of a map")
     if known["mode"] not in MODES:
         raise BadData(str(path), "mode", f"{brief(known['mode'])} is no mode", f"expected one of {', '.join(MODES)}")
     return known | _check_geometry(path, known)
+
+
+def _no_yaml_error(path: Path, why: str) -> BadData:
+    remedy = "give the .yaml that map_saver or evalkit export -f map writes"
+    return BadData(str(path), "", f"this is not the YAML file of a map ({why})", remedy)
 
 
 def _check_geometry(path: Path, known: dict[str, Any]) -> dict[str, Any]:

@@ -62,6 +62,9 @@ def backend(name: str, address: str = "") -> BackendSpec:
         return _load_address(name, address, BackendSpec)
     scheme, colon, rest = name.partition(":")
     if not colon:
+        if name not in _points("backends") and name.isidentifier() and (file := _find_here(name)):
+            hint = f"{file} is in this folder: give {name}:SPEC, with PYTHONPATH=."
+            raise UnknownName("backend", name, _points("backends"), hint=hint)
         return load("backends", name, BackendSpec)
     if point := _module_point(name):
         return _load_point(name, point, BackendSpec)

@@ -60,6 +60,7 @@ def log(tmp_path):
         ("title = 3\n" + WHEELS + ROOM, ["'title': found 3, expected a text"]),
         ("[method]\nuse = 'paper'\n" + ROOM, ["method: expected tables [[method]]"]),
         ("[[method]]\nlabel = 'x'\n" + ROOM, ["method 1: missing key 'use'"]),
+        (WHEELS + "[[sequence]]\nusee = 'room'\n", ["sequence 1: no key named 'usee' (did you mean 'use'?)"]),
         (PAPER + "tuned_on = 'room'\n" + ROOM, ["method 1: 'tuned_on': found 'room', expected a list of texts"]),
         (PAPER + "tuned_on = ['rooom']\n" + ROOM, ["method 1: no dataset named 'rooom' (did you mean 'room'?)"]),
         ("[[method]]\nuse = 7\n" + ROOM, ["method 1: 'use': found 7, expected a text"]),

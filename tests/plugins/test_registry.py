@@ -174,6 +174,15 @@ def test_a_module_that_is_not_found_is_named_with_what_to_do(tmp_path, monkeypat
         assert str(caught.value) == f"no module {module} found: {file} is in this folder: set PYTHONPATH=. {known}"
 
 
+def test_a_file_of_this_folder_named_without_its_spec_is_no_unknown_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("trans.py").touch()
+    with pytest.raises(UnknownName) as caught:
+        registry.backend("trans")
+    told = "no backend named 'trans' (trans.py is in this folder: give trans:SPEC, with PYTHONPATH=.); known: "
+    assert str(caught.value).startswith(told)
+
+
 def test_the_fingerprint_covers_the_code_of_both_plug_ins():
     room = registry.hash_run_code("paper", "room")
     assert room == registry.hash_run_code("paper", "room")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.core.arrays import Ints
-from evalkit.core.errors import BadData, EvalkitError
+from evalkit.core.errors import BadData, EvalkitError, suggest
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.io.timestamps import order_stamps
 from evalkit_datasets.parsing import sweeps
@@ -282,7 +282,7 @@ def _select_laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: 
         match = next((name for name in usable if name.lstrip("/") == wanted.lstrip("/")), None)
         if match is not None:
             return match
-        problem = f"no laser scans on topic '{wanted}'"
+        problem = f"no laser scans on topic '{wanted}'{suggest(wanted, usable)}"
     elif len(lasers) == 1:
         return lasers[0]
     else:

@@ -154,6 +154,8 @@ def compare(
             raise typer.BadParameter(f"--{name}: needs a recording; in an experiment it is a key of the file")
         recording, named = None, []
     else:
+        if known_map is None and (start or align_truth):
+            raise typer.BadParameter(f"--{'start' if start else 'align-truth'}: needs --map")
         named = _name_backends(backends, everything)
         recording = open_recording(source, options.settings(setting or []) | given, reader)
     folder = folder or RESULTS / (name_experiment(recording, keys) if recording else source.stem)

@@ -322,6 +322,8 @@ def test_several_laser_topics_are_listed_with_their_counts(tmp_path):
         RosBag(path)
     with pytest.raises(BadData, match=r"no laser scans on topic '/up'.*choose one with topic: /left, /right"):
         RosBag(path, topic="/up")
+    with pytest.raises(BadData, match=r"no laser scans on topic '/rigth' \(did you mean '/right'\?\); topics: "):
+        RosBag(path, topic="/rigth")
     assert len(RosBag(path, topic="right")) == 2
 
 
