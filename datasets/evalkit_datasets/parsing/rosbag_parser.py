@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -49,12 +50,36 @@ COLUMNS = {"stamps_ns": "q", "durations_ns": "q", "messages": "i", "invalid": "i
 """Values kept of every scan and their array type codes: 28 bytes."""
 
 
+@dataclass(frozen=True, slots=True)
+class BagDamage:
+    """What is lost of a bag whose index is damaged or missing: bytes behind the damage and of chunks, of all bytes.
+
+    ``is_size_stated``: whether the bag states its size; if not, all that was cut off is lost as well.
+    """
+
+    lost_bytes: int
+    whole_bytes: int
+    is_size_stated: bool = False
+
+    @property
+    def lost_percent(self) -> int:
+        """The share that is lost, rounded up."""
+        return math.ceil(100 * self.lost_bytes / max(self.whole_bytes, 1))
+
+    def count(self) -> dict[str, int]:
+        """Return the damage as a count by the name of the defect."""
+        if self.is_size_stated:
+            return {"percent of the bag lost, as it is cut short or damaged": self.lost_percent}
+        if self.lost_bytes:
+            return {"percent of the bag lost, besides all that was cut off": self.lost_percent}
+        return {"bags without an index, read to the last whole record": 1}
+
+
 @dataclass(eq=False)
 class Contents:
     """Odometry and transforms of a bag. ``odometry``: poses by (topic, parent, child).
 
-    ``unindexed``: 1 if the index of the bag is damaged, and its records were read up to the damage. ``lost_chunks``:
-    number of chunks that could not be unpacked then.
+    ``damage``: None for a bag with its index; else its records were read up to the damage.
 
     ``unstamped``: number of headers without a time. ``damaged``: number of laser messages with implausible geometry and
     of invalid transforms.
@@ -64,8 +89,7 @@ class Contents:
     tree: TransformTree = field(default_factory=TransformTree)
     unstamped: int = 0
     damaged: int = 0
-    unindexed: int = 0
-    lost_chunks: int = 0
+    damage: BagDamage | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +139,7 @@ def read_bag(path: Path, topic: str, which: slice, options: SweepOptions) -> tup
     """
     with open_bag(path) as reader:
         topics = {name: (str(about.msgtype), int(about.msgcount)) for name, about in reader.topics.items()}
-        lost_chunks = count_lost_chunks(reader)
-        contents = Contents(unindexed=int(lost_chunks is not None), lost_chunks=lost_chunks or 0)
+        contents = Contents(damage=find_damage(reader))
         scans = _read_scans(reader, _select_laser_topic(path, topics, topic, options), contents, options)
         for connection, message, _ in iter_messages(reader, (ODOMETRY,)):
             add_odometry(contents, connection.topic, message)
@@ -179,11 +202,11 @@ def _iter_laser_messages(reader: Any, topic: str, options: SweepOptions) -> Iter
     yield from reader.messages(connections=wanted)
 
 
-def count_lost_chunks(reader: Any) -> int | None:
-    """Return the chunks that could not be unpacked where the index of a bag is damaged; None where it is not."""
+def find_damage(reader: Any) -> BagDamage | None:
+    """Return what is lost of a bag where its index is damaged; None where it is not."""
     from evalkit_datasets.parsing import unindexed_bag  # noqa: PLC0415 - loads rosbags
 
-    return unindexed_bag.count_lost_chunks(reader)
+    return unindexed_bag.find_damage(reader)
 
 
 def _holds_sweeps(kind: str, options: SweepOptions) -> bool:

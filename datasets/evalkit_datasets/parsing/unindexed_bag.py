@@ -19,6 +19,7 @@ from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2 import storage_mcap as mcap
 
 from evalkit_datasets.parsing.bag_types import NeededTypes
+from evalkit_datasets.parsing.rosbag_parser import BagDamage
 from evalkit_datasets.parsing.unpacking import UnpackedTooMuch
 
 MAGIC_1, MAGIC_MCAP = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"
@@ -29,10 +30,11 @@ END_NS = 2**63 - 1
 class UnindexedBag(ros1.Reader):
     """A ROS 1 bag read without its index. ``open`` raises ReaderError where not even the beginning can be read.
 
-    ``lost_chunks``: number of chunks that cannot be unpacked; their messages are left out.
+    ``damage``: what lies behind the damage, with the chunks that cannot be unpacked; their messages are left out. Of a
+    bag that was cut short the header states the size.
     """
 
-    lost_chunks = 0
+    damage = BagDamage(0, 0)
 
     def open(self) -> None:
         """Walk the records of the file and collect connections, chunks and the places of messages."""
@@ -42,20 +44,25 @@ class UnindexedBag(ros1.Reader):
             raise ros1.ReaderError("File magic is invalid.")
         indexes: dict[int, list[IndexData]] = defaultdict(list)
         size = self.bio.seek(0, os.SEEK_END)
+        lost = stated = 0
         self.bio.seek(len(MAGIC_1))
         while (begin := self.bio.tell()) < size:
             try:
-                kind = Header.read(self.bio).get_uint8("op")
-                length = ros1.read_uint32(self.bio)
+                header = Header.read(self.bio)
+                kind, length = header.get_uint8("op"), ros1.read_uint32(self.bio)
+                if kind == RecordType.BAGHEADER:  # where the index begins: 0 as long as the bag is recorded
+                    stated = header.get_uint64("index_pos")
             except (ros1.ReaderError, UnicodeDecodeError):
                 break  # cut short or overwritten: nothing behind it can be found
             end = self.bio.tell() + length
             self.bio.seek(begin)
             if kind == RecordType.CHUNK:
-                self._index_chunk(begin, min(end, size), indexes)
+                lost += 0 if self._index_chunk(begin, min(end, size), indexes) else min(end, size) - begin
             elif kind == RecordType.CONNECTION and end <= size:
                 self._add_connection(self.read_connection())
             self.bio.seek(end)
+        lost += max((stated or size) - min(begin, size), 0)
+        self.damage = BagDamage(lost, max(stated, size), is_size_stated=stated > 0)
         self.indexes = {one.id: sorted(indexes[one.id]) for one in self.connections}
         self.connections = [one._replace(msgcount=len(self.indexes[one.id])) for one in self.connections]
 
@@ -63,8 +70,8 @@ class UnindexedBag(ros1.Reader):
         if all(found.id != one.id for one in self.connections):
             self.connections.append(found)
 
-    def _index_chunk(self, begin: int, end: int, indexes: dict[int, list[IndexData]]) -> None:
-        """Add the whole messages of a chunk to the indexes (by connection); one that cannot be unpacked has none."""
+    def _index_chunk(self, begin: int, end: int, indexes: dict[int, list[IndexData]]) -> bool:
+        """Add the whole messages of a chunk to the indexes (by connection); return whether it can be unpacked."""
         assert self.bio is not None
         chunk = self.read_chunk()
         available = end - chunk.datapos
@@ -74,8 +81,7 @@ class UnindexedBag(ros1.Reader):
         except UnpackedTooMuch:
             raise
         except (ValueError, EOFError, RuntimeError, OSError, ros1.ReaderError):
-            self.lost_chunks += 1
-            return
+            return False
         file, inner = self.bio, BytesIO(data)
         times, counts = [], Counter[int]()
         try:
@@ -100,12 +106,13 @@ class UnindexedBag(ros1.Reader):
         self.chunks[begin] = chunk._replace(datasize=available)
         if times:
             self.chunk_infos.append(ChunkInfo(begin, min(times), max(times) + 1, dict(counts)))
+        return True
 
 
 class UnindexedMcap(mcap.McapReader):
-    """An MCAP file read without its summary, up to a chunk that cannot be unpacked; then ``lost_chunks`` is 1."""
+    """An MCAP file read without its summary, up to a record that is cut short or a chunk that cannot be unpacked."""
 
-    lost_chunks = 0
+    damage = BagDamage(0, 0)
 
     def _open(self) -> None:
         assert self.bio is not None
@@ -128,21 +135,23 @@ class UnindexedMcap(mcap.McapReader):
         )
 
     def _find_end(self) -> int:
-        """Return the end of the last whole record, and note the chunks before it."""
+        """Return the end of the last whole record, and note the chunks before it and what is lost behind it."""
         assert self.bio is not None
         size = self.bio.seek(0, os.SEEK_END)
         self.bio.seek(self.data_start)
         while (begin := self.bio.tell()) + 9 <= size:
             kind, length = self.bio.read(1)[0], int.from_bytes(self.bio.read(8), "little")
-            if kind in MCAP_END or begin + 9 + length > size:
+            if kind in MCAP_END:
                 return begin
+            if begin + 9 + length > size:
+                break
             if kind == MCAP_CHUNK:
                 chunk = self._read_chunk(begin, length)
                 if chunk is None:
-                    self.lost_chunks = 1
-                    return begin
+                    break
                 self.chunks += [chunk] if chunk.channel_count else []
             self.bio.seek(begin + 9 + length)
+        self.damage = BagDamage(size - begin, size)
         return begin
 
     def _read_chunk(self, begin: int, length: int) -> mcap.ChunkInfo | None:
@@ -191,8 +200,7 @@ def open_unindexed(bag: Path) -> AnyReader | None:
     return None
 
 
-def count_lost_chunks(reader: AnyReader) -> int | None:
-    """Return the chunks that a reader could not unpack while it walked the records; None for a reader with an index."""
+def find_damage(reader: AnyReader) -> BagDamage | None:
+    """Return what a reader lost while it walked the records; None for a reader with an index."""
     inner = [getattr(one, "storage", one) for one in reader.readers]
-    walked = [one.lost_chunks for one in inner if isinstance(one, (UnindexedBag, UnindexedMcap))]
-    return sum(walked) if walked else None
+    return next((one.damage for one in inner if isinstance(one, (UnindexedBag, UnindexedMcap))), None)

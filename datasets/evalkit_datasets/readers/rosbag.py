@@ -139,8 +139,7 @@ class RosBag:
             "scans with a repeated stamp dropped": whole.repeated,
             "scans without a stamp, given the time of recording": contents.unstamped,
             "damaged messages dropped": contents.damaged,
-            "damaged index, records read up to the damage": contents.unindexed,
-            "chunks that cannot be unpacked, dropped with their messages": contents.lost_chunks,
+            **(contents.damage.count() if contents.damage else {}),
         }
 
     def _find_odometry(self, contents: Contents, wanted: str, base_frame: str) -> tuple[Trajectory | None, str]:

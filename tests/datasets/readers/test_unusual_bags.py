@@ -22,6 +22,7 @@ from test_rosbag import KINDS, T0, Bag
 
 typesys = pytest.importorskip("rosbags.typesys")
 ros1 = pytest.importorskip("rosbags.rosbag1.reader")
+ros2 = pytest.importorskip("rosbags.rosbag2")
 PERIOD = 100_000_000
 
 
@@ -256,6 +257,11 @@ def test_the_time_of_a_revolution_a_scan_is_suggested(tmp_path):
 # --- damaged indexes
 
 
+def damage_of(sequence):
+    """Return the notes on the bag as a whole."""
+    return {name: count for name, count in sequence.notes().items() if "bag" in name}
+
+
 def long_bag(kind, packed, folder):
     bag = Bag(kind)
     for k in range(40):
@@ -282,9 +288,35 @@ def test_a_bag_without_its_index_is_read_up_to_the_damage(tmp_path, kind, packed
         found = [frame.scan.ranges[0] for frame in sequence.frames()]
         assert found == expected[: len(found)]
         assert packed or len(found) >= 40 * (kept - 0.4)
-        assert sequence.notes()["damaged index, records read up to the damage"] == 1
-        findings = [finding.what for finding in inspect_recording(broken).findings]
-        assert any("index is damaged" in what for what in findings)
+        (told,) = (
+            what for what in inspect_recording(broken).findings if "cut short" in what.what or "index" in what.what
+        )
+        assert ("how much was cut off" in told.what) is (kind == "mcap")  # only ROS 1 states it
+
+
+def test_a_ros_1_bag_cut_short_tells_how_much_of_it_is_lost(tmp_path):
+    """Its header states where its index begins, which is the size of its records."""
+    whole = long_bag("ros1", "", tmp_path)
+    content = whole.read_bytes()
+    at = content.index(b"index_pos=") + len("index_pos=")
+    records = int.from_bytes(content[at : at + 8], "little")
+    whole.write_bytes(content[: records // 4])
+    assert damage_of(RosBag(str(whole))) == {"percent of the bag lost, as it is cut short or damaged": 76}  # rounded up
+    (told,) = (finding.what for finding in inspect_recording(whole).findings if finding.about == "file")
+    lost = f"{(records - records // 4) / 1e6:.2f} of {records / 1e6:.2f} MB (76 %)"
+    assert told == f"it is cut short or damaged: {lost} are lost"
+
+
+def test_an_mcap_file_cut_short_tells_what_of_it_is_not_read(tmp_path):
+    """In the middle of its second chunk: the bytes of that chunk are lost, and all that was cut off."""
+    whole = long_bag("mcap", "", tmp_path)
+    with closing(ros2.Reader(whole)) as reader:
+        reader.open()
+        second = reader.storage.chunks[1].chunk_start_offset
+    whole.write_bytes(whole.read_bytes()[: second + second // 10])
+    assert damage_of(RosBag(str(whole))) == {"percent of the bag lost, besides all that was cut off": 10}
+    whole.write_bytes(whole.read_bytes()[:second])
+    assert damage_of(RosBag(str(whole))) == {"bags without an index, read to the last whole record": 1}
 
 
 def test_a_chunk_that_cannot_be_unpacked_is_counted_and_the_scans_of_the_others_are_read(tmp_path):
@@ -293,6 +325,7 @@ def test_a_chunk_that_cannot_be_unpacked_is_counted_and_the_scans_of_the_others_
     with closing(ros1.Reader(whole)) as reader:
         reader.open()
         chunks = [reader.chunks[info.pos] for info in reader.chunk_infos]
+        begin = reader.chunk_infos[1].pos
         counts = [sum(c for i, c in info.connection_counts.items() if reader.connections[i].topic == "/scan")
                   for info in reader.chunk_infos]  # fmt: skip
     content = bytearray(whole.read_bytes())
@@ -304,9 +337,10 @@ def test_a_chunk_that_cannot_be_unpacked_is_counted_and_the_scans_of_the_others_
     before, lost = counts[:2]
     assert lost
     assert [frame.scan.ranges[0] for frame in sequence.frames()] == expected[:before] + expected[before + lost :]
-    assert sequence.notes()["chunks that cannot be unpacked, dropped with their messages"] == 1
+    share = math.ceil(100 * (chunks[1].datapos + chunks[1].datasize - begin) / len(content))
+    assert damage_of(sequence) == {"percent of the bag lost, besides all that was cut off": share}
     findings = [finding.what for finding in inspect_recording(whole).findings]
-    assert any(what.endswith("; chunks that cannot be unpacked: 1") for what in findings)
+    assert any(f" MB ({share} %) are lost" in what for what in findings)
 
 
 def test_a_ros_1_bag_that_was_never_indexed_is_read(tmp_path):

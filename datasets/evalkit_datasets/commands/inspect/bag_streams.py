@@ -45,7 +45,7 @@ def read_bag_streams(path: Path) -> RecordingStreams:
             Topic(name, str(about.msgtype), int(about.msgcount), _message_rate_hz(int(about.msgcount), seconds))
             for name, about in sorted(reader.topics.items())
         ]
-        unusual, lost_chunks = _find_unusual_sweeps(reader), rosbag_parser.count_lost_chunks(reader)
+        unusual, damage = _find_unusual_sweeps(reader), rosbag_parser.find_damage(reader)
         has_laser = any(one.msgtype in rosbag_parser.LASER and one.msgcount for one in reader.connections)
         kinds = WANTED - {CLOUD} if has_laser else WANTED
         wanted = [one for one in reader.connections if one.msgtype in kinds or one.topic in unusual]
@@ -70,7 +70,7 @@ def read_bag_streams(path: Path) -> RecordingStreams:
         [*wheels, *_find_tf_odometry(tree.tree)],
         tree.tree,
         damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()),
-        lost_chunks=lost_chunks,
+        damage=damage,
     )
 
 

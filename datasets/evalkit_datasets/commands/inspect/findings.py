@@ -16,6 +16,7 @@ from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats, Turn
 from evalkit_datasets.commands.inspect.range_stats import RangeStats
 from evalkit_datasets.commands.inspect.streams import RecordingStreams
 from evalkit_datasets.commands.inspect.timing import ClockOffset, StreamTiming
+from evalkit_datasets.parsing.rosbag_parser import BagDamage
 from evalkit_datasets.readers import carmen
 
 Level = Literal["problem", "warning", "note"]
@@ -132,16 +133,21 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
 
 
 def _check_remarks(streams: RecordingStreams) -> Iterator[InspectionFinding]:
-    if streams.lost_chunks is not None:
-        what = "its index is damaged or missing: the records were read up to the damage"
-        if streams.lost_chunks:
-            what += f"; chunks that cannot be unpacked: {streams.lost_chunks}"
-        yield _warning("file", what, "record it again if the end is needed")
+    if streams.damage is not None:
+        yield _warning("file", _describe_damage(streams.damage), "fetch or record it again if that is needed")
     if streams.damaged:
         yield _warning("file", f"{streams.damaged} damaged messages or lines, dropped")
     for remark in streams.remarks:
         if "derived" in remark.lower() or "pseudo" in remark.lower():
             yield _warning("file", f"comment in the file: {remark}")
+
+
+def _describe_damage(damage: BagDamage) -> str:
+    beyond = "" if damage.is_size_stated else "; how much was cut off, the file does not state"
+    if not damage.lost_bytes:
+        return f"its index is damaged or missing: all records in it were read{beyond}"
+    lost = f"{damage.lost_bytes / 1e6:.2f} of {damage.whole_bytes / 1e6:.2f} MB ({damage.lost_percent} %)"
+    return f"it is cut short or damaged: {lost} are lost{beyond}"
 
 
 def _check_lidars(lidars: Sequence[LidarStats]) -> Iterator[InspectionFinding]:

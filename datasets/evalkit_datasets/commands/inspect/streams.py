@@ -12,6 +12,7 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.se2 import Floats, Stamps
+from evalkit_datasets.parsing.rosbag_parser import BagDamage
 from evalkit_datasets.parsing.transforms import TransformTree
 
 
@@ -147,8 +148,7 @@ class RecordingStreams:
 
     ``poses_from``: program that computed the poses ("gmapping" or "graph"), "" if they are not corrected ones.
     ``digits``: largest number of significant digits of a scan's stamp, 0 for binary stamps. ``remarks``: comments in
-    the file. ``lost_chunks``: None for a bag with its index; else its records were read up to the damage,
-    without this number of chunks that cannot be unpacked.
+    the file. ``damage``: None for a bag with its index; else its records were read up to the damage.
     """
 
     path: Path
@@ -162,4 +162,4 @@ class RecordingStreams:
     digits: int = 0
     damaged: int = 0
     remarks: Sequence[str] = ()
-    lost_chunks: int | None = None
+    damage: BagDamage | None = None
