@@ -6,7 +6,10 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from evalkit.core.errors import BadData
+from evalkit.core.se2 import Floats
 from evalkit.io.input_files import BLOCK_BYTES, iter_blocks, read_text
 
 GZIP_MAGIC = b"\x1f\x8b"
@@ -63,6 +66,29 @@ def parse_numbers(path: Path, line: int, words: list[str], layout: str) -> list[
             found = f"'{_shorten(word)}' in column {column} is not a number"
             raise BadData(str(path), f"line {line}", found, f"expected '{layout}'") from None
     return values
+
+
+def parse_columns(words: list[bytes], first: int, end: int) -> Floats:
+    """Return the numbers in columns ``first`` to ``end`` of a line (counted from 0, without the end).
+
+    Raises ValueError with the first that is not a number, and its column counted from 1.
+    """
+    chosen = words[first:end]
+    try:
+        return np.fromiter(map(float, chosen), np.float64, len(chosen))
+    except ValueError:
+        column = next(at for at, word in enumerate(chosen) if not is_number(word))
+        text = _shorten(chosen[column].decode("latin-1"))
+        raise ValueError(f"'{text}' in column {first + column + 1} is not a number") from None
+
+
+def is_number(word: bytes) -> bool:
+    """Return whether a word is a number; nan and inf are."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def iter_plain_blocks(path: Path, expected: str) -> Iterator[bytes]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from evalkit.core.errors import BadData, DataMissing
 from evalkit.core.se2 import Floats
-from evalkit.io.text_lines import iter_lines
+from evalkit.io.text_lines import iter_lines, parse_columns
 from evalkit.io.timestamps import parse_stamp_ns
 from evalkit_datasets.parsing.buffers import PoseBuffer
 
@@ -132,7 +132,7 @@ def _parse_flaser(layout: Layout, words: list[bytes]) -> Reading:
     tail = words[2 + beams :]
     angles = _make_angles(beams, *_layout_by_beams(beams, layout))
     return Reading(
-        _parse_stamp(tail[6]), _parse_floats(words[2 : 2 + beams]), angles, _parse_row(tail[0:3]), _parse_row(tail[3:6])
+        _parse_stamp(tail[6]), parse_columns(words, 2, 2 + beams), angles, _parse_row(tail[0:3]), _parse_row(tail[3:6])
     )
 
 
@@ -150,7 +150,7 @@ def _parse_robotlaser(_layout: Layout, words: list[bytes]) -> Reading:
         raise ValueError(f"start {start} and resolution {step} rad: not the angles of a scan")
     angles = _make_angles(beams, start, step)
     poses = _parse_row(words[-14:-11]), _parse_row(words[-11:-8])
-    return Reading(_parse_stamp(words[-3]), _parse_floats(words[9 : 9 + beams]), angles, *poses)
+    return Reading(_parse_stamp(words[-3]), parse_columns(words, 9, 9 + beams), angles, *poses)
 
 
 def _parse_laser_reading(layout: Layout, words: list[bytes]) -> Reading:
@@ -158,7 +158,7 @@ def _parse_laser_reading(layout: Layout, words: list[bytes]) -> Reading:
     beams = _parse_beams(words, 1, 6)
     angles = _make_angles(beams, *_layout_by_beams(beams, layout))
     pose = _parse_row(words[-4:-1])
-    return Reading(_parse_stamp(words[-1]), _parse_floats(words[2 : 2 + beams]), angles, pose, pose)
+    return Reading(_parse_stamp(words[-1]), parse_columns(words, 2, 2 + beams), angles, pose, pose)
 
 
 def _add_odom(log: Log, words: list[bytes]) -> None:
@@ -223,10 +223,6 @@ def _make_angles(beams: int, start: float, step: float) -> Floats:
     angles = np.asarray(start + step * np.arange(beams), dtype=np.float64)
     angles.flags.writeable = False
     return angles
-
-
-def _parse_floats(words: list[bytes]) -> Floats:
-    return np.fromiter(map(float, words), np.float64, len(words))
 
 
 def _parse_row(words: list[bytes]) -> PoseRow:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +25,9 @@ LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
 
 MAX_COLUMNS = 100_000
+
+_SEPARATORS = bytes.maketrans(b",;\t", b"   ")
+_EMPTY = re.compile(rb"(^|[,;])(?=[ \t]*[,;])")
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,15 @@ class ColumnsLayout:
         """Smallest number of columns of a line."""
         odometry = max(self.odometry_columns, default=0) + 1
         return max(self.time.column, self.scan.first - 1 + max(self.scan.beams, 2), odometry)
+
+
+def split_columns(line: bytes) -> list[bytes]:
+    """Return the columns of a line: separated by commas, semicolons, tabs or blanks; an empty one is "nan".
+
+    >>> split_columns(b"1.5; 2,,3")
+    [b'1.5', b'2', b'nan', b'3']
+    """
+    return _EMPTY.sub(rb"\1nan", line).translate(_SEPARATORS).split()
 
 
 def is_described(path: Path) -> bool:

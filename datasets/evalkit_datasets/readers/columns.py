@@ -18,7 +18,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats, Stamps, wrap
-from evalkit.io.text_lines import iter_lines
+from evalkit.io.text_lines import iter_lines, parse_columns
 from evalkit.io.timestamps import order_stamps, parse_stamp_ns
 from evalkit.plugins.parameters import Parameter
 from evalkit.plugins.specs import DatasetSpec
@@ -34,13 +34,13 @@ from evalkit_datasets.parsing.columns_layout import (
     is_described,
     layout_from_table,
     read_layout,
+    split_columns,
 )
 from evalkit_datasets.parsing.truth_files import TruthPaths
 from evalkit_datasets.readers import reader_common
 
 EXPECTED = "a text log in columns"
 MAX_CLOCK_NS = 4e18
-_SEPARATORS = bytes.maketrans(b",;\t", b"   ")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +77,7 @@ class Columns:
             if isinstance(layout, str)
             else layout_from_table("layout", layout)
         )
+        self.first_damage = ""  # the first line that was dropped, and why
         stamps, lines, values, damaged = self._read_columns()
         poses = _compute_poses(self._layout, values)
         order = order_stamps(stamps)
@@ -126,7 +127,7 @@ class Columns:
         comment = self._layout.comment.encode()
         for number, line in enumerate(iter_lines(self._path, EXPECTED), start=1):
             if number > self._layout.header_lines and not (comment and line.startswith(comment)):
-                words = line.translate(_SEPARATORS).split()
+                words = split_columns(line)
                 if words:
                     yield number, words
 
@@ -134,27 +135,26 @@ class Columns:
         """Return stamps (N,), line numbers (N,) and odometry (N, K) of the valid lines, and the number of others."""
         layout = self._layout
         counts, lines, values = array("q"), array("q"), array("d")
-        damage, damaged = (0, ""), 0
+        damaged = 0
         for number, words in self._iter_words():
             try:
                 if len(words) < layout.min_columns:
                     raise ValueError(f"{len(words)} columns, {layout.min_columns} expected")
-                row = [float(words[column]) for column in layout.odometry_columns]
+                row = [float(parse_columns(words, column, column + 1)[0]) for column in layout.odometry_columns]
                 if not np.isfinite(row).all():
                     raise ValueError("a value of the odometry is not finite")
                 stamp = _parse_time_ns(words[layout.time.column - 1].decode("latin-1"), layout.time.unit)
                 self._parse_ranges(words)
             except ValueError as error:
-                damage, damaged = damage if damaged else (number, str(error)[:160]), damaged + 1
+                self.first_damage = self.first_damage or f"line {number}: {str(error)[:160]}"
+                damaged += 1
                 continue
             counts.append(stamp)
             lines.append(number)
             values.extend(row)
         if not len(lines):
-            place, what = (
-                (f"line {damage[0]}", f"{damage[1]}; no valid line") if damaged else ("", "no line with content")
-            )
-            raise BadData(str(self._path), place, what, "describe its columns in the layout, or give another file")
+            what = f"{self.first_damage}; no valid line" if damaged else "no line with content"
+            raise BadData(str(self._path), "", what, "describe its columns in the layout, or give another file")
         range_ns = layout.time.wraps_at * 10 ** (9 - TIME_DIGITS[layout.time.unit])
         if len(counts) * float(range_ns) > MAX_CLOCK_NS:
             raise BadData(str(self._path), "", f"{len(counts)} wraps of the clock are too long", "check time.wraps_at")
@@ -166,7 +166,7 @@ class Columns:
         """Return the ranges (B,) in m: inf for no return, nan for what is no range; raises ValueError."""
         layout = self._layout.scan
         last = layout.first - 1 + layout.beams if layout.beams else len(words)
-        raw = np.array(words[layout.first - 1 : last], dtype=np.float64)
+        raw = parse_columns(words, layout.first - 1, last)
         metres = raw * LENGTH_UNITS[layout.unit]
         valid = (metres > 0.0) & (metres >= layout.range_min_m) & (metres < layout.range_max_m)
         no_return = np.isin(raw, layout.no_return) | (metres >= layout.range_max_m)

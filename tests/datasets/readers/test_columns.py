@@ -93,6 +93,30 @@ def test_scans_out_of_order_are_sorted_and_damaged_lines_counted(tmp_path):
     assert sequence.notes() == {"damaged lines dropped": 3, "scans out of order": 1}
 
 
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("1,2,-,2", "line 2: '-' in column 3 is not a number"),
+        ("1,2", "line 2: 2 columns, 4 expected"),
+        (",2,2,2", "line 2: 'NaN' is not a time in seconds"),
+        ("1,2,2,2", ""),
+    ],
+)
+def test_the_first_line_that_is_dropped_is_named_with_column_and_value(tmp_path, line, why):
+    sequence, frames = read(tmp_path, f"0,1,1,1\n{line}\n2,1,1,1\n3,x,1,1\n", PLAIN | {"scan": SCAN | {"beams": 3}})
+    assert sequence.first_damage == (why or "line 4: 'x' in column 2 is not a number")
+    assert sequence.notes() == {"damaged lines dropped": 2 if why else 1}
+    assert len(frames) == (2 if why else 3)
+
+
+def test_nan_and_an_empty_column_are_an_invalid_beam_and_shift_no_other(tmp_path):
+    layout = PLAIN | {"scan": SCAN | {"beams": 4}}
+    (frame,) = read(tmp_path, "0, 1, , 3, nan, 9\n", layout)[1]
+    np.testing.assert_array_equal(frame.scan.ranges, [1.0, np.nan, 3.0, np.nan])
+    (frame,) = read(tmp_path, "0;;;inf;4;9\n", layout)[1]
+    np.testing.assert_array_equal(frame.scan.ranges, [np.nan, np.nan, np.inf, 4.0])
+
+
 def test_the_layout_lies_beside_a_compressed_log_of_its_own_suffix(tmp_path):
     path = tmp_path / "a.csv.gz"
     path.write_bytes(gzip.compress(b"1,1,1\n2,1,1\n3,1,1\n"))

@@ -136,7 +136,9 @@ def _check_remarks(streams: RecordingStreams) -> Iterator[InspectionFinding]:
     if streams.damage is not None:
         yield _warning("file", _describe_damage(streams.damage), "fetch or record it again if that is needed")
     if streams.damaged:
-        yield _warning("file", f"{streams.damaged} damaged messages or lines, dropped")
+        first = f"; the first is {streams.first_damage}" if streams.first_damage else ""
+        kind = "message" if streams.kind.endswith("bag") else "line"
+        yield _warning("file", f"{format_count(streams.damaged, f'damaged {kind}')}, dropped{first}")
     for remark in streams.remarks:
         if "derived" in remark.lower() or "pseudo" in remark.lower():
             yield _warning("file", f"comment in the file: {remark}")

@@ -18,7 +18,7 @@ from evalkit.core.se2 import Floats
 from evalkit.io.text_lines import iter_lines
 from evalkit_datasets.commands.inspect.odometry_stats import compare_turns
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
-from evalkit_datasets.parsing.columns_layout import LENGTH_UNITS
+from evalkit_datasets.parsing.columns_layout import LENGTH_UNITS, split_columns
 from evalkit_datasets.readers.columns import EXPECTED, Columns
 
 MAX_LINES, MIN_LINES, MAX_VALUES = 3000, 10, 2_000_000
@@ -86,7 +86,7 @@ def _read_rows(path: Path) -> tuple[int, Floats]:
     lines: list[Floats] = []
     header = values = 0
     for line in iter_lines(path, EXPECTED):
-        words = line.translate(bytes.maketrans(b",;\t", b"   ")).split()[:MAX_COLUMNS]
+        words = split_columns(line)[:MAX_COLUMNS]
         try:
             lines.append(np.array(words, dtype=np.float64))
         except ValueError:

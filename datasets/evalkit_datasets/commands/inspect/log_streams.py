@@ -21,6 +21,7 @@ from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStrea
 from evalkit_datasets.parsing import carmen_parser
 from evalkit_datasets.parsing.buffers import PoseBuffer
 from evalkit_datasets.parsing.carmen_parser import Log, Reading
+from evalkit_datasets.readers.columns import Columns
 
 COLUMNS, COLUMNS_KIND = "columns", "log in columns"
 MAX_FRAMES = 100_000
@@ -101,6 +102,7 @@ def read_log_streams(path: Path) -> RecordingStreams:
         path, "CARMEN log", "carmen", topics, _make_laser_streams(scans, others.logger_ns),
         _make_odometry_streams(log, scans.robot), poses_from=log.poses_from,
         digits=others.digits, damaged=log.damaged, remarks=others.remarks,
+        first_damage=f"line {log.damage[0]}: {log.damage[1]}" if log.damaged else "",
     )  # fmt: skip
 
 
@@ -132,8 +134,9 @@ def read_sequence_streams(path: Path, reader: str, given: Mapping[str, Value] = 
     kind = COLUMNS_KIND if reader == COLUMNS else f"recording read by '{reader}'"
     damaged = sequence.notes().get("damaged lines dropped", 0)
     return RecordingStreams(
-        path, kind, reader, [Topic("scans", "a scan each", len(stamps), rate)], [laser], wheels, damaged=damaged
-    )
+        path, kind, reader, [Topic("scans", "a scan each", len(stamps), rate)], [laser], wheels, damaged=damaged,
+        first_damage=sequence.first_damage if isinstance(sequence, Columns) else "",
+    )  # fmt: skip
 
 
 def _make_laser_streams(scans: _LogScans, logger_ns: array[int] | None) -> list[LaserStream]:

@@ -6,7 +6,8 @@ import shlex
 from itertools import islice
 from pathlib import Path
 
-from evalkit.io.text_lines import iter_lines, iter_plain_blocks
+from evalkit.io.text_lines import is_number, iter_lines, iter_plain_blocks
+from evalkit_datasets.parsing.columns_layout import split_columns
 
 EXPECTED = "a recording"
 LINES, BYTES = 200, 4096
@@ -61,10 +62,8 @@ def _describe_text(path: Path) -> tuple[str, str]:
     if any(words and words[0] in GRAPH for words in lines):
         what = "a pose graph (g2o) without scans"
         return what, f'read its poses: python -c "from evalkit.io.g2o import *; print(read_g2o(Path({str(path)!r})))"'
-    rows = [
-        line.translate(bytes.maketrans(b",;\t", b"   ")).split() for line in islice(iter_lines(path, EXPECTED), LINES)
-    ]
-    numeric = [words for words in rows if words and all(map(_is_number, words))]
+    rows = [split_columns(line) for line in islice(iter_lines(path, EXPECTED), LINES)]
+    numeric = [words for words in rows if words and all(map(is_number, words))]
     layout = f"describe its columns in {path.name}.toml (tables [time] and [scan], see evalkit list columns)"
     if len(numeric) > LINES // 4 and min(map(len, numeric)) >= MIN_TRAJECTORY_COLUMNS:
         what = f"text of {len(numeric[0])} columns of numbers without ranges that were recognised"
@@ -73,11 +72,3 @@ def _describe_text(path: Path) -> tuple[str, str]:
             f"{layout}; poses alone are a ground truth, as TUM: evalkit compare RECORDING --ground-truth FILE.tum",
         )
     return "text in which no line begins with FLASER, ROBOTLASER1, LASER_READING or ODOM", f"{layout}, or {READERS}"
-
-
-def _is_number(word: bytes) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

@@ -147,8 +147,9 @@ class RecordingStreams:
     """All streams of a recording. ``reader``: the name of the data set that reads it.
 
     ``poses_from``: program that computed the poses ("gmapping" or "graph"), "" if they are not corrected ones.
-    ``digits``: largest number of significant digits of a scan's stamp, 0 for binary stamps. ``remarks``: comments in
-    the file. ``damage``: None for a bag with its index; else its records were read up to the damage.
+    ``digits``: largest number of significant digits of a scan's stamp, 0 for binary stamps. ``first_damage``: the
+    first line that was dropped, and why. ``remarks``: comments in the file. ``damage``: None for a bag with its index;
+    else its records were read up to the damage.
     """
 
     path: Path
@@ -161,5 +162,6 @@ class RecordingStreams:
     poses_from: str = ""
     digits: int = 0
     damaged: int = 0
+    first_damage: str = ""
     remarks: Sequence[str] = ()
     damage: BagDamage | None = None
