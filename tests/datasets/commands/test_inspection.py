@@ -362,6 +362,15 @@ def test_a_log_without_a_scan_is_a_problem_and_gets_no_suggested_config(tmp_path
     assert suggest_config(found) is None
 
 
+def test_a_log_whose_scans_are_all_damaged_tells_why_instead_of_asking_for_a_lidar(tmp_path):
+    line = "FLASER 2 1 1 0 0 0 0 0 0 nan host nan\n"
+    (tmp_path / "a.log").write_text(3 * line)
+    first, *others = inspect_recording(tmp_path / "a.log").findings
+    told = "no scan in it can be read: 3 damaged lines, dropped; the first is line 1: "
+    assert (first.level, first.what.startswith(told)) == ("problem", True)
+    assert not [one for one in others if "damaged" in one.what or "no laser scans" in one.what]
+
+
 def test_errors_of_invalid_files_are_those_of_the_readers(tmp_path):
     (tmp_path / "torn.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(40))
     with pytest.raises(BadData, match="not a readable bag"):

@@ -112,7 +112,9 @@ def format_count(count: int, noun: str) -> str:
 
 
 def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFinding]:
-    if not streams.lasers:
+    if not streams.lasers and streams.damaged:
+        yield _problem("file", f"no scan in it can be read: {_describe_dropped(streams)}", "give another copy")
+    elif not streams.lasers:
         known = ", ".join(f"{topic.name} ({topic.kind})" for topic in streams.topics) or "none"
         yield _problem("file", f"it contains no laser scans, but: {known}", "give a recording with a 2D lidar")
     yield from _check_remarks(streams)
@@ -135,13 +137,17 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
 def _check_remarks(streams: RecordingStreams) -> Iterator[InspectionFinding]:
     if streams.damage is not None:
         yield _warning("file", _describe_damage(streams.damage), "fetch or record it again if that is needed")
-    if streams.damaged:
-        first = f"; the first is {streams.first_damage}" if streams.first_damage else ""
-        kind = "message" if streams.kind.endswith("bag") else "line"
-        yield _warning("file", f"{format_count(streams.damaged, f'damaged {kind}')}, dropped{first}")
+    if streams.damaged and streams.lasers:
+        yield _warning("file", _describe_dropped(streams))
     for remark in streams.remarks:
         if "derived" in remark.lower() or "pseudo" in remark.lower():
             yield _warning("file", f"comment in the file: {remark}")
+
+
+def _describe_dropped(streams: RecordingStreams) -> str:
+    first = f"; the first is {streams.first_damage}" if streams.first_damage else ""
+    kind = "message" if streams.kind.endswith("bag") else "line"
+    return f"{format_count(streams.damaged, f'damaged {kind}')}, dropped{first}"
 
 
 def _describe_damage(damage: BagDamage) -> str:
