@@ -89,11 +89,19 @@ def fetch_(
 @app.command("example")
 def example_(
     bag: Annotated[Path, typer.Argument(help="Folder of the new bag.", show_default=False)],
-    world: Annotated[str, typer.Option(help="A synthetic data set: room, lab, loop, corridor or office.")] = "lab",
+    world: Annotated[
+        str,
+        typer.Option(
+            help="A synthetic data set: room, lab, loop, corridor, office, doors, wings, symmetric-office or long-loop."
+        ),
+    ] = "lab",
     setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for the data set.")] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Write a simulated drive as a ROS 2 bag, with its true trajectory next to it."""
+    """Write a simulated drive as a ROS 2 bag, with its true trajectory and its true map next to it.
+
+    It is a quarter of a lap; --set laps=1 drives a whole one.
+    """
     from evalkit_datasets.commands.datasets import example_bag  # noqa: PLC0415 - heavy, and used for examples only
 
     if world not in example_bag.WORLDS:
@@ -101,11 +109,12 @@ def example_(
     given = from_text(world, example_bag.WORLDS[world].parameters, options.settings(setting or []))
     example = example_bag.write_example(bag, world, given)
     if as_json:
-        options.print_json(asdict(example) | {"bag": str(example.bag), "truth": str(example.truth)})
+        options.print_json(asdict(example) | {name: str(getattr(example, name)) for name in ("bag", "truth", "map")})
         return
     summary = f"{example.bag}: {example.scans} scans, {example.duration_s:.1f} s, {example.path_m:.1f} m, simulated"
     out.print(summary)
     out.print(f"{example.truth}: true poses")
+    out.print(f"{example.map}: true map, for evalkit compare {example.bag} --map {example.map}")
 
 
 def _datasets_of(experiment: Path) -> list[str]:
