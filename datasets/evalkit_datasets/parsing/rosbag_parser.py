@@ -255,7 +255,7 @@ def _open_reader(bag: Path) -> Any:
     from rosbags.highlevel import AnyReader  # noqa: PLC0415 - heavy, and used for bags only
 
     from evalkit_datasets.parsing.bag_types import NeededTypes  # noqa: PLC0415 - as above
-    from evalkit_datasets.parsing.unindexed_bag import open_unindexed  # noqa: PLC0415 - as above
+    from evalkit_datasets.parsing.unindexed_bag import find_file_of_records, open_unindexed  # noqa: PLC0415
 
     types: Any = NeededTypes()
     try:
@@ -270,6 +270,9 @@ def _open_reader(bag: Path) -> Any:
         with suppress(Exception):  # the first error says what is wrong
             if (unindexed := open_unindexed(bag)) is not None:
                 return unindexed
+        if find_file_of_records(bag) is not None:
+            cause = str(error).rstrip(".") or type(error).__name__
+            raise ValueError(f"{cause[:100]}; no whole chunk of messages lies before the damage") from error
         raise error from None
     return open_unindexed(bag) or _reopen(reader)
 

@@ -177,21 +177,27 @@ class UnindexedMcap(mcap.McapReader):
         return mcap.ChunkInfo(first, last, begin, length, {}, 0, compression, packed, unpacked, dict(counts))
 
 
+def find_file_of_records(bag: Path) -> Path | None:
+    """Return the file of a bag that can be read without an index, None for a database or several files."""
+    files = sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]
+    return files[0] if len(files) == 1 and files[0].suffix in (".bag", ".mcap") else None
+
+
 def open_unindexed(bag: Path) -> AnyReader | None:
     """Open a ROS 1 bag or an MCAP file without its index; None for another file, or one without any whole message.
 
     Close it as any reader.
     """
-    files = sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]
-    if len(files) != 1 or files[0].suffix not in (".bag", ".mcap"):
+    file = find_file_of_records(bag)
+    if file is None:
         return None
     types: Any = NeededTypes()
-    reader = types.reader = AnyReader(files, default_typestore=types)
-    if files[0].suffix == ".bag":
-        reader.readers = [UnindexedBag(files[0])]
+    reader = types.reader = AnyReader([file], default_typestore=types)
+    if file.suffix == ".bag":
+        reader.readers = [UnindexedBag(file)]
     else:
-        inner = Reader(files[0])
-        inner.storage = UnindexedMcap(files[0])
+        inner = Reader(file)
+        inner.storage = UnindexedMcap(file)
         reader.readers = [inner]
     reader.open()
     if any(one.msgcount for one in reader.connections):

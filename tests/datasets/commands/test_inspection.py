@@ -560,6 +560,9 @@ def test_clock_zeros_and_missing_frames_of_the_wheelchair_are_found():
     assert all(0.13 < lidar.returns.zero < 0.21 for lidar in found.lidars)
     assert "no transforms" in run_inspection(found)
     assert best_lidar(found)[0].topic == "/right_scan"
+    told = 'it is a catalogued recording: use = "wheelchair" runs it with its parameters and ground truth'
+    chosen = registry.dataset("rosbag").choose({"path": str(found.path)})  # as before a comparison
+    assert [one.reason for one in chosen if one.value is None and "catalogued" in one.reason] == [told]
 
 
 def test_the_stationary_robot_is_found_to_be_at_rest():

@@ -343,6 +343,14 @@ def test_a_chunk_that_cannot_be_unpacked_is_counted_and_the_scans_of_the_others_
     assert any(f" MB ({share} %) are lost" in what for what in findings)
 
 
+@pytest.mark.parametrize(("kind", "packed", "kept"), [("ros1", "bz2", 4200), ("mcap", "storage", 200)])
+def test_a_bag_cut_short_within_its_first_chunk_tells_that_no_message_is_left(tmp_path, kind, packed, kept):
+    whole = long_bag(kind, packed, tmp_path)
+    whole.write_bytes(whole.read_bytes()[:kept])
+    with pytest.raises(BadData, match=r"; no whole chunk of messages lies before the damage\); record or fetch"):
+        RosBag(str(whole))
+
+
 def test_a_ros_1_bag_that_was_never_indexed_is_read(tmp_path):
     whole = long_bag("ros1", "", tmp_path)
     content = bytearray(whole.read_bytes())

@@ -62,7 +62,7 @@ def suggest_config(recording: Inspection) -> SuggestedConfig | None:
     reasons = [one.reason for one in choices if one.name != PROBLEM]  # problems are findings already
     dataset, defects = _find_catalogued(recording.path)
     if dataset:
-        reasons.append(f'it is a catalogued recording: use = "{dataset}" runs it with its parameters and ground truth')
+        reasons.append(_describe_catalogued(dataset))
     return SuggestedConfig(
         reader, parameters, _format_table(reader, recording.path, chosen), _format_command(parameters),
         tuple(reasons), tried.scans, tried.truth, tried.notes, tried.problem, dataset, defects,
@@ -70,9 +70,16 @@ def suggest_config(recording: Inspection) -> SuggestedConfig | None:
 
 
 def choose_parameters(reader: str, given: Mapping[str, Value]) -> tuple[Choice, ...]:
-    """Return what was found in and beside the recording ``given["path"]``, without the parameters that are given."""
+    """Return what was found in and beside the recording ``given["path"]``, without the parameters that are given.
+
+    For a catalogued recording, it also says by which data set it runs with its ground truth.
+    """
     recording = inspect_recording(Path(str(given["path"])), reader, given)
-    return _choose(recording, given)[0] if recording.lidars else ()
+    if not recording.lidars:
+        return ()
+    dataset, _ = _find_catalogued(recording.path)
+    catalogued = [Choice("use", None, _describe_catalogued(dataset))] if dataset else []
+    return (*_choose(recording, given)[0], *catalogued)
 
 
 def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Choice, ...], _Trial]:
@@ -266,6 +273,10 @@ def _find_catalogued(path: Path) -> tuple[str, tuple[str, ...]]:
             dataset = next((name for name in data_sets.FILES if card.name in data_sets.recordings_of(name)), "")
             return dataset, card.defects
     return "", ()
+
+
+def _describe_catalogued(dataset: str) -> str:
+    return f'it is a catalogued recording: use = "{dataset}" runs it with its parameters and ground truth'
 
 
 def _format_table(reader: str, path: Path, chosen: Mapping[str, Value]) -> str:
