@@ -78,10 +78,11 @@ def find_raw(name: str) -> Mapping[str, Value]:
 
 def needed_files(name: str, drive: str = "") -> tuple[str, ...]:
     """Return the files of the catalogue that a data set (one of its drives) needs here; the first is the recording."""
-    card, raw = DATASETS[name], find_raw(name)
-    if "drives" in card:
-        return (card["drives"][drive or next(iter(card["drives"]))],)
-    return (str(raw["path"]), *FILES[name][1:]) if raw else FILES[name]
+    first, *others = FILES[name]
+    drives = DATASETS[name].get("drives", {})
+    recording = drives.get(drive, first)
+    raw = find_raw(name) if recording == first else {}
+    return (str(raw["path"]) if raw else recording, *(file for file in others if file not in drives.values()))
 
 
 def recordings_of(name: str) -> tuple[str, ...]:
@@ -93,13 +94,15 @@ def files_of(name: str) -> tuple[str, ...]:
     """Return the files to fetch for a data set, with all its drives, or for a file of the catalogue."""
     if name not in DATASETS:
         return (name,)
-    return FILES[name] if "drives" in DATASETS[name] else needed_files(name)
+    drives = DATASETS[name].get("drives", {"": ""})
+    return tuple(dict.fromkeys(file for drive in drives for file in needed_files(name, drive)))
 
 
 def _open(name: str, drive: str = "", **selection: Value) -> Sequence:
     """Return the sequence of a data set; ``selection``: the parameters of its spec."""
-    card, raw = DATASETS[name], find_raw(name)
-    located = [str(catalog.locate(file)) for file in needed_files(name, drive)]
+    card, raw, needed = DATASETS[name], find_raw(name), needed_files(name, drive)
+    raw = raw if needed[0] == raw.get("path") else {}
+    located = [str(catalog.locate(file)) for file in needed]
     files = dict(zip(card["files"], located, strict=False))  # those beside have no parameter
     how = {"how": card["truth"]} if "relations" in files else {}
     topic = {"topic": card["topics"][0]} if "topics" in card else {}

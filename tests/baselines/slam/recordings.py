@@ -1,21 +1,17 @@
 """Run a SLAM on recordings and print the errors on their relations: ``tests/baselines/slam/recordings.py``.
 
-``intel-exact``: the 3,361 scans of intel with exact stamps; MRPT's scans, whose stamps are matched by odometry, are
-left out (it reads ``$EVALKIT_DATA/sources``). ``--band N`` repeats each N times with noise of 0.1 mm on every range: it
-changes which closures are found, so that one run is an anecdote. ``--rough N``: further runs with noise of 3 mm, up to
-60 scans missing at the start, and 2 % of the others.
+``intel-exact``: the drive "exact" of intel, the 3,361 scans with exact stamps. ``--band N`` repeats each N times with
+noise of 0.1 mm on every range: it changes which closures are found, so that one run is an anecdote. ``--rough N``:
+further runs with noise of 3 mm, up to 60 scans missing at the start, and 2 % of the others.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -25,8 +21,6 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.relations import compute_estimated_motions, select_part, symmetric_errors
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Slam
-from evalkit_datasets.recordings.building import intel
-from evalkit_datasets.recordings.building.log_lines import format_scan, iter_log, source_scan
 
 NUISANCE_M, ROUGH_M = 1e-4, 0.003
 RECORDINGS = ("fr079", "intel", "intel-exact")
@@ -52,9 +46,9 @@ def main() -> int:
     parameters = {each.name: type(each.default)(given.get(each.name, each.default)) for each in spec.parameters}
     sys.stdout.write(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}\n")
     for name in arguments.recordings:
-        sequence = registry.dataset(name.split("-", maxsplit=1)[0]).make()
-        relations = sequence.truth().relations
-        frames = exact_intel() if name == "intel-exact" else list(sequence.frames())
+        dataset, _, drive = name.partition("-")
+        sequence = registry.dataset(dataset).make(**({"drive": drive} if drive else {}))
+        relations, frames = sequence.truth().relations, list(sequence.frames())
         if relations is None:
             raise ValueError(f"{name} has no relations")
         for seed in range(arguments.band + 1):
@@ -63,20 +57,6 @@ def main() -> int:
         for seed in range(arguments.rough):
             run(f"{name}, rough {seed}", spec.make(**parameters), roughened(frames, seed), relations)
     return 0
-
-
-def exact_intel() -> list[Frame]:
-    """Return the scans of intel with exact stamps."""
-    sources = Path(os.environ["EVALKIT_DATA"]) / "sources"
-    scans = {scan.stamp_ns: scan for scan in intel.read_readings(sources / "intel_gfs.json")}
-    scans |= {one.stamp_ns: source_scan(one) for one in iter_log(sources / "flirtlib-intel-lab.log")}
-    rows = intel.read_odometry(sources / "intel_pose.log")
-    lines = [(stamp, 0, intel._format_odometry(stamp, row)) for stamp, row in rows]
-    lines += [(stamp, 1, format_scan(scan)) for stamp, scan in scans.items()]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "intel-exact.clf"
-        path.write_text("".join(line for *_, line in sorted(lines)))
-        return list(registry.dataset("carmen").make(path=str(path), odometry="odom-lines").frames())
 
 
 def shaken(frames: Sequence[Frame], seed: int) -> list[Frame]:

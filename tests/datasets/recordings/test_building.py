@@ -119,6 +119,19 @@ def test_a_scan_of_the_rawlog_gets_the_time_of_the_odometry_row_with_its_pose(tm
         intel.stamp_rawlog(write_rawlog(tmp_path, [0.0, 0.7]), rows, {})
 
 
+def test_the_exact_log_of_intel_has_the_scans_of_graph_and_readings_and_all_odometry(tmp_path):
+    graph, readings, odometry = (tmp_path / name for name in ("g.log", "r.json", "o.log"))
+    graph.write_text(graph_line(102.5, (9, 8, 0.5), [2.0] * 180))
+    readings.write_text(json.dumps({"map": {"101.25": {"range": [1.5] * 180}}}))
+    odometry.write_text("".join(f"{100 + k} 0 0 0 {k} 0 {math.pi / 2}\n" for k in range(4)))
+    log = tmp_path / "exact.clf"
+    log.write_text("".join(intel.build_exact_log(graph, readings, odometry)))
+    content = carmen_parser.Log((-90.0, 0.0))
+    found = [(reading.stamp_ns, reading.ranges[0]) for _, reading in carmen_parser.iter_readings(log, content)]
+    assert found == [(101 * S + S // 4, 1.5), (102 * S + S // 2, 2.0)]
+    assert [row[0] for row in content.odometry.poses] == [0.0, 1.0, 2.0, 3.0]
+
+
 def graph_line(stamp, pose, ranges):
     words = " ".join(f"{one:.2f}" for one in ranges)
     x, y, theta = pose

@@ -122,6 +122,10 @@ def test_a_compressed_copy_is_found_and_verified_by_its_plain_content(folders):
 
 def test_a_raw_log_is_used_where_somebody_has_it(folders, monkeypatch):
     assert data_sets.needed_files("fr079")[0] == "fr079-built.clf"
+    truth = ("intel.relations", "intel-reference-flirtlib.tum")
+    assert data_sets.needed_files("intel") == ("intel-built.clf", *truth)
+    assert data_sets.needed_files("intel", "exact") == ("intel-exact.clf", *truth)
+    assert data_sets.files_of("intel") == ("intel-built.clf", *truth, "intel-exact.clf")
     content = "".join(f"FLASER 180 {'1.0 ' * 180}{x} 0 0 {x} 0 0 {x}.5 h 0\n" for x in range(3)).encode()
     raw = folders / "data" / "fr079" / "fr079.clf"
     raw.parent.mkdir(parents=True)

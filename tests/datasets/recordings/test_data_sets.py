@@ -63,7 +63,7 @@ def test_each_spec_has_a_card(name):
 
 @pytest.mark.parametrize("name", [name for name in NAMES if not absent(name)])
 def test_every_available_file_equals_its_catalogue_entry(name):
-    assert all(catalog.locate(file).is_file() for file in data_sets.FILES[name])
+    assert all(catalog.locate(file).is_file() for file in data_sets.needed_files(name))
 
 
 # --- fr079
@@ -117,6 +117,17 @@ def test_intel_matches_its_card():
     assert len(sequence.truth().trajectory) == 2672
     assert (frames[-1].scan.stamp_ns - frames[0].scan.stamp_ns) * 1e-9 == pytest.approx(2690.677, abs=1e-3)
     assert sequence.notes() == {"scans in a gap of the odometry over 1 s": 115}
+
+
+@pytest.mark.skipif(bool(registry.dataset("intel").missing(drive="exact")), reason="intel: files not at hand")
+def test_the_exact_scans_of_intel_are_those_of_the_whole_with_the_same_odometry_and_relations():
+    exact, whole = sequence_of("intel", drive="exact"), sequence_of("intel")
+    assert (len(exact), len(whole), len(exact.truth().relations)) == (3361, 5438, 2984)
+    by_stamp = {frame.scan.stamp_ns: frame for frame in whole.frames()}
+    for frame in exact.frames():
+        same = by_stamp[frame.scan.stamp_ns]
+        np.testing.assert_array_equal(frame.scan.ranges, same.scan.ranges)
+        np.testing.assert_array_equal(frame.odom_from_base.row, same.odom_from_base.row)
 
 
 @needs("intel")

@@ -16,6 +16,7 @@ Builder = Callable[..., Iterator[str]]
 BUILDERS: Mapping[str, Builder] = {
     "fr079": fr079.build_log,
     "intel": intel.build_log,
+    "intel exact": intel.build_exact_log,
     "graph poses": graph_poses.build_trajectory,
 }
 

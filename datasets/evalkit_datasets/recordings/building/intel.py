@@ -25,6 +25,9 @@ from evalkit.io.untrusted_io import parse_json
 from evalkit_datasets.recordings.building.log_lines import SourceScan, centimetres, format_scan, iter_log, source_scan
 from evalkit_datasets.recordings.building.mrpt_rawlog import read_rawlog
 
+OdometryRow = tuple[int, tuple[Decimal, Decimal, Decimal]]
+"""The stamp of a row (ns), and its pose (m, m, rad)."""
+
 ODOMETRY_LAYOUT = "t 0 0 0 x y theta"
 HALF_TURN = Decimal("3.141592653589793238")
 
@@ -40,23 +43,39 @@ PERIOD_NS = 987_000_000
 
 def build_log(graph: Path, readings: Path, rawlog: Path, odometry: Path) -> Iterator[str]:
     """Yield the lines of the log in order of time: all rows of odometry, and the scans of the three sources."""
-    rows = read_odometry(odometry)
-    exact = {scan.stamp_ns: scan for scan in read_readings(readings)}
-    exact |= {reading.stamp_ns: source_scan(reading) for reading in iter_log(graph)}
+    rows, exact = read_odometry(odometry), read_exact(graph, readings)
     scans = dict(exact)
     for scan in stamp_rawlog(rawlog, rows, {scan.key: scan.stamp_ns for scan in exact.values()}):
         stamp = scan.stamp_ns
         while stamp in scans:  # two estimates may coincide
             stamp += 1000
         scans[stamp] = SourceScan(stamp, scan.ranges_cm)
-    lines = [(stamp, 0, _format_odometry(stamp, row)) for stamp, row in rows]
-    lines += [(stamp, 1, format_scan(scan)) for stamp, scan in scans.items()]
     yield "# derived: built by evalkit from flirtlib's graph, GMapping readings, MRPT's rawlog and the raw odometry\n"
     yield f"# {len(exact)} of {len(scans)} stamps are exact, the others matched by odometry; no poses of scans\n"
-    yield from (line for *_, line in sorted(lines))
+    yield from _merge_lines(rows, scans)
 
 
-def read_odometry(path: Path) -> list[tuple[int, tuple[Decimal, Decimal, Decimal]]]:
+def build_exact_log(graph: Path, readings: Path, odometry: Path) -> Iterator[str]:
+    """Yield the lines of the log in order of time with the scans alone whose stamps are exact."""
+    exact = read_exact(graph, readings)
+    yield "# derived: built by evalkit from flirtlib's graph, GMapping readings and the raw odometry\n"
+    yield f"# all {len(exact)} stamps are exact; no poses of scans\n"
+    yield from _merge_lines(read_odometry(odometry), exact)
+
+
+def read_exact(graph: Path, readings: Path) -> dict[int, SourceScan]:
+    """Return the scans with exact stamps by these, of flirtlib's graph and of the GMapping readings."""
+    exact = {scan.stamp_ns: scan for scan in read_readings(readings)}
+    return exact | {reading.stamp_ns: source_scan(reading) for reading in iter_log(graph)}
+
+
+def _merge_lines(rows: list[OdometryRow], scans: Mapping[int, SourceScan]) -> Iterator[str]:
+    lines = [(stamp, 0, _format_odometry(stamp, row)) for stamp, row in rows]
+    lines += [(stamp, 1, format_scan(scan)) for stamp, scan in scans.items()]
+    return (line for *_, line in sorted(lines))
+
+
+def read_odometry(path: Path) -> list[OdometryRow]:
     """Return the stamp and the pose (m, m, rad) of each row; its heading is counted clockwise from y, as of a compass.
 
     Decimals: the text of the log is the same on every machine.
@@ -82,9 +101,7 @@ def read_readings(path: Path) -> list[SourceScan]:
         raise BadData(str(path), "", what, "fetch the file again") from None
 
 
-def stamp_rawlog(
-    path: Path, rows: list[tuple[int, tuple[Decimal, Decimal, Decimal]]], exact_ns: Mapping[bytes, int]
-) -> list[SourceScan]:
+def stamp_rawlog(path: Path, rows: list[OdometryRow], exact_ns: Mapping[bytes, int]) -> list[SourceScan]:
     """Return the scans of a rawlog that are not among those with exact stamps (by their ranges), with their stamps."""
     ranges_m, motions = read_rawlog(path)
     scans = [centimetres(row) for row in ranges_m]
