@@ -1,4 +1,5 @@
 import os
+import re
 import time
 from functools import cache
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 from evalkit.core import se2
 from evalkit.core.pose_graph import PoseGraph
 from evalkit.io.g2o import format_g2o, read_g2o
+from evalkit_baselines.slam import __main__ as slam_command
 from evalkit_baselines.slam import pose_graph
 
 GRAPHS = Path(os.environ.get("EVALKIT_DATA", "")) / "graphs"
@@ -293,3 +295,30 @@ def test_a_loop_that_is_metres_off_takes_none_of_the_right_ones_with_it(count):
     assert time.process_time() - began < 60.0  # measured: 5 s for 100,000 poses
     np.testing.assert_array_equal(solution.weights[-3:], [1.0, 1.0, 0.0])
     np.testing.assert_allclose(solution.graph.poses[far, 0], far + 0.3, atol=0.02)
+
+
+TWICE = (
+    "VERTEX_SE2 5 0 0 0\nVERTEX_SE2 7 1 0 0\n{fixed}"
+    "EDGE_SE2 5 7 1.0 0 0 100 0 0 100 0 100\nEDGE_SE2 5 7 1.2 0 0 100 0 0 100 0 100\n"
+)
+"""A motion measured as 1.0 m and as 1.2 m: chi-square 4 at 1.0 m, and at the optimum, 1.1 m, 2."""
+
+
+def test_the_command_prints_the_chi_square_before_and_after_and_writes_the_graph(tmp_path, capsys):
+    begin, end = tmp_path / "a.g2o", tmp_path / "b.g2o"
+    begin.write_text(TWICE.format(fixed="FIX 5\n"))
+    slam_command.main([str(begin), str(end)])
+    assert re.search(
+        r": chi-square 4 before, 2 after \d iterations from linear angles, converged$", capsys.readouterr().out
+    )
+    file = read_g2o(end)
+    assert file.ids.tolist() == [5, 7]
+    np.testing.assert_allclose(file.graph.poses, [[0, 0, 0], [1.1, 0, 0]], atol=1e-9)
+
+
+def test_the_command_refuses_a_graph_that_fixes_another_pose(tmp_path, capsys):
+    begin = tmp_path / "a.g2o"
+    begin.write_text(TWICE.format(fixed="FIX 7\n"))
+    with pytest.raises(SystemExit):
+        slam_command.main([str(begin)])
+    assert "it fixes the poses 7; fix its first pose" in " ".join(capsys.readouterr().err.split())

@@ -371,6 +371,19 @@ def test_a_log_whose_scans_are_all_damaged_tells_why_instead_of_asking_for_a_lid
     assert not [one for one in others if "damaged" in one.what or "no laser scans" in one.what]
 
 
+def test_a_pose_graph_is_told_its_size_and_chi_square(tmp_path):
+    """A square of steps of 1 m whose last edge is 0.2 m too short: 0.04 times an information of 100."""
+    path = tmp_path / "a.g2o"
+    steps = "".join(f"EDGE_SE2 {k} {k + 1} 1 0 {math.pi / 2} 100 0 0 100 0 100\n" for k in range(3))
+    path.write_text(steps + f"EDGE_SE2 3 0 0.8 0 {math.pi / 2} 100 0 0 100 0 100\n")
+    with pytest.raises(
+        BadData, match=r"a pose graph \(g2o\) without scans: 4 poses, 4 edges, 1 of them loops, "
+    ) as told:
+        inspect_recording(path)
+    assert float(str(told.value).split("chi-square ")[1].split(";")[0]) == pytest.approx(4.0)
+    assert f"python -m evalkit_baselines.slam {path} OPTIMISED.g2o" in str(told.value)
+
+
 def test_errors_of_invalid_files_are_those_of_the_readers(tmp_path):
     (tmp_path / "torn.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(40))
     with pytest.raises(BadData, match="not a readable bag"):

@@ -6,6 +6,9 @@ import shlex
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
+
+from evalkit.io.g2o import read_g2o
 from evalkit.io.text_lines import is_number, iter_lines, iter_plain_blocks
 from evalkit_datasets.parsing.columns_layout import split_columns
 
@@ -60,8 +63,7 @@ def describe_other_file(path: Path) -> tuple[str, str]:
 def _describe_text(path: Path) -> tuple[str, str]:
     lines = [line.split() for line in islice(iter_lines(path, EXPECTED), LINES)]
     if any(words and words[0] in GRAPH for words in lines):
-        what = "a pose graph (g2o) without scans"
-        return what, f'read its poses: python -c "from evalkit.io.g2o import *; print(read_g2o(Path({str(path)!r})))"'
+        return _describe_graph(path)
     rows = [split_columns(line) for line in islice(iter_lines(path, EXPECTED), LINES)]
     numeric = [words for words in rows if words and all(map(is_number, words))]
     layout = f"describe its columns in {path.name}.toml (tables [time] and [scan], see evalkit list columns)"
@@ -72,3 +74,15 @@ def _describe_text(path: Path) -> tuple[str, str]:
             f"{layout}; poses alone are a ground truth, as TUM: evalkit compare RECORDING --ground-truth FILE.tum",
         )
     return "text in which no line begins with FLASER, ROBOTLASER1, LASER_READING or ODOM", f"{layout}, or {READERS}"
+
+
+def _describe_graph(path: Path) -> tuple[str, str]:
+    """Raises BadData for a graph that is not planar."""
+    file = read_g2o(path)
+    graph, ranks = file.graph, np.argsort(np.argsort(file.ids))
+    loops = int((np.abs(ranks[graph.second] - ranks[graph.first]) > 1).sum())
+    what = (
+        f"a pose graph (g2o) without scans: {len(graph):,} poses, {len(graph.first):,} edges, {loops:,} of them loops, "
+        f"chi-square {graph.chi_squares().sum():.8g}"
+    )
+    return what, f"optimise it: python -m evalkit_baselines.slam {shlex.quote(str(path))} OPTIMISED.g2o"
