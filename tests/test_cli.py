@@ -558,6 +558,29 @@ def test_a_carmen_log_is_compared_by_one_command(evalkit, carmen, tmp_path):
     assert "--backends wheel-odometry,paper" in (folder / "results.json").read_text()
 
 
+def test_without_truth_the_fit_to_the_map_ranks_and_the_use_of_the_map_is_stated(evalkit, carmen, tmp_path):
+    """The wheels, 10 % too small, leave the known map by 0.1 m at half of the drive and 0.23 m at its end."""
+    cells = np.full((84, 164), 254, dtype=np.uint8)  # 5 cm each: the box of 8 x 4 m, its walls two cells thick
+    cells[:2], cells[-2:], cells[:, :2], cells[:, -2:] = 0, 0, 0, 0
+    (tmp_path / "box.pgm").write_bytes(b"P5 164 84 255\n" + cells.tobytes())
+    (tmp_path / "box.yaml").write_text(
+        "image: box.pgm\nresolution: 0.05\norigin: [-0.1, -2.1, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n"
+        "free_thresh: 0.196\n"
+    )
+    code, out, _ = evalkit(
+        "compare", carmen, "--as-is", "--map", tmp_path / "box.yaml", "--start", "1,0,0", "--backends",
+        "wheel-odometry,distance-field", "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert code == 0
+    lines = [line.replace("\u00a0", " ").split() for line in out.splitlines()]
+    head = next(at for at, line in enumerate(lines) if line[:5] == ["wrong", "by", "map", "fit,", "drive.log"])
+    assert [line[0] for line in lines[head + 1 : head + 3]] == ["distance-field", "wheel-odometry"]
+    wheels, field = (next(one for one in lines if one[:2] == words) for words in (
+        ["wheel-odometry", "start"], ["distance-field", "matched"]))  # fmt: skip
+    assert (wheels[2:4], field[2]) == (["only", "given"], "given")
+    assert float(field[-2]) < 5.0 < 20.0 < float(wheels[-2])
+
+
 def ros_bag(path):
     """Write a ROS 1 bag of the same drive: /scan and /odom."""
     rosbag1, typesys = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.typesys")

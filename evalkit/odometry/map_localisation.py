@@ -169,9 +169,9 @@ def _with_map(
     spec: BackendSpec, values: Mapping[str, Value], sequence: Sequence, folder: Path, name: str, start: MapStart
 ) -> Mapping[str, Value]:
     """Return the parameters with the map's file and the start, of those that a back end with a ``map`` declares."""
-    names = {each.name for each in spec.parameters}
-    if MAP not in names:
+    if spec.map_use != "reads":
         return values
+    names = {each.name for each in spec.parameters}
     grid = sequence.truth().grid if name == TRUE_MAP else None
     if grid is not None:
         write_map(folder / MAP, grid)

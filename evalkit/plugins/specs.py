@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from evalkit.plugins.parameters import EXCERPT, NUISANCE, RESERVED, Parameter, Value, declared_parameters
+from evalkit.plugins.parameters import EXCERPT, MAP, NUISANCE, RESERVED, Parameter, Value, declared_parameters
 
 if TYPE_CHECKING:
     from evalkit.core.grid import OccupancyGrid
@@ -28,6 +28,10 @@ Role = Literal["", "reference", "baseline", "peer"]
 "reference": the readable implementation that others are validated against. "baseline": every other method must beat it.
 "peer": an established implementation, shown beside a validated one for context.
 """
+
+MapUse = Literal["matches", "reads", "starts there"]
+"""What a back end does with a known map: evalkit matches its scans with the map; it is given the file; or it runs as
+without a map, from the same start."""
 
 Excerpt = Literal["full", "quick"]
 
@@ -74,6 +78,11 @@ class BackendSpec:
     recorded: ClassVar[bool] = False
     """True where the answers were computed elsewhere, so that only the scans of that recording have one."""
 
+    @property
+    def map_use(self) -> MapUse:
+        """What it does with a known map."""
+        return "reads" if any(each.name == MAP for each in self.parameters) else "starts there"
+
 
 @dataclass(frozen=True)
 class RegistrationSpec(BackendSpec):
@@ -89,6 +98,11 @@ class RegistrationSpec(BackendSpec):
     scan_to_scan: Mapping[str, Value] = field(default_factory=dict)
 
     kind: ClassVar[BackendKind] = "registration"
+
+    @property
+    def map_use(self) -> MapUse:
+        """What evalkit's front end does with a known map."""
+        return "matches"
 
     def first_stage_parameters(self) -> tuple[Parameter, ...]:
         """Return the parameters ``s2s.NAME`` with different defaults in the scan-to-scan stage."""

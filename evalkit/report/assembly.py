@@ -102,7 +102,7 @@ def build_method_card(method: Method) -> MethodCard:
     spec = registry.find_backend(method.backend)
     settings = build_settings(method.parameters, settable_parameters(spec), "set for this method")
     guess = "" if spec.guess == GUESS_NOT_REPORTED else spec.guess
-    own = (guess, method.missing, spec.role, method.tuned_on)
+    own = (guess, method.missing, spec.role, method.tuned_on, spec.map_use)
     return MethodCard(spec.summary, spec.citation, spec.licence, settings, *own)
 
 

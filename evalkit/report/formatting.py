@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 
 from evalkit.core.errors import show_controls
 from evalkit.core.run_result import LostTrack
 from evalkit.metrics.metric import Metric
+from evalkit.plugins.specs import MapUse
 from evalkit.report.analysis.pairwise import PairedDifference
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.stats.intervals import Interval
 from evalkit.stats.runs import MIN_RUNS
+
+MAP_USES: Mapping[MapUse, str] = {"matches": "matched", "reads": "given the file", "starts there": "start only"}
+"""What a method does with a known map, in the words of a table."""
 
 
 def escape_markdown(text: str) -> str:

@@ -1,32 +1,72 @@
-"""How likely positions in a known map are wrong, in lines for a terminal."""
+"""What a comparison in a known map found, as a table for a terminal: use of the map, start, fit, wrong positions."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from statistics import median
 
-from evalkit.metrics.fit_calibration import WRONG_M, describe_calibration
+from evalkit.metrics.fit_calibration import WRONG_M, load_calibration
 from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.formatting import MAP_USES, format_amount
 
-PREDICTED, TRUE = "map_wrong_percent", "map_truly_wrong_percent"
+FIT, PREDICTED, TRUE = "map_fit_m", "map_wrong_percent", "map_truly_wrong_percent"
+HEADS = {FIT: "fit", PREDICTED: "wrong by fit", TRUE: "truly wrong"}
 
 
 def describe_map_fit(analysis: Analysis) -> Iterator[str]:
-    """Yield a line for each sequence in a known map, then what the probabilities were learnt on; nothing without."""
+    """Yield a table for each sequence in a known map, then what its columns mean; nothing without such a sequence."""
     shown = False
     for sequence in analysis.sequences:
-        predicted, true = sequence.rankings.get(PREDICTED), sequence.rankings.get(TRUE)
         in_map = [label for label, own in sequence.runs.items() if any(one.result.start for one in own)]
-        parts = []
+        if not in_map:
+            continue
+        shown = True
+        names = [name for name in HEADS if name != TRUE or _has_values(sequence, name)]
+        rows = [["", "map", "localised after", *(HEADS[name] for name in names)]]
         for label in in_map:
-            score = predicted.of(label) if predicted else None
-            known = true.of(label) if true else None
-            if score is not None and score.median is not None:
-                shown = True
-                truly = f" (true: {known.median:.1f} %)" if known is not None and known.median is not None else ""
-                parts.append(f"{label} {score.median:.1f} %{truly}")
-            elif score is not None and score.reason:
-                parts.append(f"{label}: no number, {score.reason}")
-        if parts:
-            yield f"More than {100.0 * WRONG_M:g} cm off by map fit, {sequence.label}: {'; '.join(parts)}"
+            cells = [_format(sequence, name, label) for name in names]
+            use = MAP_USES[analysis.comparison.methods[label].map_use]
+            rows.append([label, use, _format_start(sequence, label), *cells])
+        yield f"In the known map, {sequence.label}:"
+        yield from _align(rows)
+        for label in in_map:
+            ranking = sequence.rankings.get(PREDICTED)
+            score = ranking.of(label) if ranking else None
+            if score is not None and score.reason:
+                yield f"{label}: no share of wrong positions, {score.reason}"
     if shown:
-        yield describe_calibration()
+        wrong = 100.0 * load_calibration().check["wrong_share"]
+        yield (
+            "fit: error of the poses whose scans fit the map. wrong by fit: positions expected to be more than "
+            f"{100.0 * WRONG_M:g} cm off, too many where fewer than {wrong:.0f} % are (details on the page). "
+            f"{MAP_USES['starts there']}: runs as without a map, from the same start."
+        )
+
+
+def _has_values(sequence: SequenceAnalysis, name: str) -> bool:
+    return name in sequence.rankings and sequence.rankings[name].has_values
+
+
+def _format(sequence: SequenceAnalysis, name: str, label: str) -> str:
+    ranking = sequence.rankings.get(name)
+    score = ranking.of(label) if ranking else None
+    if ranking is None or score is None or score.median is None:
+        return "–"
+    return format_amount(ranking.metric, score.median)
+
+
+def _format_start(sequence: SequenceAnalysis, label: str) -> str:
+    starts = [run.result.start for run in sequence.runs[label] if run.result.start is not None]
+    return f"{median(one.after_s for one in starts):.1f} s" if starts[0].searched else "given"
+
+
+def _align(rows: list[list[str]]) -> Iterator[str]:
+    """Yield the lines of a table: the first two columns to the left, the others to the right."""
+    sizes = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [
+            text.ljust(size) if at < 2 else text.rjust(size)
+            for at, (text, size) in enumerate(zip(row, sizes, strict=True))
+        ]
+        yield f"  {'  '.join(cells)}".rstrip()

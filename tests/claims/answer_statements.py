@@ -40,7 +40,7 @@ def leaders(facts: Facts, where: str) -> Sequence[str]:
 @kind(
     IN_ANSWER,
     r"Take (?P<names>.+?): (?:each )?(?:the best map|best or tied) on (?P<led>\d+) of (?P<of>\d+) "
-    r"(?:data sets?|recordings?)"
+    r"(?:data sets?|recordings?)(?: by the fit to its known map)?"
     r"(?:; next best (?P<next>\d+) of (?P<its>\d+))?\.",
 )
 def take(facts: Facts, names: str, **said: str) -> Iterator[str]:
@@ -59,9 +59,11 @@ def take(facts: Facts, names: str, **said: str) -> Iterator[str]:
 @kind(
     IN_ANSWER,
     r"Take (?P<names>.+?): (?P<how>tied for the best|best|ahead|the best map) o[nf] (?P<where>.+?)"
+    r"(?P<fit> by the fit to its known map)?"
     r"(?:, which has .+?|, but not told apart from (?P<others>.+?) by these runs)?\.",
 )
-def take_one(facts: Facts, names: str, how: str, where: str, others: str | None) -> Iterator[str]:
+def take_one(facts: Facts, names: str, how: str, where: str, fit: str | None, others: str | None) -> Iterator[str]:
+    yield from same("by the fit", bool(fit), facts.by_fit(where))
     undecided = [one for one in facts.led(where)[0] if one not in facts.led(where)[1]]
     named = undecided if len(undecided) <= 3 else [f"{len(undecided)} others"]
     yield from same("not told apart", list_of(others) if others else [], named if how in {"ahead", "best"} else [])
@@ -75,7 +77,7 @@ def take_one(facts: Facts, names: str, how: str, where: str, others: str | None)
 @kind(
     IN_ANSWER,
     r"No method is ahead: (?:all )?(?P<count>\d+) methods are (?:each )?(?:tied|best or tied) on "
-    r"(?:(?P<led>\d+) of (?P<of>\d+) data sets|(?P<where>.+?))\.$",
+    r"(?:(?P<led>\d+) of (?P<of>\d+) data sets|(?P<where>.+?))(?: by the fit to its known map)?\.$",
 )
 def all_tied(facts: Facts, count: str, led: str | None, of: str | None, where: str | None) -> Iterator[str]:
     own, most = facts.content["answer"]["counted"], max(one for one, _ in standings(facts).values())
@@ -109,7 +111,7 @@ def cost_of_each(facts: Facts, listed: str) -> Iterator[str]:
         yield from check_amount(name, ms, _cost(facts, name))
 
 
-@kind(IN_ANSWER, rf"(?P<best>{AMOUNT}) against (?P<its>{AMOUNT}) of (?P<other>.+?){END}")
+@kind(IN_ANSWER, rf"(?:Wrong by map fit: )?(?P<best>{AMOUNT}) against (?P<its>{AMOUNT}) of (?P<other>.+?){END}")
 def against(facts: Facts, best: str, its: str, other: str) -> Iterator[str]:
     (where,) = facts.content["answer"]["counted"]
     metric = facts.deciding(where) or ""
@@ -155,6 +157,14 @@ def cheapest(facts: Facts, name: str = "", ms: str = "", times: str | None = Non
             if {name, answer["winners"][0]} <= set(ranked):
                 logs.append(sign * math.log(found[name].median / found[answer["winners"][0]].median))
         yield from check_amount("times the error", times, math.exp(sum(logs) / len(logs)))
+
+
+@kind(IN_PILLS, r"in a known map, (?:which all methods use|where (?P<names>.+?) only starts?)$")
+def known_map_pill(facts: Facts, names: str | None = None) -> Iterator[str]:
+    only = [one for one in facts.methods if facts.content["methods"][one]["map_use"] == "starts there"]
+    count = re.fullmatch(r"(\d+) methods", names or "")
+    stated = int(count[1]) if count else list_of(names) if names else []
+    yield from same("only start in the map", stated, len(only) if count else only)
 
 
 @kind(IN_PILLS, r"(?P<where>.+?) is degenerate: (?P<how>not counted|no method beats .+)$")

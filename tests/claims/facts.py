@@ -12,7 +12,7 @@ from typing import Any
 
 from scipy import stats
 
-GROUPS = ("relations", "drift", "map against truth", "map consistency")
+GROUPS = ("relations", "drift", "map against truth", "localisation", "map consistency")
 OF_METHODS = "one|other|winner|second|last|base|method|m"
 MEASURES = {
     "split_distance_m": "the smallest distance between the halves of the run",
@@ -160,7 +160,8 @@ class Facts:
         """Return the smallest difference that matters."""
         one = self.metrics[metric]
         position = one["unit"] == "m" and one["group"] in ("drift", "relations")
-        return max(0.05 * abs(better), 10.0 ** -one["digits"], 0.002 if position else 0.0)
+        points = 1.0 if one["group"] == "localisation" else 0.0
+        return max(0.05 * abs(better), 10.0 ** -one["digits"], 0.002 if position else points)
 
     def floor(self, metric: str) -> float:
         """Return the accuracy of the ground truth."""
@@ -244,6 +245,11 @@ class Facts:
         """Return whether maps alone decide."""
         metric = self.deciding(sequence)
         return metric is not None and self.metrics[metric]["group"] == "map consistency"
+
+    def by_fit(self, sequence: str) -> bool:
+        """Return whether the fit to a known map decides."""
+        metric = self.deciding(sequence)
+        return metric is not None and self.metrics[metric]["group"] == "localisation"
 
     def agreed(self, sequence: str) -> list[str]:
         """Return the methods best or not clearly worse in every map metric."""

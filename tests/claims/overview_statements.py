@@ -14,7 +14,7 @@ END = r"\.(?= [A-Z]|$)"
 def counted(facts: Facts) -> list[str]:
     """Return the sequences that count in the tally."""
     own = [one for one in facts.runs if facts.outcome(one) in ("winner", "tied")]
-    return [one for one in own if not facts.by_maps(one)]
+    return [one for one in own if not facts.by_maps(one) and not facts.by_fit(one)]
 
 
 @kind(IN_OVERVIEW, r"No sequence has both ground truth and repeated runs to compare, so there is no overall winner\.")

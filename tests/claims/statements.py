@@ -140,7 +140,7 @@ def is_won(facts: Facts, where: str, **said: str) -> Iterator[str]:
     ranked, found = facts.ranked(where, metric), facts.find(where, metric)
     yield from same("outcome", "winner", facts.outcome(where))
     yield from same("order", [said["winner"], said["second"]], ranked[:2])
-    yield from same("verb", said["verb"], "is ahead" if facts.by_maps(where) else "wins")
+    yield from same("verb", said["verb"], "is ahead" if facts.by_maps(where) or facts.by_fit(where) else "wins")
     yield from _deciding(facts, where, said["label"])
     yield from check_median(facts, where, metric, said["winner"], said["best"])
     yield from check_median(facts, where, metric, said["second"], said["its"])

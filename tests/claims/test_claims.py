@@ -15,7 +15,10 @@ from run import TABLES, check_report, read_statements
 from statements import check_sentences
 
 from evalkit.config.experiment import SequenceSpec
+from evalkit.core.map_start import MapStart
+from evalkit.core.pose import Pose
 from evalkit.core.run_result import LostTrack
+from evalkit.metrics import all_metrics
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.html.report_page import render_report
 from evalkit.report.results_json import build_results
@@ -61,6 +64,21 @@ def _maps(record, **measures):
         for seed, one in enumerate(own)
     ]
     return _perturbed(found)
+
+
+def _in_map(record, build):
+    """Three methods in a known map without truth, of which one only starts there."""
+    start = MapStart(Pose(), 1, 0.0, True, 0.9)
+    runs = [
+        one
+        for name, percent in (("a", 2.0), ("b", 9.0), ("slam", 50.0))
+        for one in _seeds(record, name, [percent + 0.1 * seed for seed in range(4)], "map_wrong_percent", truth=False)
+    ]
+    found = build([replace(one, result=replace(one.result, start=start)) for one in runs])
+    uses = {"a": "matches", "b": "reads", "slam": "starts there"}
+    by_fit = next(metric for metric in all_metrics() if metric.name == "map_wrong_percent")
+    found = replace(found, metrics=(*found.metrics, by_fit))
+    return replace(found, methods={name: replace(card, map_use=uses[name]) for name, card in found.methods.items()})
 
 
 def _cases(record, build):
@@ -111,6 +129,7 @@ def _cases(record, build):
     partly = _perturbed(_seeds(record, "a", clear[0]))
     yield build([*_lost(partly[:1], 5.0, 31.0), *partly[1:], *_perturbed(_seeds(record, "b", clear[1]))])
     yield build(_maps(record, a=(0.1, 20.0, 5.0, 0.02), b=(0.2, 60.0, 9.0, 0.05), wheel=(0.4, 90.0, 20.0, 0.09)))
+    yield _in_map(record, build)
     yield build(_maps(record, a=(0.1, 90.0, 5.0, 0.02), b=(0.2, 60.0, 9.0, 0.05)))
     rooms = [_seeds(record, name, own, room=room) for room, scale in (("room", 1.0), ("yard", 2.0), ("hall", 0.5))
              for name, own in (("a", [scale * v for v in clear[0]]), ("b", [v / scale for v in clear[1]]))]  # fmt: skip

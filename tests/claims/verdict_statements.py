@@ -111,6 +111,16 @@ def worse_than_baseline(facts: Facts, where: str, base: str, listed: str, value:
 
 
 @kind(
+    IN_VERDICTS,
+    r"Without ground truth, (?P<label>.+?) decides: how well the scans fit the known map at the poses\. "
+    r"Limitations: .+?\.(?= [A-Z]|$)",
+)
+def fit_decides(facts: Facts, where: str, label: str) -> Iterator[str]:
+    yield from same("decided by the fit", facts.by_fit(where), True)
+    yield from same("deciding metric", label, facts.metrics[facts.deciding(where) or ""]["label"])
+
+
+@kind(
     IN_VERDICTS, r"Without ground truth, (?P<label>.+?) compares maps only\. Limitations: .+?\.(?= Over|$| The spread)"
 )
 def maps_only(facts: Facts, where: str, label: str) -> Iterator[str]:

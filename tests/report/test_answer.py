@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from evalkit.core.run_result import LostTrack, RunConditions
+from evalkit.metrics import all_metrics
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_amount, format_milliseconds
 
@@ -203,6 +204,37 @@ def test_maps_decide_only_without_ground_truth_and_only_if_they_agree(build, rec
     assert title(build(opposed)) == "No method is ahead: without ground truth, the map metrics disagree."
     assert not answer(build([*three, *agreed])).by_maps
     assert "no verdict on bag" in pills(build([*three, *agreed]))
+
+
+@pytest.fixture
+def in_map(record):
+    """Return ``in_map(method, percent, split_m)``: runs in a known map without truth, that also have drawn maps."""
+
+    def make(method, percent, split_m, seeds=4):
+        maps = dict.fromkeys(MAPS, split_m)
+        return [
+            record(method, "bag", {**maps, "map_wrong_percent": percent + 0.1 * seed}, seed=seed, truth=False)
+            for seed in range(seeds)
+        ]  # fmt: skip
+
+    return make
+
+
+def test_the_fit_to_a_known_map_decides_without_truth_and_not_the_maps_drawn(build, in_map, three):
+    """The method that leaves the known map, half of its positions wrong, draws the more consistent one."""
+    runs = [*in_map("a", 2.0, 0.2), *in_map("slam", 50.0, 0.1)]
+
+    def measured(records):
+        by_fit = next(metric for metric in all_metrics() if metric.name == "map_wrong_percent")
+        return replace(build(records), metrics=(*build(records).metrics, by_fit))
+
+    found = answer(measured(runs))
+    assert found.title == "Take a: best on bag by the fit to its known map."
+    assert (found.winners, found.by_maps) == (("a",), False)
+    assert subtitle(measured(runs)).startswith("Wrong by map fit: 2.2 % against 50.2 % of slam.")
+    close = [*in_map("a", 2.0, 0.2), *in_map("slam", 2.9, 0.1)]  # less than a percentage point: not measured better
+    assert title(measured(close)) == "No method is ahead: all 2 methods are tied on bag by the fit to its known map."
+    assert title(measured([*three, *runs])) == title(build(three))  # data with ground truth count more
 
 
 def test_maps_that_few_runs_do_not_tell_apart_are_not_tied(build, record):

@@ -36,13 +36,28 @@ def test_each_method_has_its_start_and_its_track(record, build):
     ]
     heading, _, table, figures = found(both, build)
     assert heading.text == "In the known map"
-    rows = [[getattr(cell, "text", cell) for cell in row[1:3]] for row in table.rows]
-    assert (rows[0], rows[1][0]) == (["0.7 s", "held"], DASH.text)
+    rows = [[getattr(cell, "text", cell) for cell in row[1:4]] for row in table.rows]
+    assert (rows[0], rows[1][1]) == (["start only", "0.7 s", "held"], DASH.text)
     (first, second) = table.rows
-    assert (first[1].tip, second[2].tone, second[2].tip) == ("scan 8, score 0.91", "bad", "a jump of 2 m")
+    assert (first[2].tip, second[3].tone, second[3].tip) == ("scan 8, score 0.91", "bad", "a jump of 2 m")
     (figure,) = figures.figures
     assert figure.svg.startswith(b"<?xml") or b"<svg" in figure.svg
     assert len(found(both[1:], build)) == 3  # nothing is predicted: no figure
+
+
+def test_the_table_says_which_methods_match_the_map_and_which_only_start_there(record, build):
+    """A registration is matched with the map, an odometry with a parameter ``map`` is given it, SLAM and others not."""
+    names = {"plane": "matches", "amcl": "reads", "wheel": "starts there"}
+    start = MapStart(Pose(), 1, 0.0, True, 0.91)
+    comparison = build([in_map(record(name, "room", {"ate_rmse_m": 0.1}), start) for name in names])
+    cards = {name: replace(card, map_use=names[name]) for name, card in comparison.methods.items()}
+    analysis = analyse(replace(comparison, methods=cards))
+    _, note, table, *_ = build_known_map(analysis, analysis.sequences[0], 1, assign_strokes(names), "room")
+    assert {row[0].text: row[1].text for row in table.rows} == {
+        "plane": "matched", "amcl": "given the file", "wheel": "start only"
+    }  # fmt: skip
+    assert "Start only: it runs as without a map" in note.body
+    assert "in a known map, where wheel only starts" in [pill.text for pill in analysis.answer.pills]
 
 
 @pytest.mark.parametrize("count", [0, 1])

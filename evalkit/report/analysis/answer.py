@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.map_agreement import decided_by_maps
+from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_maps
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.standings import (
     Contest,
@@ -30,7 +30,8 @@ class Answer:
     ``title``: one sentence that contains ``emphasis`` (the winners by name, "" without any). ``subtitle``: cost, losses
     and the cheapest method. ``winners``: best or tied on most data sets, none if no method is ahead.
     ``cheapest``: of the winners if there are several, else of all methods that are not a baseline.
-    ``standings``: every method, best first. ``by_maps``: no data set has ground truth; maps alone are compared.
+    ``standings``: every method, best first. ``by_maps``: no data set has ground truth or a known map; the maps drawn
+    alone are compared.
     """
 
     title: str
@@ -52,11 +53,14 @@ class Answer:
 def compute_answer(
     comparison: Comparison, sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]
 ) -> Answer:
-    """Compute the answer over the data sets with ground truth, or without any over those decided by maps."""
+    """Compute the answer over the data sets with the strongest evidence: ground truth, a known map, the maps drawn."""
     found = [find_contest(*pair) for pair in zip(sequences, verdicts, strict=True)]
-    contests = [one for one in found if one is not None]
-    by_maps = bool(contests) and all(decided_by_maps(one.ranking) for one in contests)
-    contests = contests if by_maps else [one for one in contests if not decided_by_maps(one.ranking)]
+    by_evidence: tuple[list[Contest], ...] = ([], [], [])
+    for one in found:
+        if one is not None:
+            by_evidence[2 if decided_by_maps(one.ranking) else decided_by_fit(one.ranking)].append(one)
+    contests = next(filter(None, by_evidence), [])
+    by_maps = bool(contests) and contests is by_evidence[2]
     standings = compute_standings(comparison, sequences, contests)
     winners = find_winners(standings, contests)
     others = [one for one in standings if one.method not in winners and one.counted]

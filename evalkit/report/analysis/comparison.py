@@ -10,7 +10,7 @@ from evalkit.core.run_status import RunStatus
 from evalkit.metrics.metric import Metric
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.protocols import Sequence
-from evalkit.plugins.specs import Published, Role
+from evalkit.plugins.specs import MapUse, Published, Role
 from evalkit.results.run_record import RunRecord
 
 
@@ -31,6 +31,7 @@ class MethodCard:
 
     ``guess``: the initial guess of its registration. ``missing``: why it could not run here, "" if it could.
     ``role``: see ``plugins.specs.Role``. ``tuned_on``: the data sets that parameters of this method were chosen on.
+    ``map_use``: what it does with a known map.
     """
 
     summary: str
@@ -41,6 +42,7 @@ class MethodCard:
     missing: str = ""
     role: Role = ""
     tuned_on: tuple[str, ...] = ()
+    map_use: MapUse = "starts there"
 
 
 @dataclass(frozen=True)

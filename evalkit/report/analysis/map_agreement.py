@@ -63,6 +63,11 @@ def decided_by_maps(ranking: Ranking | None) -> bool:
     return ranking is not None and ranking.metric.group == "map consistency"
 
 
+def decided_by_fit(ranking: Ranking | None) -> bool:
+    """Return whether a ranking decides a sequence without ground truth, by the fit of the scans to a known map."""
+    return ranking is not None and ranking.metric.group == "localisation"
+
+
 def find_worse_than(
     rankings: Mapping[str, Ranking], deciding: Ranking | None, baseline: str
 ) -> tuple[MethodScore, ...]:

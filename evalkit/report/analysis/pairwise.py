@@ -23,6 +23,10 @@ MARGIN_SHARE = 0.05
 MARGIN_M = 0.002
 """A smaller difference does not matter: a share of the better value, and metres for positions."""
 
+MARGIN_POINTS = 1.0
+"""Shares of wrong positions by map fit that are less than so many percentage points apart: the probabilities were not
+measured better."""
+
 Separation = Literal["clear", "one run", "within the noise floor", "not shown", "within the margin"]
 """Whether two methods differ clearly, or why not. One run each never shows a difference."""
 
@@ -109,8 +113,12 @@ def is_position(metric: Metric) -> bool:
 
 
 def margin(metric: Metric, better: float) -> float:
-    """Return the smallest difference that matters: 5 % of the better value, one printed digit, 2 mm of a position."""
-    return max(MARGIN_SHARE * abs(better), 10.0**-metric.digits, MARGIN_M if is_position(metric) else 0.0)
+    """Return the smallest difference that matters: 5 % of the better value, one printed digit.
+
+    Of a position 2 mm, of a share of wrong positions by map fit 1 percentage point.
+    """
+    least = MARGIN_M if is_position(metric) else MARGIN_POINTS if metric.group == "localisation" else 0.0
+    return max(MARGIN_SHARE * abs(better), 10.0**-metric.digits, least)
 
 
 def is_clearly_worse(metric: Metric, one: MethodScore | None, other: MethodScore | None) -> bool:

@@ -24,8 +24,9 @@ MAX_GUESSED = 50.0
 
 GUESSED = "guess_kept_percent"
 
-DECIDING: tuple[Group, ...] = ("relations", "drift", "map against truth", "map consistency")
-"""Groups of metrics that may decide a sequence: official relations first, then a true trajectory, then maps."""
+DECIDING: tuple[Group, ...] = ("relations", "drift", "map against truth", "localisation", "map consistency")
+"""Groups of metrics that may decide a sequence: official relations first, then a true trajectory or map, then the fit
+to a known map, then the consistency of the maps drawn."""
 WITH_TRUTH: tuple[Group, ...] = DECIDING[:3]
 
 STATUS_LABELS: dict[RunStatus, str] = {

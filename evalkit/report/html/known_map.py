@@ -9,7 +9,7 @@ from evalkit.metrics.fit_calibration import WRONG_M, describe_calibration
 from evalkit.metrics.localisation import WITHIN
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.formatting import format_length, format_loss
+from evalkit.report.formatting import MAP_USES, capitalise, format_length, format_loss
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Table, Text
 from evalkit.report.html.charts import Axis, Points
@@ -30,10 +30,15 @@ COLUMNS = (
 """Metrics of the table after the error, in order; those without a value are left out."""
 
 NOTE = (
-    "Every method starts at the same place of the known map, and nothing is aligned. The pose error by map fit needs "
-    "no ground truth: what the scans say about the pose. A ratio of 1 and 95 % within mean that it is calibrated. "
-    f"Wrong by map fit: the probability that the position is more than {100.0 * WRONG_M:g} cm off, by the same fit."
+    "Every method starts at the same place of the known map, and nothing is aligned. The column Map says what it does "
+    f"then. {capitalise(MAP_USES['matches'])}: evalkit matches each scan with the map. "
+    f"{capitalise(MAP_USES['reads'])}: the method reads the map itself. "
+    f"{capitalise(MAP_USES['starts there'])}: it runs as without a map, and its drift stays. The pose error by map fit "
+    "needs no ground truth: it is what the scans that fit say about the pose. It is calibrated if the ratio is 1 and "
+    "95 % of the true errors are within the prediction. Wrong by map fit: the probability that the position is more "
+    f"than {100.0 * WRONG_M:g} cm off, by the same fit."
 )
+SEARCH = "the search of the start, the same for all methods"
 
 
 def build_known_map(
@@ -43,8 +48,9 @@ def build_known_map(
     first = {label: own[0] for label, own in sequence.runs.items() if own[0].result.start is not None}
     if not first:
         return []
-    found = [sequence.rankings.get(name) for name in COLUMNS]
-    shown = [one for one in (sequence.deciding, *found) if one is not None and one.has_values]
+    deciding = [sequence.deciding.metric.name] if sequence.deciding else []
+    found = [sequence.rankings.get(name) for name in dict.fromkeys([*deciding, *COLUMNS])]
+    shown = [one for one in found if one is not None and one.has_values]
     places = {label: place for place, label in enumerate(analysis.comparison.methods, start=1)}
     rows = []
     for label in (label for label in by_rank(sequence) if label in first):
@@ -55,9 +61,10 @@ def build_known_map(
         lost = record.scores.lost
         track = Cell("held", "") if lost is None else Cell(format_loss(lost), lost.at_s, "bad", lost.reason)
         cells = [score_cell(one, one.of(label), link, says_loss=False) for one in shown]
-        rows.append([method_cell(analysis.comparison, strokes, label, link), after, track, *cells])
+        use = Cell(MAP_USES[analysis.comparison.methods[label].map_use], "")
+        rows.append([method_cell(analysis.comparison, strokes, label, link), use, after, track, *cells])
     columns = [
-        Column("Method"), Column("Localised after", "", True, "the search of the start, the same for all methods"),
+        Column("Method"), Column("Map"), Column("Localised after", "", True, SEARCH),
         Column("Track"), *(metric_column(one.metric) for one in shown),
     ]  # fmt: skip
     blocks: list[Block] = [

@@ -11,6 +11,8 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.map_agreement import decided_by_fit
+from evalkit.report.analysis.ranking import Ranking
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.statements.verdict import SequenceVerdict
@@ -121,7 +123,9 @@ def build_sequence(
     facts = (*sequence.drive, ("Ground truth", sequence.card.truth.rstrip(".")), ("Sensor", sequence.card.sensor))
     blocks.append(Facts((("The data set", sequence.card.summary), *facts)))
     blocks.append(Text(f"Figures show {_describe_shown(sequence)}.", "note"))
-    return Fold(sequence.label, blocks, anchor, _badge(verdict), heading=True, lazy=True, is_open=is_open)
+    return Fold(
+        sequence.label, blocks, anchor, _badge(verdict, sequence.deciding), heading=True, lazy=True, is_open=is_open
+    )
 
 
 def _describe_shown(sequence: SequenceAnalysis) -> str:
@@ -134,9 +138,11 @@ def _describe_shown(sequence: SequenceAnalysis) -> str:
     return "the run without perturbation only" if first.seed is None else f"perturbation {first.seed} only"
 
 
-def _badge(verdict: SequenceVerdict) -> str:
+def _badge(verdict: SequenceVerdict, ranking: Ranking | None) -> str:
+    """Return the verdict in a few words; ``ranking``: the one that decides."""
     if verdict.outcome == "winner":
-        return f"{'winner' if verdict.counts else 'best map, no ground truth'}: {verdict.leaders[0]}"
+        how = "best fit to the known map" if decided_by_fit(ranking) else "best map"
+        return f"{'winner' if verdict.counts else f'{how}, no ground truth'}: {verdict.leaders[0]}"
     return BADGES[verdict.outcome]
 
 

@@ -42,6 +42,7 @@ def compute_pills(
     runs = comparison.records
     pills = [
         *(_describe_degenerate(comparison, sequence) for sequence in sequences if sequence.card.degenerate),
+        _describe_known_map(comparison, sequences),
         *_group("lost the track on", _find_lost(sequences)),
         *_group("did not finish", _find_broken(runs)),
         _describe_load(runs),
@@ -51,6 +52,18 @@ def compute_pills(
         _count_runs(runs),
     ]
     return tuple(pill for pill in pills if pill is not None)
+
+
+def _describe_known_map(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> Pill | None:
+    """Return which methods track the robot in a known map, and which only start there; None without such a map."""
+    tracked = {run.method for sequence in sequences for run in sequence.all_runs if run.result.start is not None}
+    if not tracked:
+        return None
+    present = [method for method in comparison.method_labels if method in tracked]
+    only = [method for method in present if comparison.methods[method].map_use == "starts there"]
+    if not only:
+        return Pill("in a known map, which all methods use", "")
+    return Pill(f"in a known map, where {_name_or_count(only)} only start{'s' * (len(only) == 1)}", "")
 
 
 def find_dataset(sequence: SequenceAnalysis) -> str:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 
-from evalkit.report.analysis.map_agreement import decided_by_maps
+from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_maps
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.standings import MAX_NAMED, Contest, Loss, Standing, compute_ratio
 from evalkit.report.analysis.statements.verdict import LED, SequenceVerdict
-from evalkit.report.formatting import format_amount, format_milliseconds, join_words
+from evalkit.report.formatting import capitalise, format_amount, format_milliseconds, join_words
 from evalkit.stats.runs import FEW_RUNS
+
+BY_FIT = " by the fit to its known map"
+"""What follows the name of a data set without ground truth that the fit to a known map decides."""
 
 
 def format_title(
@@ -18,34 +21,35 @@ def format_title(
 ) -> str:
     """Return the title over at least one contest."""
     first, by_maps = standings[0], decided_by_maps(contests[0].ranking)
+    how = BY_FIT if decided_by_fit(contests[0].ranking) else ""
     if not winners:
         part = {score.method for one in contests for score in one.ranked}
         count = sum(one.led == first.led for one in standings)
         who = f"all {len(part)} methods are" if count == len(part) else f"{count} methods are each"
         if len(contests) == 1:
-            return f"No method is ahead: {who} tied on {contests[0].sequence}."
-        return f"No method is ahead: {who} best or tied on {first.led} of {len(contests)} data sets."
+            return f"No method is ahead: {who} tied on {contests[0].sequence}{how}."
+        return f"No method is ahead: {who} best or tied on {first.led} of {len(contests)} data sets{how}."
     names = " or ".join(winners)
     if len(contests) == 1:
-        return _format_single(names, len(winners) > 1, contests[0], by_maps)
+        return _format_single(names, len(winners) > 1, contests[0], how)
     counted = first.counted if len(winners) == 1 else len(contests)
     best = f"{'each ' * (len(winners) > 1)}{'the best map' if by_maps else 'best or tied'}"
     rest = "" if runner_up is None else f"; next best {runner_up.led} of {runner_up.counted}"
     kind = f"{'recording' if by_maps else 'data set'}{'s' if counted != 1 else ''}"
-    return f"Take {names}: {best} on {first.led} of {counted} {kind}{rest}."
+    return f"Take {names}: {best} on {first.led} of {counted} {kind}{how}{rest}."
 
 
-def _format_single(names: str, tied: bool, contest: Contest, by_maps: bool) -> str:
+def _format_single(names: str, tied: bool, contest: Contest, how: str) -> str:
     """Return the title over a single data set with winners."""
-    if by_maps:
+    if decided_by_maps(contest.ranking):
         return f"Take {names}: the best map of {contest.sequence}, which has no ground truth."
     if tied:
-        return f"Take {names}: tied for the best on {contest.sequence}."
+        return f"Take {names}: tied for the best on {contest.sequence}{how}."
     others = [one.method for one in contest.ranking.tied if one not in contest.ranking.near]
     if not others:
-        return f"Take {names}: best on {contest.sequence}."
+        return f"Take {names}: best on {contest.sequence}{how}."
     who = join_words(others) if len(others) <= MAX_NAMED else f"{len(others)} others"
-    return f"Take {names}: ahead on {contest.sequence}, but not told apart from {who} by these runs."
+    return f"Take {names}: ahead on {contest.sequence}{how}, but not told apart from {who} by these runs."
 
 
 def explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
@@ -88,12 +92,19 @@ def format_subtitle(
     if len(winners) == 1 and len(contests) == 1 and not decided_by_maps(contests[0].ranking):
         metric, (best, second) = contests[0].metric, contests[0].ranked[:2]
         figures = [format_amount(metric, median(score.values)) for score in (best, second)]
-        sentences.append(f"{figures[0]} against {figures[1]} of {second.method}.")
+        what = f"{capitalise(metric.label)}: " if decided_by_fit(contests[0].ranking) else ""
+        sentences.append(f"{what}{figures[0]} against {figures[1]} of {second.method}.")
     elif len(winners) == 1 and losses:
         sentences.append(_format_losses(losses))
     if cheapest is not None:
         sentences.append(_format_cheapest(cheapest, winners, contests))
     return " ".join(filter(None, sentences))
+
+
+def _name_measure(contest: Contest) -> str:
+    if decided_by_fit(contest.ranking):
+        return "share of wrong positions"
+    return contest.metric.label if decided_by_maps(contest.ranking) else "error"
 
 
 def _format_losses(losses: Sequence[Loss]) -> str:
@@ -112,6 +123,6 @@ def _format_cheapest(cheapest: Standing, winners: Sequence[Standing], contests: 
     if cheapest.method == winners[0].method:
         return "It is also the cheapest matcher."
     ratio = compute_ratio(contests, cheapest.method, winners[0].method)
-    measure, *others = {one.metric.label if decided_by_maps(one.ranking) else "error" for one in contests}
+    measure, *others = {_name_measure(one) for one in contests}
     times = "" if ratio is None or others else f", {ratio:.1f} times the {measure}"
     return f"Cheapest matcher: {cheapest.method}, {format_milliseconds(cheapest.cpu_ms or 0.0)}{times}."

@@ -11,7 +11,7 @@ from typing import Literal
 from evalkit.core.run_status import NOT_EXECUTED, RunStatus
 from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.comparison import Comparison, find_missing_sequences
-from evalkit.report.analysis.map_agreement import MEASURES, MapAgreement, decided_by_maps
+from evalkit.report.analysis.map_agreement import MEASURES, MapAgreement, decided_by_fit, decided_by_maps
 from evalkit.report.analysis.pairwise import (
     MARGIN_SHARE,
     PairedDifference,
@@ -208,10 +208,10 @@ def _describe_pairs(difference: PairedDifference) -> str:
 def _describe_tie(ranking: Ranking) -> str:
     metric, first, second = ranking.metric, *ranking.tied[:2]
     floor = format_amount(metric, noise_floor(metric))
+    least = "or 2 mm " if is_position(metric) else "or 1 percentage point " if decided_by_fit(ranking) else ""
     small = {
         "within the noise floor": f"they differ by less than the accuracy of the ground truth ({floor})",
-        "within the margin": f"they are less than {100 * MARGIN_SHARE:.0f} % "
-        f"{'or 2 mm ' if is_position(metric) else ''}apart",
+        "within the margin": f"they are less than {100 * MARGIN_SHARE:.0f} % {least}apart",
     }
     if ranking.why_tied in small:
         return small[ranking.why_tied]

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 from evalkit.metrics.validated import load_validation
-from evalkit.report.analysis.map_agreement import decided_by_maps
+from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_maps
 from evalkit.report.analysis.ranking import Ranking
 from evalkit.report.analysis.scores import MAX_GUESSED, MethodScore, guessed_percent
 from evalkit.report.analysis.sequence import SequenceAnalysis
@@ -25,6 +25,12 @@ MIN_NAMED_GUESSED = 10.0
 def warn_of_evidence(ranking: Ranking, excerpt_scans: int = 0) -> list[str]:
     """Return sentences on the limits of the deciding metric; ``excerpt_scans``: length of excerpts of a recording."""
     warnings = []
+    if decided_by_fit(ranking):
+        limitations = strip_full_stop(ranking.metric.limitations)
+        warnings.append(
+            f"Without ground truth, {ranking.metric.label} decides: how well the scans fit the known map at the poses. "
+            f"Limitations: {limitations}."
+        )
     if decided_by_maps(ranking):
         limitations = strip_full_stop(ranking.metric.limitations)
         warnings.append(f"Without ground truth, {ranking.metric.label} compares maps only. Limitations: {limitations}.")
