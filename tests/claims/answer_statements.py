@@ -87,6 +87,49 @@ def all_tied(facts: Facts, count: str, led: str | None, of: str | None, where: s
     yield from no_answer(facts)
 
 
+CAUSES = {
+    "tuned": r"settings of (.+?) were chosen on these data",
+    "lost": r"(.+?) lost the track",
+    "guessed": r"(.+?) registered too few scans",
+    "unfinished": r"(.+?) did not complete every run with a value",
+}
+
+
+@kind(
+    IN_ANSWER,
+    r"(?:Only (?P<only>.+?) is|No method is) ranked: "
+    r"(?P<why>(?:settings of |[^:.]+? (?:lost|registered|did not)).+?)\.$",
+)
+def not_ranked(facts: Facts, why: str, only: str | None) -> Iterator[str]:
+    """Each method that is not ranked is named once, by a cause that holds for it somewhere."""
+    yield from no_answer(facts)
+    metrics = {where: metric for where in facts.runs if (metric := facts.deciding(where)) is not None}
+    ranked = {one for where, metric in metrics.items() for one in facts.ranked(where, metric)}
+    yield from same("ranked", ranked, {only} if only else set())
+    left = {
+        (name, cause)
+        for where, metric in metrics.items()
+        for name, one in facts.find(where, metric).items()
+        if not one.ranks
+        for cause, holds in (
+            ("tuned", one.tuned), ("lost", one.lost_s is not None), ("guessed", one.guessed > 50.0),
+            ("unfinished", not one.complete == one.expected == len(one.values)),
+        )
+        if holds
+    }  # fmt: skip
+    named = 0
+    for clause in why.split("; "):
+        cause, match = next((c, m) for c, pattern in CAUSES.items() if (m := re.fullmatch(pattern, clause)))
+        if count := re.fullmatch(r"(\d+) methods", match[1]):
+            named += int(count[1])
+            yield from same(cause, int(count[1]) <= sum(its == cause for _, its in left), True)
+            continue
+        names = list_of(match[1])
+        named += len(names)
+        yield from same(cause, [one for one in names if (one, cause) not in left], [])
+    yield from same("methods that are not ranked", named, len({name for name, _ in left}))
+
+
 @kind(
     IN_ANSWER,
     r"(?:No run finished|No method held the track|Only .+? is ranked|No method is (?:ranked|ahead)): .+?\.(?= |$)",

@@ -230,8 +230,8 @@ class Facts:
         if metric is None:
             return "unranked"
         ranked, found = self.ranked(sequence, metric), self.find(sequence, metric)
-        behind = {one for base in self.with_role("baseline") for one in self.behind(sequence, base)}
-        if set(ranked) <= behind and any(one.lost_s is not None for one in found.values()):
+        valued = [one for one in found.values() if one.values]
+        if valued and all(one.lost_s is not None for one in valued):
             return "lost"
         if len(ranked) < 2:
             return "single" if ranked else "unranked"

@@ -243,7 +243,7 @@ def one_run_each(facts: Facts, where: str, label: str, listed: str) -> Iterator[
 @kind(
     IN_VERDICTS,
     rf"Only (?P<one>.+?) has (?P<value>{MEDIAN_TEXT}) (?P<label>.+?) over every run: there is no "
-    r"other method to compare with\.",
+    r"other ranked method to compare with\.",
 )
 def only_one(facts: Facts, where: str, one: str, value: str, label: str) -> Iterator[str]:
     yield from same("ranked", facts.ranked(where, facts.deciding(where) or ""), [one])
@@ -251,7 +251,7 @@ def only_one(facts: Facts, where: str, one: str, value: str, label: str) -> Iter
     yield from check_median(facts, where, facts.deciding(where) or "", one, value)
 
 
-@kind(IN_VERDICTS, r"No method completed every run with a value for (?P<label>.+?), so there is no winner\.")
+@kind(IN_VERDICTS, r"No method is ranked on (?P<label>.+?), so there is no winner\.")
 def none_ranked(facts: Facts, where: str, label: str) -> Iterator[str]:
     yield from _deciding(facts, where, label)
     yield from same("ranked", facts.ranked(where, facts.deciding(where) or ""), [])

@@ -95,7 +95,7 @@ def test_nobody_is_ahead_if_more_than_three_lead_equally_often(build, runs):
 
 def test_one_method_alone_wins_nothing(build, runs):
     comparison = build([*runs("a", "room", (0.01, 0.02)), *runs("b", "room", (0.5, None))])
-    assert title(comparison) == "Only a is ranked: there is no other method to compare it with."
+    assert title(comparison) == "Only a is ranked: b did not complete every run with a value."
     assert answer(comparison).winners == ()
 
 

@@ -308,8 +308,13 @@ def test_methods_that_lost_the_track_are_not_ranked(record, build):
 
     wheel = runs("wheel", [0.4, 0.41, 0.42])
     gone = build([*runs("a", [0.5, 0.5, 0.5], 9.0), *runs("b", [0.4, 0.4, 0.4], 3.0), *wheel])
-    assert (verdict(gone).outcome, verdict(gone).leaders) == ("lost", ())
-    assert "No method held the track. Lost the track and not ranked: a at 9 s (" in _verdict_text(gone)
+    assert (verdict(gone).outcome, verdict(gone).leaders) == ("single", ())  # the wheels held it
+    assert "Only wheel has 410 mm" in _verdict_text(gone)
+    assert analyse(gone).answer.title == "Only wheel is ranked: a and b lost the track."
+    all_gone = build([*runs("a", [0.5, 0.5, 0.5], 9.0), *runs("b", [0.4, 0.4, 0.4], 3.0)])
+    assert verdict(all_gone).outcome == "lost"
+    assert "No method held the track. Lost the track and not ranked: a at 9 s (" in _verdict_text(all_gone)
+    assert analyse(all_gone).answer.title == "No method held the track: there is no answer."
     assert "No method held the track" not in _verdict_text(comparison)
 
 
@@ -318,6 +323,11 @@ def test_settings_chosen_on_the_data_do_not_count(record, build):
     tuned = {**comparison.methods, "a": replace(comparison.methods["a"], tuned_on=("room", "elsewhere"))}
     found = replace(comparison, methods=tuned)
     assert verdict(found).outcome == "single"
+    assert analyse(found).answer.title == "Only b is ranked: settings of a were chosen on these data."
+    both = {name: replace(card, tuned_on=("room",)) for name, card in comparison.methods.items()}
+    none = replace(comparison, methods=both)
+    assert analyse(none).answer.title == "No method is ranked: settings of a and b were chosen on these data."
+    assert "No method is ranked on ATE RMSE, so there is no winner. " in _verdict_text(none)
     assert "Not ranked, because settings were chosen on these data: a." in _verdict_text(found)
     assert mark(analyse_sequence(found, "room").deciding, "a") == "not comparable"
     assert "settings were chosen" not in _verdict_text(comparison)
@@ -511,8 +521,8 @@ def _sentence_cases(record, build):
         ("Not counted: room (no ground truth, or no repeated runs).", "empty", "clear"),
         ("No headline metric has a value here, so there is no ranking.", "empty", "clear"),
         ("No sequence has both ground truth and repeated runs to compare", "empty", "clear"),
-        ("there is no other method to compare with.", "alone", "clear"),
-        ("No method completed every run with a value for ATE RMSE, so there is no winner.", "none whole", "clear"),
+        ("there is no other ranked method to compare with.", "alone", "clear"),
+        ("No method is ranked on ATE RMSE, so there is no winner.", "none whole", "clear"),
         ("a wins on ATE RMSE", "clear", "chance"),
         ("a wins 1 (room)", "clear", "chance"),
         ("are tied: ", "near", "chance"),

@@ -8,7 +8,7 @@ from statistics import median
 from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_maps
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.standings import MAX_NAMED, Contest, Loss, Standing, compute_ratio
-from evalkit.report.analysis.statements.verdict import LED, SequenceVerdict
+from evalkit.report.analysis.statements.verdict import LED, SequenceVerdict, explain_unranked
 from evalkit.report.formatting import capitalise, format_amount, format_milliseconds, join_words
 from evalkit.stats.runs import FEW_RUNS
 
@@ -55,13 +55,18 @@ def _format_single(names: str, tied: bool, contest: Contest, how: str) -> str:
 def explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
     """Return why no method is ahead or ranked."""
     outcomes = {verdict.outcome for verdict in verdicts}
-    ranked = {score.method for s in sequences if s.deciding is not None for score in s.deciding.ranked}
+    rankings = [sequence.deciding for sequence in sequences if sequence.deciding is not None]
+    ranked = {score.method for ranking in rankings for score in ranking.ranked}
+    why = explain_unranked(rankings)
     degenerate = join_words(v.sequence for v in verdicts if v.outcome == "degenerate")
     reasons = (
         (all(sequence.none_finished for sequence in sequences), "No run finished: there is no answer."),
         (outcomes == {"lost"}, "No method held the track: there is no answer."),
-        (len(ranked) == 1, f"Only {join_words(ranked)} is ranked: there is no other method to compare it with."),
-        (not ranked, "No method is ranked: none completed every run with a value of the deciding metric."),
+        (
+            len(ranked) == 1,
+            f"Only {join_words(ranked)} is ranked: {why or 'there is no other method to compare it with'}.",
+        ),
+        (not ranked, f"No method is ranked: {why or 'none has a value of the deciding metric'}."),
         ("disagreement" in outcomes, "No method is ahead: without ground truth, the map metrics disagree."),
         (
             outcomes <= {"degenerate", "unranked"},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Literal
@@ -38,6 +38,9 @@ from evalkit.stats.runs import FEW_RUNS, MAX_RUNS, MIN_RUNS
 
 VerdictOutcome = Literal["winner", "tied", "one run", "single", "lost", "disagreement", "degenerate", "unranked"]
 LED: tuple[VerdictOutcome, ...] = ("winner", "tied")
+MAX_UNRANKED = 4
+"""More methods that are not ranked for one cause are counted, not named."""
+
 NAMED = 3
 """A sentence on an order without a verdict names at most so many methods."""
 
@@ -126,8 +129,8 @@ def _find_outcome(sequence: SequenceAnalysis) -> VerdictOutcome:
         return "degenerate"
     if ranking is None:
         return "unranked"
-    held = [score for score in ranking.ranked if score.method not in sequence.behind]
-    if not held and any(score.lost for score in ranking.scores):
+    valued = [score for score in ranking.scores if score.values]
+    if valued and all(score.lost for score in valued):
         return "lost"
     if len(ranking.ranked) < 2:
         return "single" if ranking.ranked else "unranked"
@@ -155,10 +158,10 @@ def _describe_outcome(sequence: SequenceAnalysis, ranking: Ranking, outcome: Ver
 def _describe_leaders(ranking: Ranking, outcome: VerdictOutcome, recorded: bool) -> str:
     metric, ranked = ranking.metric, ranking.ranked
     if not ranked:
-        return f"No method completed every run with a value for {metric.label}, so there is no winner."
+        return f"No method is ranked on {metric.label}, so there is no winner."
     first = f"{ranked[0].method} has {format_median(metric, ranked[0])}"
     if len(ranked) == 1:
-        return f"Only {first} {metric.label} over every run: there is no other method to compare with."
+        return f"Only {first} {metric.label} over every run: there is no other ranked method to compare with."
     if outcome == "degenerate":
         last = f"{ranked[-1].method}, has {format_median(metric, ranked[-1])}"
         return f"On {metric.label}, {first}; the last of the finished methods, {last}."
@@ -286,6 +289,36 @@ def _reference_clause(label: str, ranking: Ranking) -> str:
     if score is first:
         return f"{label} has the best value, but not by a clear difference"
     return f"{label} is {'tied with' if standing == 'tied' else 'not told apart from'} the best, {first.method}"
+
+
+def explain_unranked(rankings: Iterable[Ranking]) -> str:
+    """Return why methods are not ranked: "settings of a and b were chosen on these data; c lost the track"; "" if none.
+
+    A method is named once, by its first cause.
+    """
+    causes: dict[str, list[str]] = {"tuned": [], "lost": [], "guessed": [], "unfinished": []}
+    named: set[str] = set()
+    for score in (one for ranking in rankings for one in ranking.scores if not one.rankable):
+        if score.method not in named:
+            causes[_find_cause(score)].append(score.method)
+            named.add(score.method)
+    clauses = {
+        "tuned": "settings of {} were chosen on these data", "lost": "{} lost the track",
+        "guessed": "{} registered too few scans", "unfinished": "{} did not complete every run with a value",
+    }  # fmt: skip
+    listed = (clauses[cause].format(_name_or_count(methods)) for cause, methods in causes.items() if methods)
+    return "; ".join(listed)
+
+
+def _find_cause(score: MethodScore) -> str:
+    """Return the first cause for which a score is not ranked."""
+    if not score.complete == score.expected == len(score.values):
+        return "unfinished"
+    return "lost" if score.lost is not None else "tuned" if score.registers else "guessed"
+
+
+def _name_or_count(methods: Sequence[str]) -> str:
+    return join_words(methods) if len(methods) <= MAX_UNRANKED else f"{len(methods)} methods"
 
 
 def _explain_unranked(score: MethodScore | None) -> str:
