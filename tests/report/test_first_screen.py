@@ -102,6 +102,31 @@ def test_filled_dots_are_best_or_tied_and_others_hollow(room):
     assert "paper on room: 61\u00a0mm, worse than the best" in markup
 
 
+def ends(markup, method):
+    """The ends (%) of the interval of a method, and the number of arrows where it is cut."""
+    row = markup[markup.index(f"{method} on room") :]
+    row = row[: row.index("</svg><span")]
+    found = re.search(r'<line x1="([\d.]+)%" x2="([\d.]+)%"[^>]*class="span"', row)
+    return float(found[1]), float(found[2]), row.count('class="span cut"')
+
+
+def test_an_interval_is_drawn_to_its_ends_or_its_cut_end_has_an_arrow(record, build):
+    """Of two runs the interval is their range: 10 to 40 mm is twice as wide on a logarithmic scale as 10 to 20 mm."""
+
+    def measure(*errors):
+        own = [record("wide", "room", {"ate_rmse_m": error}, seed=seed) for seed, error in enumerate(errors)]
+        narrow = [record("narrow", "room", {"ate_rmse_m": error}, seed=seed) for seed, error in enumerate((0.01, 0.02))]
+        drawn = dots(build([*own, *narrow]))
+        return ends(drawn, "wide"), ends(drawn, "narrow")
+
+    (low, high, cut), (its_low, its_high, none) = measure(0.010, 0.040)
+    assert (low, cut, none) == (its_low, 0, 0)
+    assert high - low == pytest.approx(2.0 * (its_high - its_low), abs=0.3)
+    (*_, cut), (its_low, its_high, none) = measure(0.00001, 0.040)  # 0.01 mm would flatten the rest
+    assert (cut, none) == (1, 0)
+    assert its_high - its_low > 10.0
+
+
 def test_methods_are_in_the_order_of_the_answer(room):
     names = re.findall(r'class="dots-row series[a-z ]*" data-of="(\w+)"', dots(room))
     assert names == [one.method for one in analyse(room).answer.standings]

@@ -26,6 +26,11 @@ TICKS_PX, LETTER_PX = 560.0, 6.6
 USED = 0.86
 """Share of the width of a column between the smallest and the largest value."""
 
+REACH = 4.0
+"""An interval that reaches further than this factor beyond all values is cut, with an arrow at its end."""
+
+CUT_LEFT, CUT_RIGHT = "M4 -4L0 0L4 4", "M-4 -4L0 0L-4 4"
+
 SHAPES = {"tuned": "M0 -5.5L5.5 0L0 5.5L-5.5 0Z", "lost": "M-4 -4L4 4M-4 4L4 -4"}
 """Marks that are no circles: settings chosen there, track lost."""
 
@@ -93,8 +98,11 @@ def _panel(sequence: SequenceAnalysis, contest: Contest | None, width_px: float)
     ranking = sequence.deciding
     if ranking is None:
         raise ValueError(f"{sequence.label}: no metric has a value")
-    values = [median(score.values) for score in ranking.scores if score.values]
-    return _Panel(sequence.label, ranking, contest, log_scale(values), sequence, width_px)
+    medians = [median(score.values) for score in ranking.scores if score.values]
+    low, high = min(medians) / REACH, max(medians) * REACH
+    spreads = [score.spread for score in ranking.scores if score.spread is not None]
+    ends = [min(max(end, low), high) for spread in spreads for end in (spread.low, spread.high)]
+    return _Panel(sequence.label, ranking, contest, log_scale([*medians, *ends]), sequence, width_px)
 
 
 def _head(panel: _Panel) -> Markup:
@@ -127,6 +135,11 @@ def _dot(panel: _Panel, method: str) -> Markup:
     bounds = (score.spread.low, score.spread.high) if score.spread else (median(score.values),) * 2
     low, high = (_percent(panel.scale.share(bound)) for bound in bounds)
     parts.append(element("line", x1=low, x2=high, y1=ROW / 2, y2=ROW / 2, class_="span"))
+    for end, shape in ((bounds[0], CUT_LEFT), (bounds[1], CUT_RIGHT)):
+        if not panel.scale.low <= end <= panel.scale.high:
+            arrow = element("path", d=shape, class_="span cut")
+            at_end = _percent(panel.scale.share(end))
+            parts.append(element("svg", arrow, x=at_end, y=ROW / 2, overflow="visible"))
     if kind in SHAPES:
         shape = element("path", d=SHAPES[kind], class_=f"dot {kind}")
         parts.append(element("svg", shape, x=_percent(at), y=ROW / 2, overflow="visible"))
