@@ -307,10 +307,18 @@ def test_nine_methods_have_nine_line_styles():
     assert len(set(chosen.values())) == 9
 
 
-def test_a_method_keeps_its_colour_in_every_report():
-    few, many = assign_strokes(["paper", "plane"]), assign_strokes(["a", "plane", "b", "c", "paper", "d"])
-    assert {few[name].colour for name in few} == {many[name].colour for name in few}
-    assert assign_strokes(["plane", "paper"]) == few
+def test_a_method_keeps_its_colour_in_every_report_where_no_other_has_it():
+    few, many = assign_strokes(["plane", "kiss-icp"]), assign_strokes(["kiss-icp", "plane", "ndt", "pl-icp"])
+    assert {name: many[name] for name in few} == few
+    assert assign_strokes(["kiss-icp", "plane"]) == few
+
+
+def test_methods_of_one_report_differ_in_colour_and_where_colours_run_out_in_mark():
+    """The first two have the same colour by their names."""
+    five = assign_strokes(["kiss-icp", "paper-map-line", "a", "b", "c"])
+    assert len({stroke.colour for stroke in five.values()}) == 5
+    nine = assign_strokes([f"c{i}" for i in range(9)])
+    assert len({(stroke.colour, stroke.mark) for stroke in nine.values()}) == 9
 
 
 def test_the_rank_agreement_of_map_metrics_is_shown_with_them(html):

@@ -48,7 +48,10 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Points (N, 2) of one label; ``size`` in points; ``joined``: draw a line; a label "" is not in the legend."""
+    """Points (N, 2) of one label; ``size`` in points; ``joined``: draw a line; a label "" is not in the legend.
+
+    ``mark``: the mark of a point, in the notation of matplotlib.
+    """
 
     label: str
     points: Floats
@@ -56,6 +59,7 @@ class Points:
     size: float = 3.0
     joined: bool = False
     alpha: float = 1.0
+    mark: str = "o"
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +187,7 @@ def scatter(layers: Sequence[Points], x: Axis, y: Axis, equal: bool = True) -> b
     def draw(axes: Axes) -> None:
         for layer in layers:
             label, kind = layer.label or "_unnamed", "-" if layer.joined else ""
-            marker = "" if layer.joined else "o"
+            marker = "" if layer.joined else layer.mark
             axes.plot(
                 *np.asarray(layer.points, dtype=np.float64).reshape(-1, 2).T, kind or "none", marker=marker,
                 color=layer.colour, markersize=layer.size, linewidth=layer.size if layer.joined else 0.0,

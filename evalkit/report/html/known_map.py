@@ -80,7 +80,10 @@ def draw_calibration(pairs: dict[str, Floats], strokes: Strokes) -> Figure:
     every = np.maximum(np.concatenate(list(pairs.values())), 1e-4)
     ends = np.array([every.min(), every.max()])
     layers = [
-        *(Points(label, np.maximum(own, 1e-4), strokes[label].colour, alpha=0.5) for label, own in pairs.items()),
+        *(
+            Points(label, np.maximum(own, 1e-4), strokes[label].colour, alpha=0.5, mark=strokes[label].mark)
+            for label, own in pairs.items()
+        ),
         Points("as predicted", np.column_stack([ends, ends]), TRUTH, 1.2, joined=True),
         Points(f"{WITHIN:g} times", np.column_stack([ends, WITHIN * ends]), TRUTH, 0.6, joined=True),
     ]
