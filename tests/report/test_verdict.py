@@ -318,6 +318,19 @@ def test_methods_that_lost_the_track_are_not_ranked(record, build):
     assert "No method held the track" not in _verdict_text(comparison)
 
 
+@pytest.mark.parametrize(
+    ("metric", "seeds", "why"),
+    [
+        ("ate_rmse_m", 1, "no repeated runs"),
+        ("split_distance_m", 1, "no ground truth and no repeated runs"),
+        ("split_distance_m", 3, "no ground truth"),
+    ],
+)
+def test_the_reason_that_a_sequence_does_not_count_is_the_one_that_applies(record, build, metric, seeds, why):
+    runs = [record(n, "room", {metric: 0.1 + s / 99}, seed=s) for n in "ab" for s in range(seeds)]
+    assert f"Not counted: room ({why})." in _overview(build(runs))
+
+
 def test_settings_chosen_on_the_data_do_not_count(record, build):
     comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.012]), *_seeds(record, "b", [0.020, 0.022, 0.024])])
     tuned = {**comparison.methods, "a": replace(comparison.methods["a"], tuned_on=("room", "elsewhere"))}
@@ -518,7 +531,7 @@ def _sentence_cases(record, build):
         ("Degenerate geometry: A corridor. The order below is not a ranking.", "degenerate", "clear"),
         ("the last of the finished methods, b,", "degenerate", "clear"),
         ("Not counted: room (degenerate geometry).", "degenerate", "clear"),
-        ("Not counted: room (no ground truth, or no repeated runs).", "empty", "clear"),
+        ("Not counted: room (no value).", "empty", "clear"),
         ("No headline metric has a value here, so there is no ranking.", "empty", "clear"),
         ("No sequence has both ground truth and repeated runs to compare", "empty", "clear"),
         ("there is no other ranked method to compare with.", "alone", "clear"),

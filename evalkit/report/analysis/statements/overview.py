@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from evalkit.metrics.runtime import late_share, work_ns
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, mark
+from evalkit.report.analysis.scores import WITH_TRUTH
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.statements.verdict import SequenceVerdict, VerdictOutcome, describe_success
 from evalkit.report.formatting import join_words
@@ -120,14 +121,27 @@ def _describe_speed(comparison: Comparison) -> str:
 
 
 def _describe_not_counted(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
-    reasons: dict[str, list[str]] = {"degenerate geometry": [], "no ground truth, or no repeated runs": [],
-                                     "no run finished": []}  # fmt: skip
+    reasons: dict[str, list[str]] = {}
     for sequence, verdict in zip(sequences, verdicts, strict=True):
         if not verdict.counts:
-            degenerate = "degenerate geometry" if sequence.card.degenerate else "no ground truth, or no repeated runs"
-            reasons["no run finished" if sequence.none_finished else degenerate].append(sequence.label)
-    parts = [f"{join_words(labels)} ({why})" for why, labels in reasons.items() if labels]
+            reasons.setdefault(_find_why_not_counted(sequence, verdict), []).append(sequence.label)
+    parts = [f"{join_words(labels)} ({why})" for why, labels in reasons.items()]
     return f"Not counted: {join_words(parts)}." if parts else ""
+
+
+def _find_why_not_counted(sequence: SequenceAnalysis, verdict: SequenceVerdict) -> str:
+    if sequence.none_finished:
+        return "no run finished"
+    if sequence.card.degenerate:
+        return "degenerate geometry"
+    if sequence.deciding is None:
+        return "no value"
+    if verdict.outcome in ("lost", "single", "unranked"):
+        return {"lost": "no method held the track", "single": "one ranked method"}.get(
+            verdict.outcome, "none is ranked"
+        )
+    truth = [] if sequence.deciding.metric.group in WITH_TRUTH else ["no ground truth"]
+    return " and ".join([*truth, *([] if sequence.deciding.repeated else ["no repeated runs"])])
 
 
 def _describe_statistics(comparison: Comparison) -> str:
