@@ -12,7 +12,7 @@ from rich.text import Text
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.standings import find_cost
+from evalkit.report.analysis.standings import find_cost, select_counted
 from evalkit.report.analysis.statements.warnings import list_remarks
 from evalkit.report.formatting import format_amount, format_milliseconds
 from evalkit.terminal.map_fit import describe_map_fit
@@ -131,6 +131,7 @@ def _rows_of_sequence(analysis: Analysis, sequence: SequenceAnalysis) -> tuple[s
 def _rows_of_answer(analysis: Analysis) -> tuple[str, list[RankedRow]]:
     """Return a row for each method that takes part: its mean error by the best one's, and how often it leads."""
     answer, baselines = analysis.answer, analysis.comparison.methods_with_role("baseline")
+    counted = select_counted(analysis.sequences, answer.contests)
     part = [(one, one.ratio) for one in answer.standings if one.counted and one.ratio is not None]
     base = next((ratio for one, ratio in part if one.method in baselines), None)
     rows = []
@@ -138,9 +139,7 @@ def _rows_of_answer(analysis: Analysis) -> tuple[str, list[RankedRow]]:
         note = f"best or tied on {one.led} of {one.counted}" if one.led else ""
         note += (", cheapest" if note else "cheapest") if answer.cheapest is one else ""
         against = _against(ratio, base, one.method in baselines)
-        rows.append(
-            RankedRow(one.method, f"{ratio:.2f} x", against, _cost(analysis.sequences, one.method), note, ratio)
-        )
+        rows.append(RankedRow(one.method, f"{ratio:.2f} x", against, _cost(counted, one.method), note, ratio))
     return f"error by the best one's, geometric mean over {len(answer.contests)} data sets", rows
 
 

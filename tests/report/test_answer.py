@@ -81,6 +81,13 @@ def test_tied_winners_are_all_named_and_the_cheapest_of_them(build, runs):
     assert subtitle(comparison) == "A scan takes 4.0 ms with a and 1.0 ms with b. Cheapest of them: b."
 
 
+def test_the_cost_is_that_on_the_data_sets_that_count(build, runs):
+    """A single run elsewhere, which gives no verdict, takes a hundred times as long."""
+    counted = [*runs("a", "room", (0.010, 0.011), ms=4.0), *runs("b", "room", (0.5, 0.55), ms=2.0)]
+    elsewhere = [*runs("a", "hall", (0.1,), ms=400.0), *runs("b", "hall", (0.1,), ms=200.0)]
+    assert subtitle(build([*counted, *elsewhere])).startswith("4.0 ms a scan here.")
+
+
 def test_nobody_is_ahead_if_all_are_tied(build, runs):
     comparison = build([*runs("a", "room", (0.01, 0.011)), *runs("b", "room", (0.01, 0.011))])
     found = answer(comparison)

@@ -11,7 +11,7 @@ from evalkit.report.analysis.analysis import analyse
 from evalkit.report.analysis.standings import Standing
 from evalkit.report.html.cost_plot import _find_front, draw_scatter
 from evalkit.report.html.dot_plot import draw_dots
-from evalkit.report.html.map_strip import build_tiles, choose_tiles, find_hardest
+from evalkit.report.html.map_strip import build_tiles, choose_tiles, describe_strip, find_hardest
 from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.svg import AxisScale, element, log_scale, place_labels, polyline
 
@@ -167,6 +167,19 @@ def test_the_map_strip_has_answer_peer_baseline_and_worst_in_one_window(room):
     assert len({tile.figure.size for tile in tiles}) == 1
     assert tiles[0].caption == "10\u00a0mm · 0.10\u00a0ms"
     assert tiles[0].link == "#sequence-1-player?by=plane&on=own&play=1"
+
+
+def test_without_a_verdict_the_map_strip_names_no_best_and_no_worst(room):
+    """One run each: the values are stated, and that the recording does not count."""
+    once = replace(room, records=tuple(run for run in room.records if run.seed == 0))
+    analysis = analyse(once)
+    roles = dict(choose_tiles(analysis, analysis.sequences[0]))
+    assert (roles["plane"], roles["lost"]) == ("best value", "worst value")
+    assert describe_strip(analysis, analysis.sequences[0]) == (
+        "room: ATE RMSE and CPU time a scan; no verdict here, not counted above"
+    )
+    whole = analyse(room)
+    assert describe_strip(whole, whole.sequences[0]) == "room: ATE RMSE and CPU time a scan"
 
 
 def test_a_tuned_method_is_not_in_the_map_strip(room):

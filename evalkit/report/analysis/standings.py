@@ -46,7 +46,8 @@ class Contest:
 class Standing:
     """One method over all data sets that count: best or tied on ``led`` of the ``counted`` where it takes part.
 
-    ``cpu_ms``: CPU time a scan, the median over all sequences; None if not measured. ``ratio``: geometric mean of its
+    ``cpu_ms``: CPU time a scan, the median over these data sets, or over all if none counts; None if not measured.
+    ``ratio``: geometric mean of its
     error divided by the best one's, over the data sets where it has one; None without any. ``left_out``: data sets on
     which its settings were chosen.
     """
@@ -90,18 +91,25 @@ def compute_standings(
     comparison: Comparison, sequences: Sequence[SequenceAnalysis], contests: Sequence[Contest]
 ) -> tuple[Standing, ...]:
     """Return every method's standing, best first."""
+    counted = select_counted(sequences, contests)
     standings = [
         Standing(
             method,
             sum(method in one.leaders for one in contests),
             sum(method not in one.left_out and one.ranking.of(method) is not None for one in contests),
-            find_cost(sequences, method),
+            find_cost(counted, method),
             compute_ratio(contests, method),
             tuple(one.sequence for one in contests if method in one.left_out),
         )
         for method in comparison.method_labels
     ]
     return tuple(sorted(standings, key=lambda one: (-one.led, math.inf if one.ratio is None else one.ratio)))
+
+
+def select_counted(sequences: Sequence[SequenceAnalysis], contests: Sequence[Contest]) -> Sequence[SequenceAnalysis]:
+    """Return the sequences that count, whose errors and times the answer states; all if none counts."""
+    names = {one.sequence for one in contests}
+    return [sequence for sequence in sequences if sequence.label in names] or sequences
 
 
 def find_cost(sequences: Sequence[SequenceAnalysis], method: str) -> float | None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import median
 from urllib.parse import quote
 
 from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.ranking import Mark, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.standings import COST
 from evalkit.report.analysis.statements.pills import find_left_out
@@ -16,11 +18,15 @@ from evalkit.report.html.maps import find_window, measure_image, render_map
 from evalkit.report.html.method_colours import Stroke, Strokes
 
 MAX_TILES = 4
+BEST: Mapping[Mark, str] = {"best": "best here", "tied": "tied for the best"}
 
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """One map of the strip: the method's map on the hardest recording. ``role``: why it is shown."""
+    """One map of the strip: the method's map on the hardest recording. ``role``: why it is shown.
+
+    "worst" and "best here" are verdicts; of a difference that these runs do not show, only the value is stated.
+    """
 
     method: str
     role: str
@@ -55,10 +61,15 @@ def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[s
     valued = [score for score in ranking.scores if score.values and score.method in drawn]
     sign = -1.0 if ranking.metric.better == "higher" else 1.0
     ordered = [score.method for score in sorted(valued, key=lambda score: sign * median(score.values))]
+    if not ordered:
+        return []
     winners = [method for method in ordered if method in analysis.answer.winners]
     wanted = (
-        *([("answer", [winner]) for winner in winners[:2]] or [("best here", ordered)]),
-        ("worst", ordered[::-1]),
+        *(
+            [("answer", [winner]) for winner in winners]
+            or [(BEST.get(mark(ranking, ordered[0]), "best value"), ordered)]
+        ),
+        ("worst" if mark(ranking, ordered[-1]) in ("worse", "lost") else "worst value", ordered[::-1]),
         ("established", [method for method in ordered if comparison.methods[method].role == "peer"]),
         ("baseline", comparison.methods_with_role("baseline")),
         ("reference", comparison.methods_with_role("reference")),
@@ -70,6 +81,13 @@ def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[s
         if free and len(chosen) < MAX_TILES:
             chosen[free[0]] = role
     return [(method, chosen[method]) for method in ordered if method in chosen]
+
+
+def describe_strip(analysis: Analysis, sequence: SequenceAnalysis) -> str:
+    """Return which recording the maps are of, what their numbers are, and whether it counts in the answer."""
+    label = sequence.deciding.metric.label if sequence.deciding else ""
+    counts = any(one.sequence == sequence.label for one in analysis.answer.contests)
+    return f"{sequence.label}: {label} and CPU time a scan{'' if counts else '; no verdict here, not counted above'}"
 
 
 def build_tiles(analysis: Analysis, number: int, strokes: Strokes) -> list[Tile]:

@@ -82,6 +82,7 @@ def render_report(analysis: Analysis) -> str:
         corrects=any(sequence.final is not None for sequence in analysis.sequences),
         tiles=tiles,
         hardest="" if hardest is None else analysis.sequences[hardest].label,
+        strip="" if hardest is None else map_strip.describe_strip(analysis, analysis.sequences[hardest]),
         dots=dot_plot.draw_dots(analysis, strokes),
         scatter=cost_plot.draw_scatter(analysis, strokes),
         numbers=report_tables.numbers_table(analysis, strokes),

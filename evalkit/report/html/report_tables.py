@@ -172,7 +172,9 @@ def numbers_table(analysis: Analysis, strokes: Strokes) -> Table:
             columns.append(
                 Column(f"{sequence.label}, corrected", text, True, sequence.final.metric.definition, "lower")
             )
-    columns.append(Column("CPU a scan", "ms", True, "median over the sequences", "lower"))
+    columns.append(
+        Column("CPU a scan", "ms", True, "median over the data sets that count, or over all if none does", "lower")
+    )
     rows = []
     for standing in (one for one in answer.standings if one.method not in comparison.missing_methods):
         cells = []
