@@ -490,6 +490,15 @@ def test_nothing_is_wider_than_the_window(open_page, width):
         assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+def test_a_number_on_a_phone_has_the_unit_of_its_column(open_page):
+    page = open_page(width=390)
+    labels = page.locator("#answer table.wrapping tbody tr:first-child td").evaluate_all(
+        "all => all.map(one => one.dataset.label)"
+    )
+    assert "CPU a scan [ms]" in labels
+    assert "Best or tied" in labels
+
+
 def test_a_long_remark_beside_a_method_fits_a_phone(open_page):
     page = open_page("#explore", width=390)
     chips = page.locator("#explore table.wrapping th .method")

@@ -37,7 +37,8 @@ function enhance(root) {
   for (const button of root.querySelectorAll("button.enlarge")) enlargeable(button);
   for (const row of root.querySelectorAll("table.wrapping tbody tr")) { // labels of the cards of a narrow screen
     const { cells } = row.closest("table").tHead.rows[0];
-    const name = (heading) => (heading.querySelector("button") ?? heading).firstChild?.textContent.trim() ?? "";
+    const name = (heading) => [(heading.querySelector("button") ?? heading).firstChild, heading.querySelector(".unit")]
+      .map((part) => part?.textContent.trim()).filter(Boolean).join(" ");
     for (const cell of row.cells) if (cell.cellIndex) cell.dataset.label = name(cells[cell.cellIndex]);
   }
   for (const command of root.querySelectorAll(".command")) {
