@@ -19,7 +19,7 @@ from evalkit.terminal.map_fit import describe_map_fit
 from evalkit.terminal.options import table_width
 
 MAX_LINES = 10
-"""Lines of the table, its head included."""
+"""Lines of the table, its head included; a long head takes one more."""
 
 BARS = (18, 8)
 """Widest and narrowest bar, in columns; a table without room for the narrowest has none."""
@@ -182,8 +182,10 @@ def format_rows(head: str, rows: Sequence[RankedRow], width: int, cost: str = CP
     scale = _Scale([value for row in shown for value in (row.low, row.value, row.high) if value is not None], bar)
     left = sum(size + 2 for size in (*sizes[:2], bar, sizes[2]) if size)
     heads = [f"{text:>{size}}" for text, size in ((CORRECTED, sizes[3]), (cost, sizes[4])) if size]
-    over = "  ".join([f"{f'  {head}':<{left}}", *heads]) if len(head) + 2 <= left else f"  {head}"
-    yield Text(over.rstrip(), style="dim")
+    fits = len(head) + 2 <= left or not heads
+    for over in [head] if fits else [head, ""]:
+        columns = heads if fits or not over else []
+        yield Text("  ".join([f"{f'  {over}':<{left}}", *columns]).rstrip(), style="dim")
     for row, own in zip(shown, cells, strict=True):
         method, error, against, corrected, spent, note = (
             text.ljust(size) if at in (0, 5) else text.rjust(size)
@@ -198,13 +200,16 @@ def format_rows(head: str, rows: Sequence[RankedRow], width: int, cost: str = CP
 
 
 class _Scale:
-    """Bars of so many columns from the smallest to the largest value, on a logarithmic scale if they are far apart."""
+    """Bars of so many columns from zero to the largest value.
+
+    Values that are far apart are on a logarithmic scale, which begins at the smallest.
+    """
 
     def __init__(self, values: Sequence[float], columns: int) -> None:
         self._columns = columns
         low, high = min(values), max(values)
         self._log = low > 0.0 and high > LINEAR_RATIO * low
-        self._low, self._high = self._place(low), self._place(high)
+        self._low, self._high = self._place(low if self._log else min(low, 0.0)), self._place(high)
 
     def draw(self, row: RankedRow) -> str:
         """Return the interval of a row as a line with its value as a dot."""

@@ -16,9 +16,9 @@ def make_row(method, value, low=None, high=None, note="", against=""):
 def test_a_bar_runs_from_the_lower_to_the_upper_bound_with_a_dot_at_the_value():
     rows = [make_row("a", 2.0, 1.0, 3.0, "best"), make_row("bb", 5.0, 5.0, 5.0)]
     lines = [line.plain for line in format_rows("error, lab", rows, 41)]
-    # 41 columns: 2 + "bb" 2 + 2 + "2 mm" 4 + 2 + bar + 2 + "CPU/scan" 8 + 2 + "best" 4, so the bar has 13: 1 mm is 3
+    # 41 columns: 2 + "bb" 2 + 2 + "2 mm" 4 + 2 + bar + 2 + "CPU/scan" 8 + 2 + "best" 4, so the bar has 13
     assert lines[0] == "  error, lab               CPU/scan"
-    assert lines[1] == "  a   2 mm  ───●───          1.0 ms  best"
+    assert lines[1] == "  a   2 mm    ───●──         1.0 ms  best"
     assert lines[2] == "  bb  5 mm              ●    1.0 ms"
     assert all(len(line) <= 41 for line in lines)
 
@@ -32,7 +32,23 @@ def test_values_far_apart_are_on_a_logarithmic_scale():
 
 def test_a_narrow_table_has_no_bar_and_equal_values_one_place():
     assert "●" not in "".join(line.plain for line in format_rows("", [make_row("a" * 60, 1.0)], 80))
-    assert [line.plain.index("●") for line in list(format_rows("", [make_row("a", 1.0)] * 2, 80))[1:]] == [11, 11]
+    assert [line.plain.index("●") for line in list(format_rows("", [make_row("a", 1.0)] * 2, 80))[1:]] == [28, 28]
+
+
+def test_values_that_are_close_are_drawn_close():
+    """81 and 103 mm are a quarter apart: from zero, the first is at 79 % of the bar, not at its beginning."""
+    dots = [
+        line.plain.index("●") for line in list(format_rows("", [make_row("a", 81.0), make_row("b", 103.0)], 80))[1:]
+    ]
+    assert dots[1] - dots[0] == 4  # of 17 columns
+
+
+def test_columns_keep_their_headings_below_a_title_that_is_wider_than_the_table():
+    rows = [replace(make_row("a", 1.0), corrected="1 mm"), make_row("b", 2.0)]
+    title = "distance between the halves of the run, a recording with a long name"
+    first, second, line, *_ = [one.plain for one in format_rows(title, rows, 60)]
+    assert (first.strip(), second.split()) == (title, ["corrected", "CPU/scan"])
+    assert (second.index("corrected") + 9, len(second)) == (line.index("1 mm", 20) + 4, line.index("1.0 ms") + 6)
 
 
 def test_a_long_ranking_is_cut_to_ten_lines_that_count_the_rest():
