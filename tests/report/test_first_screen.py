@@ -178,8 +178,24 @@ def test_without_a_verdict_the_map_strip_names_no_best_and_no_worst(room):
     assert describe_strip(analysis, analysis.sequences[0]) == (
         "room: ATE RMSE and CPU time a scan; no verdict here, not counted above"
     )
+    assert list(roles.values()).count("worst value") == 1
     whole = analyse(room)
     assert describe_strip(whole, whole.sequences[0]) == "room: ATE RMSE and CPU time a scan"
+
+
+def test_only_the_last_map_is_the_worst_also_where_it_is_the_answer(record, build):
+    """``b`` is best on the room that counts, and last on a recording that was run once."""
+    runs = [
+        record(name, "room", {"ate_rmse_m": error * (1 + 0.01 * seed)}, seed=seed, error_m=error)
+        for name, error in (("b", 0.01), ("a", 0.1), ("c", 0.2)) for seed in range(3)
+    ]  # fmt: skip
+    once = [
+        record(name, "hall", {"split_distance_m": value}, seed=None, truth=False)
+        for name, value in (("a", 0.1), ("c", 0.2), ("b", 0.3))
+    ]
+    analysis = analyse(build([*runs, *once]))
+    hall = next(one for one in analysis.sequences if one.label == "hall")
+    assert choose_tiles(analysis, hall) == [("a", ""), ("c", ""), ("b", "answer")]
 
 
 def test_a_tuned_method_is_not_in_the_map_strip(room):

@@ -64,12 +64,11 @@ def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[s
     if not ordered:
         return []
     winners = [method for method in ordered if method in analysis.answer.winners]
+    best = BEST.get(mark(ranking, ordered[0]), "best value")
+    worst = "worst" if mark(ranking, ordered[-1]) in ("worse", "lost") else "worst value"
     wanted = (
-        *(
-            [("answer", [winner]) for winner in winners]
-            or [(BEST.get(mark(ranking, ordered[0]), "best value"), ordered)]
-        ),
-        ("worst" if mark(ranking, ordered[-1]) in ("worse", "lost") else "worst value", ordered[::-1]),
+        *([("answer", [winner]) for winner in winners] or [(best, ordered[:1])]),
+        (worst, ordered[-1:]),
         ("established", [method for method in ordered if comparison.methods[method].role == "peer"]),
         ("baseline", comparison.methods_with_role("baseline")),
         ("reference", comparison.methods_with_role("reference")),
