@@ -7,7 +7,7 @@ import json
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from evalkit.config.experiment import Experiment, experiment_from_tables
@@ -73,6 +73,7 @@ def experiment_from_recording(
     ``methods``: names, or tables of an experiment file. ``source``: the command line, for the commands in the report.
     ``keys``: further keys of the sequence: for a known map, and ``nuisance``.
     """
+    choices = tuple(choices)
     chosen = {one.name: one.value for one in choices if one.value is not None}
     reading = {name: value for name, value in chosen.items() if not name.startswith(MAPPER)} | dict(recording.given)
     mapping = {name.removeprefix(MAPPER): value for name, value in chosen.items() if name.startswith(MAPPER)}
@@ -84,7 +85,9 @@ def experiment_from_recording(
         "method": [{"use": one} if isinstance(one, str) else dict(one) for one in methods],
         "mapper": {name: value for name, value in mapping.items() if name in known},
     }
-    return experiment_from_tables(content, f"compare {recording.path}", name_experiment(recording, keys), source)
+    experiment = experiment_from_tables(content, f"compare {recording.path}", name_experiment(recording, keys), source)
+    warnings = tuple(one.reason for one in choices if one.warns)
+    return replace(experiment, sequences=tuple(replace(one, warnings=warnings) for one in experiment.sequences))
 
 
 def read_first_frame(experiment: Experiment) -> Frame:

@@ -58,6 +58,7 @@ class SequenceSpec:
     if it is ``perturbed``; with ``excerpt_scans`` every perturbation is an excerpt of so many scans, and the whole
     recording is not run. ``missing``: why the data are not available here, or "". ``localisation``: the reserved
     parameters of a known map in which the methods track the robot (``plugins.parameters``); empty without one.
+    ``warnings``: doubts about the data that the reader of a recording found.
     """
 
     label: str
@@ -68,6 +69,7 @@ class SequenceSpec:
     perturbed: bool = False
     excerpt_scans: int = 0
     localisation: Mapping[str, Value] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     def parameters_with_seed(self, seed: int | None) -> dict[str, Value]:
         """The parameters of one repetition."""

@@ -218,11 +218,13 @@ class Choice:
     """A parameter chosen for a recording, and the reason as a sentence without a full stop.
 
     ``name``: a parameter of the reader, or "mapper.NAME" of the mapper. ``value``: None if the reader finds it itself.
+    ``warns``: the reason is a doubt about the data, which the report repeats.
     """
 
     name: str
     value: Value | None
     reason: str
+    warns: bool = False
 
 
 @dataclass(frozen=True)

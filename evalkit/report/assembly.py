@@ -131,6 +131,7 @@ def build_sequence_card(sequence: SequenceSpec, runs: Sequence[RunRecord]) -> Se
         spec.degenerate,
         spec.published,
         build_settings(sequence.parameters, spec.parameters, "set for this sequence"),
+        sequence.warnings,
     )
 
 

@@ -203,6 +203,11 @@ def cheapest(facts: Facts, name: str = "", ms: str = "", times: str | None = Non
         yield from check_amount("times the error", times, math.exp(sum(logs) / len(logs)))
 
 
+@kind(IN_PILLS, r"(?P<where>[^:]+): (?P<text>problem: .+|.+: check it)$")
+def doubt_pill(facts: Facts, where: str, text: str) -> Iterator[str]:
+    yield from same("doubt", text in facts.content["sequences"][where]["warnings"], True)
+
+
 @kind(IN_PILLS, r"in a known map, (?:which all methods use|where (?P<names>.+?) only starts?)$")
 def known_map_pill(facts: Facts, names: str | None = None) -> Iterator[str]:
     only = [one for one in facts.methods if facts.content["methods"][one]["map_use"] == "starts there"]

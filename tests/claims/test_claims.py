@@ -114,6 +114,8 @@ def _cases(record, build):
     yield build(_lost([*_seeds(record, "a", [1.0, 2.0, 2.1]), *_seeds(record, "b", [1.0, 1.2, 1.1])], 7.0))
     cards = {"room": replace(winner.sequences["room"], degenerate="A corridor without ends.")}
     yield replace(winner, sequences=cards)
+    doubtful = {"room": replace(winner.sequences["room"], warnings=("heading 0 deg, but the scans show 9: check it",))}
+    yield replace(winner, sequences=doubtful)
     yield replace(winner, methods={**winner.methods, "a": replace(winner.methods["a"], tuned_on=("room",))})
     runs = [
         record(name, where, {"ate_rmse_m": error * (1.0 + 0.01 * seed)}, seed=seed)

@@ -12,6 +12,11 @@ from statements import IN_VERDICTS, kind, same
 END = r"\.(?= [A-Z]|$)"
 
 
+@kind(IN_VERDICTS, r"Doubt about the data: (?P<text>.+?: check it)\.")
+def doubt(facts: Facts, where: str, text: str) -> Iterator[str]:
+    yield from same("doubt", text in facts.content["sequences"][where]["warnings"], True)
+
+
 @kind(IN_VERDICTS, rf"Methods that kept the initial guess: (?P<listed>.+?){END}")
 def kept_guess(facts: Facts, where: str, listed: str) -> Iterator[str]:
     found = facts.find(where, "guess_kept_percent")

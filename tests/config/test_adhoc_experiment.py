@@ -38,6 +38,15 @@ def test_a_recording_runs_as_it_is_and_under_perturbations(log):
         experiment_from_recording(open_recording(log, {}), (), ["wheel-odometry"], "compare it", {"nuisance": 1})
 
 
+def test_a_doubt_of_the_reader_about_the_data_belongs_to_the_sequence(log):
+    choices = (
+        Choice("range_max_m", 30.0, "usual"),
+        Choice("base_from_sensor", None, "heading 0: check it", warns=True),
+    )
+    assert plan(log, choices=choices).sequences[0].warnings == ("heading 0: check it",)
+    assert plan(log, choices=choices[:1]).sequences[0].warnings == ()
+
+
 def test_a_folder_is_read_by_the_reader_of_its_content(tmp_path):
     folder = tmp_path / "drive"
     folder.mkdir()

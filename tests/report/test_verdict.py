@@ -13,8 +13,10 @@ from evalkit.report.analysis.pairwise import is_clearly_worse
 from evalkit.report.analysis.ranking import mark
 from evalkit.report.analysis.scores import NuisanceBand
 from evalkit.report.analysis.sequence import analyse_sequence
+from evalkit.report.analysis.statements.pills import Pill
 from evalkit.report.analysis.statements.verdict import compute_verdict
 from evalkit.report.formatting import count_losses, format_gap, join_words
+from evalkit.report.results_json import build_results
 
 
 def verdict(comparison, sequence="room"):
@@ -329,6 +331,15 @@ def test_methods_that_lost_the_track_are_not_ranked(record, build):
 def test_the_reason_that_a_sequence_does_not_count_is_the_one_that_applies(record, build, metric, seeds, why):
     runs = [record(n, "room", {metric: 0.1 + s / 99}, seed=s) for n in "ab" for s in range(seeds)]
     assert f"Not counted: room ({why})." in _overview(build(runs))
+
+
+def test_a_doubt_about_the_data_is_in_the_verdict_the_answer_and_the_results(record, build):
+    comparison = build(_seeds(record, "a", [0.010, 0.011, 0.012]))
+    doubtful = {"room": replace(comparison.sequences["room"], warnings=("heading 0 deg: check it",))}
+    found = replace(comparison, sequences=doubtful)
+    assert "Doubt about the data: heading 0 deg: check it." in _verdict_text(found)
+    assert analyse(found).answer.pills[0] == Pill("room: heading 0 deg: check it", "warn")
+    assert build_results(analyse(found))["sequences"]["room"]["warnings"] == ("heading 0 deg: check it",)
 
 
 def test_settings_chosen_on_the_data_do_not_count(record, build):

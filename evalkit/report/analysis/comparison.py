@@ -50,6 +50,7 @@ class SequenceCard:
     """Description of a sequence: ``summary`` of its data set, ``settings`` of this sequence.
 
     ``truth``: how the ground truth was obtained. ``degenerate``: why the geometry does not determine the pose.
+    ``warnings``: doubts about the data of a recording, as its reader found them.
     """
 
     summary: str
@@ -61,6 +62,7 @@ class SequenceCard:
     degenerate: str = ""
     published: tuple[Published, ...] = ()
     settings: tuple[Setting, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

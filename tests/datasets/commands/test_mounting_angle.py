@@ -91,7 +91,7 @@ def test_the_heading_is_applied_where_nothing_states_it(tmp_path):
     assert math.degrees(theta) == pytest.approx(-30.0, abs=1.5)
     assert "no transform states the mounting" in choice.reason
     (warning,) = _choose_mounting(found, lidar, Pose(0.0, 0.0, math.pi / 2.0))
-    assert warning.value is None
+    assert (warning.value, warning.warns) == (None, True)
     assert "lidar heading 90 deg, as recorded, but the scans show -30 deg" in warning.reason
     absent = str(tmp_path / "nothing.tum")  # the bag is not opened: what it says of the mounting is unknown
     chosen = choose_parameters("rosbag", {"path": str(bag), "ground_truth": absent})

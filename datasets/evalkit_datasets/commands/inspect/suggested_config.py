@@ -157,7 +157,7 @@ def _choose_mounting(recording: Inspection, lidar: LidarStats, recorded: Pose) -
     stated = recorded != Pose() or any(mounting.sensor == lidar.frame for mounting in recording.frames.mountings)
     if stated or _find_reader(recording) != "rosbag":
         what = f"lidar heading {math.degrees(recorded.theta):.0f} deg, as recorded, but the scans show {seen}: check it"
-        yield Choice("base_from_sensor", None, what)
+        yield Choice("base_from_sensor", None, what, warns=True)
         return
     square = 90.0 * round(angle.heading_deg / 90.0)
     near = abs(angle.heading_deg - square) <= max(3.0 * angle.error_deg, MAX_SQUARE_DEG)
@@ -193,7 +193,7 @@ def _repeat_problems(recording: Inspection, given: Mapping[str, Value]) -> Itera
         unused = finding.about.startswith("odometry ") and given.get("odometry") == "none"
         if not unused and finding.what not in said:
             advice = f"; {finding.advice}" if finding.advice else ""
-            yield Choice(PROBLEM, None, f"problem: {finding.about}: {finding.what}{advice}")
+            yield Choice(PROBLEM, None, f"problem: {finding.about}: {finding.what}{advice}", warns=True)
         said.add(finding.what)
 
 

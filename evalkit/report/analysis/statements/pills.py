@@ -41,6 +41,7 @@ def compute_pills(
     """Return the pills, the most important first; ``counted``: the sequences that the answer counts."""
     runs = comparison.records
     pills = [
+        *(Pill(f"{sequence.label}: {text}") for sequence in sequences for text in sequence.card.warnings),
         *(_describe_degenerate(comparison, sequence) for sequence in sequences if sequence.card.degenerate),
         _describe_known_map(comparison, sequences),
         *_group("lost the track on", _find_lost(sequences)),

@@ -65,6 +65,7 @@ def compute_verdict(comparison: Comparison, sequence: SequenceAnalysis) -> Seque
     ranking, degenerate, runs = sequence.deciding, sequence.card.degenerate, sequence.all_runs
     outcome = _find_outcome(sequence)
     sentences = [describe_success(runs), warnings.warn_of_data(runs)]
+    sentences += [f"Doubt about the data: {strip_full_stop(text)}." for text in sequence.card.warnings]
     if degenerate:
         sentences.append(f"Degenerate geometry: {strip_full_stop(degenerate)}. The order below is not a ranking.")
     if ranking is None:
