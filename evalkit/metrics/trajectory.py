@@ -26,7 +26,7 @@ from evalkit.metrics.metric import (
 
 Alignment = Literal["least squares", "first pose", "none"]
 
-IN_MAP = "none: poses in the known map, which is in the frame of the ground truth,"
+IN_MAP = "none, because the ground truth is in the frame of the known map,"
 
 MAX_GAP_S = 1.0
 """Poses farther apart in time are not interpolated."""

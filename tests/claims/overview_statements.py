@@ -104,7 +104,7 @@ def not_counted(facts: Facts, listed: str) -> Iterator[str]:
         yield from same(f"{one} not counted", named, one not in own)
 
 
-@kind(IN_OVERVIEW, r"Each sequence was run once: .+? up to 10 s, .+? give no verdict\.")
+@kind(IN_OVERVIEW, r"Each sequence was run once\. .+? up to 10 s of that run\. .+? no verdict\.")
 @kind(
     IN_OVERVIEW,
     r"Numbers are medians over up to (?P<most>\d+) runs\. From 3 runs on, a 95 % interval is .+? \(99 % below six "

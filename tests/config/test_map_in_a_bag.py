@@ -38,4 +38,4 @@ def test_a_comparison_in_the_map_of_a_bag_tracks_from_its_start(tmp_path, monkey
     assert json.loads((run / "request.json").read_text())["dataset_parameters"]["map"] == f"{tmp_path}/room?map=/map"
     scored = json.loads((run / "scores.json").read_text())
     np.testing.assert_allclose(scored["world_from_start"], [1.0, 0.0, 0.0], atol=0.025)  # found to half a cell
-    assert scored["alignment"].startswith("none: poses in the known map")
+    assert scored["alignment"].startswith("none, because the ground truth is in the frame of the known map, over ")

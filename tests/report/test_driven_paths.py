@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.trajectory import IN_MAP
 from evalkit.report.analysis.driven_paths import describe_alignments, path_m
 from evalkit.report.analysis.sequence import analyse_sequence
 
@@ -62,9 +63,12 @@ def test_nothing_is_measured_without_runs(record, build):
 
 def test_each_alignment_is_reported_once_with_its_runs(record):
     words = ["least squares over 60 poses; 60 equal stamps"] * 2 + ["the run has no poses", ""]
+    words.append(f"{IN_MAP} over 60 poses; 60 equal stamps")
     made = [(record("a", "room", {}, seed=seed), text) for seed, text in enumerate(words)]
     runs = [replace(run, scores=replace(run.scores, alignment=text)) for run, text in made]
     assert describe_alignments(runs) == (
         "Aligned: least squares over 60 poses; matched: 60 equal stamps (2 runs)",
         "Not aligned: the run has no poses (1 run)",
+        "Not aligned, because the ground truth is in the frame of the known map: 60 poses compared; "
+        "matched: 60 equal stamps (1 run)",
     )

@@ -117,7 +117,7 @@ def test_one_run_each_gives_an_order_and_no_verdict(record, build, other):
     assert "The reference method: paper has 20.00 m, place 4 of 4 in this order." in said
     whole = f"{said} {' '.join(_overview(comparison))}"
     assert "No sequence has both ground truth and repeated runs to compare" in whole
-    assert "describe these runs and not a next one, and give no verdict." in whole
+    assert "It does not say what another run would give, so there is no verdict." in whole
     assert not {"wins", "winner", "loses", "ahead", "behind", "tied", "Worse"} & set(whole.replace(",", "").split())
     (ranking,) = (analyse_sequence(comparison, "room").deciding,)
     assert {mark(ranking, name) for name, _ in pair} == {"not comparable"}

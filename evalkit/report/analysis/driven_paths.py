@@ -57,6 +57,9 @@ def describe_alignments(runs: Sequence[RunRecord]) -> tuple[str, ...]:
 
 def _format_alignment(text: str) -> str:
     alignment, _, rule = text.partition("; ")
+    if rule and alignment.startswith("none, "):
+        why, _, poses = alignment.removeprefix("none, ").partition(", over ")
+        return f"Not aligned, {why}: {poses} compared; matched: {rule}"
     return f"Aligned: {alignment}; matched: {rule}" if rule else f"Not aligned: {alignment}"
 
 

@@ -151,8 +151,8 @@ def _describe_statistics(comparison: Comparison) -> str:
     most = max(runs.values())
     if most == 1:
         return (
-            "Each sequence was run once: intervals are resampled from stretches of up to 10 s, describe these runs and "
-            "not a next one, and give no verdict."
+            "Each sequence was run once. An interval shows how a value varies between stretches of up to 10 s of that "
+            "run. It does not say what another run would give, so there is no verdict."
         )
     return (
         f"Numbers are medians over up to {most} runs. From {MIN_RUNS} runs on, a 95 % interval is that of Student's t "

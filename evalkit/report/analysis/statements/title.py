@@ -75,7 +75,8 @@ def explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence
         (bool(outcomes & set(LED)), "No method is ahead: too few runs to tell the methods apart."),
         (
             all(run.seed is None for sequence in sequences for run in sequence.all_runs),
-            f"No method is ahead: a verdict takes {FEW_RUNS} runs of a recording (nuisance = {FEW_RUNS - 1}).",
+            f"No method is ahead: each ran once, and a verdict takes {FEW_RUNS - 1} more runs, slightly perturbed "
+            f"(nuisance = {FEW_RUNS - 1}).",
         ),
         (True, "No method is ahead: a verdict takes repeated runs."),
     )
