@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from statistics import median
 
@@ -24,7 +25,7 @@ def describe_map_fit(analysis: Analysis) -> Iterator[str]:
         shown = True
         names = [name for name in HEADS if name != TRUE or _has_values(sequence, name)]
         rows = [["", "map", "localised after", *(HEADS[name] for name in names)]]
-        for label in in_map:
+        for label in sorted(in_map, key=lambda one: _find_wrong(sequence, one)):
             cells = [_format(sequence, name, label) for name in names]
             use = MAP_USES[analysis.comparison.methods[label].map_use]
             rows.append([label, use, _format_start(sequence, label), *cells])
@@ -42,6 +43,13 @@ def describe_map_fit(analysis: Analysis) -> Iterator[str]:
             f"{100.0 * WRONG_M:g} cm off, too many where fewer than {wrong:.0f} % are (details on the page). "
             f"{MAP_USES['starts there']}: runs as without a map, from the same start."
         )
+
+
+def _find_wrong(sequence: SequenceAnalysis, label: str) -> float:
+    """Return the share of wrong positions by map fit (%), infinite without one: the order of the table."""
+    ranking = sequence.rankings.get(PREDICTED)
+    score = ranking.of(label) if ranking else None
+    return math.inf if score is None or score.median is None else score.median
 
 
 def _has_values(sequence: SequenceAnalysis, name: str) -> bool:

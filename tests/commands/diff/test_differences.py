@@ -67,6 +67,18 @@ def test_an_error_must_change_by_more_than_the_limit_and_the_noise(new, said):
     assert (_verdict(found), found.regressions) == (said, int(said == "regression"))
 
 
+@pytest.mark.parametrize(("after", "said"), [(1.1, "within the limit"), (1.3, "regression")])
+def test_wrong_positions_in_a_known_map_must_change_by_a_percentage_point(after, said):
+    """From 0.2 %: the probabilities are not measured better."""
+    wrong = "map_wrong_percent"
+
+    def runs(percent):
+        own = _seeds([0.02] * 3).items()
+        return {name: replace(run, scores={**run.scores, wrong: percent}) for name, run in own}
+
+    assert _verdict(_between(runs(0.2), runs(after)), wrong) == said
+
+
 def test_a_single_run_is_compared_scan_by_scan():
     """Both errors increase by a fifth in root mean square: one on every scan, one in a single block at the end."""
     errors = np.full(600, 0.02)

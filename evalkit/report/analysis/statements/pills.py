@@ -64,7 +64,8 @@ def _describe_known_map(comparison: Comparison, sequences: Sequence[SequenceAnal
     only = [method for method in present if comparison.methods[method].map_use == "starts there"]
     if not only:
         return Pill("in a known map, which all methods use", "")
-    return Pill(f"in a known map, where {_name_or_count(only)} only start{'s' * (len(only) == 1)}", "")
+    names = join_words(only) if len(only) <= MAX_NAMED else f"{len(only)} methods"
+    return Pill(f"in a known map, where {names} only start{'s' * (len(only) == 1)}", "")
 
 
 def find_dataset(sequence: SequenceAnalysis) -> str:
