@@ -9,7 +9,7 @@ from statistics import median
 
 from amounts import AMOUNT, NUMBER, check_amount, list_of
 from facts import Facts
-from statements import BROKEN, Check, kind, same
+from statements import BROKEN, NOT_STARTED, Check, kind, same
 
 END = r"\.(?= [A-Z]|$)"
 
@@ -92,6 +92,7 @@ CAUSES = {
     "lost": r"(.+?) lost the track",
     "guessed": r"(.+?) registered too few scans",
     "unfinished": r"(.+?) did not complete every run with a value",
+    "absent": r"(.+?) did not run",
 }
 
 
@@ -110,10 +111,11 @@ def not_ranked(facts: Facts, why: str, only: str | None) -> Iterator[str]:
         (name, cause)
         for where, metric in metrics.items()
         for name, one in facts.find(where, metric).items()
-        if not one.ranks
+        if name not in ranked
         for cause, holds in (
             ("tuned", one.tuned), ("lost", one.lost_s is not None), ("guessed", one.guessed > 50.0),
             ("unfinished", not one.complete == one.expected == len(one.values)),
+            ("absent", all(run["status"] in NOT_STARTED for run in facts.runs[where][name])),
         )
         if holds
     }  # fmt: skip

@@ -100,9 +100,17 @@ def test_nobody_is_ahead_if_more_than_three_lead_equally_often(build, runs):
     assert title(build([*tied, *runs("z", "room", (1, 1))])) == ("No method is ahead: 4 methods are each tied on room.")
 
 
-def test_one_method_alone_wins_nothing(build, runs):
+def test_one_method_alone_wins_nothing(build, record, runs):
     comparison = build([*runs("a", "room", (0.01, 0.02)), *runs("b", "room", (0.5, None))])
     assert title(comparison) == "Only a is ranked: b did not complete every run with a value."
+    gone = {"status": "data-missing", "reason": "no odometry", "answered": 0}
+    absent = [record("wheel", "room", {}, seed=seed, **gone) for seed in range(2)]
+    lost = [
+        replace(run, scores=replace(run.scores, lost=LostTrack(9.0, "a jump")))
+        for run in runs("a", "hall", (0.01, 0.02))
+    ]  # a ranked method is not among those that are not
+    found = build([*runs("a", "room", (0.01, 0.02)), *absent, *lost])
+    assert title(found) == "Only a is ranked: wheel did not run."
     assert answer(comparison).winners == ()
 
 

@@ -57,7 +57,7 @@ def explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence
     outcomes = {verdict.outcome for verdict in verdicts}
     rankings = [sequence.deciding for sequence in sequences if sequence.deciding is not None]
     ranked = {score.method for ranking in rankings for score in ranking.ranked}
-    why = explain_unranked(rankings)
+    why = explain_unranked(sequences)
     degenerate = join_words(v.sequence for v in verdicts if v.outcome == "degenerate")
     reasons = (
         (all(sequence.none_finished for sequence in sequences), "No run finished: there is no answer."),

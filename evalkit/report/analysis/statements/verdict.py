@@ -292,27 +292,32 @@ def _reference_clause(label: str, ranking: Ranking) -> str:
     return f"{label} is {'tied with' if standing == 'tied' else 'not told apart from'} the best, {first.method}"
 
 
-def explain_unranked(rankings: Iterable[Ranking]) -> str:
+def explain_unranked(sequences: Iterable[SequenceAnalysis]) -> str:
     """Return why methods are not ranked: "settings of a and b were chosen on these data; c lost the track"; "" if none.
 
-    A method is named once, by its first cause.
+    A method that is ranked nowhere is named once, by its first cause.
     """
-    causes: dict[str, list[str]] = {"tuned": [], "lost": [], "guessed": [], "unfinished": []}
-    named: set[str] = set()
-    for score in (one for ranking in rankings for one in ranking.scores if not one.rankable):
-        if score.method not in named:
-            causes[_find_cause(score)].append(score.method)
-            named.add(score.method)
+    causes: dict[str, list[str]] = {"tuned": [], "lost": [], "guessed": [], "unfinished": [], "absent": []}
+    sequences = tuple(sequences)
+    named = {score.method for one in sequences if one.deciding for score in one.deciding.ranked}
+    for sequence in sequences:
+        for score in sequence.deciding.scores if sequence.deciding else ():
+            if not score.rankable and score.method not in named:
+                causes[_find_cause(score, sequence.runs[score.method])].append(score.method)
+                named.add(score.method)
     clauses = {
         "tuned": "settings of {} were chosen on these data", "lost": "{} lost the track",
         "guessed": "{} registered too few scans", "unfinished": "{} did not complete every run with a value",
+        "absent": "{} did not run",
     }  # fmt: skip
     listed = (clauses[cause].format(_name_or_count(methods)) for cause, methods in causes.items() if methods)
     return "; ".join(listed)
 
 
-def _find_cause(score: MethodScore) -> str:
+def _find_cause(score: MethodScore, runs: Sequence[RunRecord]) -> str:
     """Return the first cause for which a score is not ranked."""
+    if all(run.result.status in NOT_EXECUTED for run in runs):
+        return "absent"
     if not score.complete == score.expected == len(score.values):
         return "unfinished"
     return "lost" if score.lost is not None else "tuned" if score.registers else "guessed"
