@@ -160,7 +160,7 @@ class Facts:
         """Return the smallest difference that matters."""
         one = self.metrics[metric]
         position = one["unit"] == "m" and one["group"] in ("drift", "relations")
-        points = 1.0 if one["group"] == "localisation" else 0.0
+        points = 1.0 if one["group"] == "localisation" and one["unit"] == "%" else 0.0
         return max(0.05 * abs(better), 10.0 ** -one["digits"], 0.002 if position else points)
 
     def floor(self, metric: str) -> float:

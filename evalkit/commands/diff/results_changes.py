@@ -14,7 +14,13 @@ from evalkit.commands.diff.changes import MARKS, SAME, ChangeText, ChangeVerdict
 from evalkit.core.errors import StoreError
 from evalkit.core.run_status import NOT_EXECUTED
 from evalkit.metrics.metric import Metric
-from evalkit.report.analysis.pairwise import MARGIN_POINTS, PairedDifference, compute_difference, noise_floor
+from evalkit.report.analysis.pairwise import (
+    MARGIN_POINTS,
+    PairedDifference,
+    compute_difference,
+    is_share_in_map,
+    noise_floor,
+)
 from evalkit.report.analysis.scores import DECIDING, MethodScore
 from evalkit.report.formatting import format_number
 from evalkit.results.reader import RunName, StoredResults, StoredRun
@@ -269,7 +275,7 @@ def _judge_error(
         return "unchanged", SAME
     before, after = median(old.values), median(new.values)
     limit = limits.error * (ONE_RUN if len(old.values) == 1 else 1.0)
-    points = MARGIN_POINTS if metric.group == "localisation" else 0.0
+    points = MARGIN_POINTS if is_share_in_map(metric) else 0.0
     if abs(after - before) <= max(limit * abs(before), noise_floor(metric), points):
         floor = f"{points:g} percentage point" if points else "the accuracy of the ground truth"
         return "within the limit", f"at most {100 * limit:g} %, or less than {floor}"

@@ -112,12 +112,17 @@ def is_position(metric: Metric) -> bool:
     return metric.unit == "m" and metric.group in ("drift", "relations")
 
 
+def is_share_in_map(metric: Metric) -> bool:
+    """Return whether a metric is a share of positions or scans in a known map, in percent."""
+    return metric.unit == "%" and metric.group == "localisation"
+
+
 def margin(metric: Metric, better: float) -> float:
     """Return the smallest difference that matters: 5 % of the better value, one printed digit.
 
-    Of a position 2 mm, of a share of wrong positions by map fit 1 percentage point.
+    Of a position 2 mm, of a share of positions or scans in a known map 1 percentage point.
     """
-    least = MARGIN_M if is_position(metric) else MARGIN_POINTS if metric.group == "localisation" else 0.0
+    least = MARGIN_M if is_position(metric) else MARGIN_POINTS if is_share_in_map(metric) else 0.0
     return max(MARGIN_SHARE * abs(better), 10.0**-metric.digits, least)
 
 
