@@ -8,7 +8,9 @@ import pytest
 from evalkit.core.map_start import MapStart
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import LostTrack
+from evalkit.metrics import all_metrics
 from evalkit.report.analysis.analysis import analyse
+from evalkit.report.analysis.ranking import mark
 from evalkit.report.html.known_map import build_known_map
 from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_tables import DASH
@@ -43,6 +45,25 @@ def test_each_method_has_its_start_and_its_track(record, build):
     (figure,) = figures.figures
     assert figure.svg.startswith(b"<?xml") or b"<svg" in figure.svg
     assert len(found(both[1:], build)) == 3  # nothing is predicted: no figure
+
+
+def test_a_percentage_point_is_no_margin_for_metres(record, build):
+    """Errors by map fit of 10 and 100 mm differ; shares of 0.2 and 0.9 % do not."""
+    runs = [
+        record(name, "room", {"map_fit_m": fit + seed / 1e5, "map_wrong_percent": wrong + seed / 1e3}, seed=seed)
+        for name, fit, wrong in (("plane", 0.01, 0.2), ("slam", 0.1, 0.9)) for seed in range(6)
+    ]  # fmt: skip
+    (sequence,) = analyse(build(runs, metrics=all_metrics())).sequences
+    marks = {name: mark(sequence.rankings[name], "slam") for name in ("map_fit_m", "map_wrong_percent")}
+    assert marks == {"map_fit_m": "worse", "map_wrong_percent": "tied"}
+
+
+def test_without_truth_no_track_is_called_held(record, build):
+    start = MapStart(Pose(), 1, 0.0, True, 0.91)
+    runs = [record("slam", "room", {"map_wrong_percent": 50.0}, truth=known) for known in (True, False)]
+    tracks = [found([in_map(run, start)], build)[2].rows[0][3] for run in runs]
+    assert [track.text for track in tracks] == ["held", "no loss seen"]
+    assert "not the place in the map" in tracks[1].tip
 
 
 def test_the_table_says_which_methods_match_the_map_and_which_only_start_there(record, build):

@@ -22,6 +22,7 @@ from evalkit.report.html.report_tables import (
     runs_anchor,
     score_cell,
 )
+from evalkit.results.run_record import RunRecord
 
 COLUMNS = (
     "map_wrong_percent", "map_truly_wrong_percent", "map_fit_m", "map_fit_ratio", "map_fit_within_percent",
@@ -38,6 +39,7 @@ NOTE = (
     "95 % of the true errors are within the prediction. Wrong by map fit: the probability that the position is more "
     f"than {100.0 * WRONG_M:g} cm off, by the same fit."
 )
+UNSEEN = "without ground truth the motion is checked, and not the place in the map: see the scans that do not fit"
 SEARCH = "the search of the start, the same for all methods"
 
 
@@ -58,8 +60,7 @@ def build_known_map(
         start = record.result.start
         after = DASH if start is None or not start.searched else Cell(f"{start.after_s:.1f} s", start.after_s,
                      tip=f"scan {start.scans}, score {start.score:.2f}")  # fmt: skip
-        lost = record.scores.lost
-        track = Cell("held", "") if lost is None else Cell(format_loss(lost), lost.at_s, "bad", lost.reason)
+        track = _describe_track(record)
         cells = [score_cell(one, one.of(label), link, says_loss=False) for one in shown]
         use = Cell(MAP_USES[analysis.comparison.methods[label].map_use], "")
         rows.append([method_cell(analysis.comparison, strokes, label, link), use, after, track, *cells])
@@ -73,6 +74,14 @@ def build_known_map(
     ]  # fmt: skip
     pairs = {label: known for label, record in first.items() if len(known := _select_known(record.scores.fit))}
     return [*blocks, *([Figures([draw_calibration(pairs, strokes)])] if pairs else [])]
+
+
+def _describe_track(record: RunRecord) -> Cell:
+    """Return whether a run kept its place in the map; without ground truth only its motion was checked."""
+    lost = record.scores.lost
+    if lost is not None:
+        return Cell(format_loss(lost), lost.at_s, "bad", lost.reason)
+    return Cell("held", "") if record.truth.trajectory is not None else Cell("no loss seen", "", tip=UNSEEN)
 
 
 def draw_calibration(pairs: dict[str, Floats], strokes: Strokes) -> Figure:
