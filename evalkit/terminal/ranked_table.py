@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.map_agreement import decided_by_maps
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.standings import find_cost, select_counted
@@ -27,6 +28,9 @@ BARS = (18, 8)
 CPU, CORRECTED = "CPU/scan", "corrected"
 LINEAR_RATIO = 8.0
 """Bars are on a logarithmic scale if the largest value exceeds the smallest more than this."""
+
+NOT_THE_PLACE = " (maps alone: not the place in the known map)"
+"""What follows the head of a table in a known map that only the consistency of the maps drawn can rank."""
 
 OF_BEAMS = ("beams", "invalid ranges")
 """How notes on single beams begin."""
@@ -125,7 +129,8 @@ def _rows_of_sequence(analysis: Analysis, sequence: SequenceAnalysis) -> tuple[s
                 bounds.high if bounds else None, _format_corrected(sequence, score.method),
             )
         )  # fmt: skip
-    return f"{ranking.metric.label}, {sequence.label}", rows
+    in_map = decided_by_maps(ranking) and any(run.result.start is not None for run in sequence.all_runs)
+    return f"{ranking.metric.label}, {sequence.label}{NOT_THE_PLACE if in_map else ''}", rows
 
 
 def _rows_of_answer(analysis: Analysis) -> tuple[str, list[RankedRow]]:

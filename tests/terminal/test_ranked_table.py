@@ -5,6 +5,8 @@ from dataclasses import replace
 
 from rich.console import Console
 
+from evalkit.core.map_start import MapStart
+from evalkit.core.pose import Pose
 from evalkit.report.analysis.analysis import analyse
 from evalkit.terminal.ranked_table import MAX_LINES, RankedRow, build_rows, format_rows, print_answer
 
@@ -93,6 +95,16 @@ def test_the_bar_of_two_runs_is_their_range_as_on_the_page(record, build):
     two = [record("icp", "room", {"ate_rmse_m": error_m}, seed=seed) for seed, error_m in enumerate((0.104, 0.100))]
     _, (row,) = build_rows(analyse(build(two)))
     assert (row.low, row.high) == (0.100, 0.104)
+
+
+def test_maps_that_rank_in_a_known_map_are_said_to_be_no_place_in_it(record, build):
+    """Where the fit to the map has no value, as outside its calibration, the maps drawn are all there is."""
+    runs = [record(name, "bag", {"split_distance_m": 0.1}, seed=None, truth=False) for name in ("a", "b")]
+    start = MapStart(Pose(), 1, 0.0, True, 0.9)
+    in_map = [replace(run, result=replace(run.result, start=start)) for run in runs]
+    assert build_rows(analyse(build(runs)))[0] == "halves of the run apart, bag"
+    head = build_rows(analyse(build(in_map)))[0]
+    assert head == "halves of the run apart, bag (maps alone: not the place in the known map)"
 
 
 def test_without_a_verdict_the_methods_are_still_listed(record, build):
