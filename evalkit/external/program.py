@@ -167,9 +167,12 @@ class Program:
 
     def _failure(self, what: str, remedy: str, kind: type[BackendFailed] = BackendFailed) -> BackendFailed:
         """Return the error, and end the program: nothing more is read from it."""
-        _kill_group(self._process)
+        self._kill()
         self._failed = kind(self._name, what + self._last_message(), remedy)
         return self._failed
+
+    def _kill(self) -> None:
+        _kill_group(self._process)
 
     def _last_message(self) -> str:
         stderr = _printable(b"".join(self._last_messages)[-300:].strip())
