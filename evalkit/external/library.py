@@ -62,7 +62,8 @@ def scheme(rest: str) -> BackendSpec:
     file = Path(path).resolve()
     digest = compute_digest(file)
     if not file.is_file():
-        return missing_spec(name, f"no such file: {file.name}; build it, or correct its path", digest)
+        what = "a folder, not a library" if file.is_dir() else "no such file"
+        return missing_spec(name, f"{what}: {path}; build it, or correct its path", digest)
     if why := _find_unusable_reason(file):
         return broken_spec(name, why, digest)
     description = descriptions.describe(name, digest, partial(_describe_library, name, file))

@@ -280,7 +280,8 @@ def test_a_file_that_is_not_a_library_of_this_machine_is_reported(tmp_path, fore
     if sys.platform != "linux":
         pytest.skip("this system does not use ELF")
     path = tmp_path / "libmine.so"
-    assert "no such file: libmine.so" in registry.backend(f"lib:{path}").missing()
+    assert f"no such file: {path};" in registry.backend(f"lib:{path}").missing()
+    assert registry.backend(f"lib:{tmp_path}").missing().startswith(f"a folder, not a library: {tmp_path};")
     path.write_bytes(foreign_elf)
     assert "libmine.so is built for 64-bit RISC-V, and this machine is 64-bit" in registry.backend(f"lib:{path}").broken
     assert registry.backend(f"lib:{path}").missing() == ""
