@@ -40,7 +40,7 @@ def describe_map_fit(analysis: Analysis) -> Iterator[str]:
         wrong = 100.0 * load_calibration().check["wrong_share"]
         yield (
             "fit: error of the poses whose scans fit the map. wrong by fit: positions expected to be more than "
-            f"{100.0 * WRONG_M:g} cm off, too many where fewer than {wrong:.0f} % are (details on the page). "
+            f"{100.0 * WRONG_M:g} cm off; too high where fewer than {wrong:.0f} % really are (see the page). "
             f"{MAP_USES['starts there']}: runs as without a map, from the same start."
         )
 

@@ -40,7 +40,7 @@ def test_each_method_has_its_use_of_the_map_its_start_its_fit_and_its_wrong_posi
         "  paper  start only            0.7 s  9.0 mm         1.0 %            –",
         "  wheel  start only            0.7 s   52 mm        38.2 %       41.0 %",
     ]
-    assert "more than 10 cm off, too many where fewer than 27 % are" in note
+    assert "more than 10 cm off; too high where fewer than 27 % really are" in note
     assert len(note) < 300  # what the shares were learnt on is on the page
 
 
