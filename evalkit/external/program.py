@@ -42,7 +42,7 @@ class Program:
 
     def __init__(self, name: str, argv: list[str], answer_timeout_s: float) -> None:
         self._name, self.answer_timeout_s = name, answer_timeout_s
-        self._failed: BackendFailed | None = None
+        self._failed: tuple[type[BackendFailed], str, str] | None = None
         try:
             self._process = subprocess.Popen(
                 argv,
@@ -76,7 +76,8 @@ class Program:
         After a failure that ended the program, every further question raises the same.
         """
         if self._failed is not None:
-            raise type(self._failed)(*self._failed.args)
+            kind, what, remedy = self._failed
+            raise kind(self._name, what, remedy)
         asked, used_ns = time.monotonic(), self.cpu_ns()
         waiting, received = memoryview(question), bytearray()
         with selectors.DefaultSelector() as selector:
@@ -168,8 +169,9 @@ class Program:
     def _failure(self, what: str, remedy: str, kind: type[BackendFailed] = BackendFailed) -> BackendFailed:
         """Return the error, and end the program: nothing more is read from it."""
         self._kill()
-        self._failed = kind(self._name, what + self._last_message(), remedy)
-        return self._failed
+        what += self._last_message()
+        self._failed = kind, what, remedy  # not the error itself, whose traceback would keep the process from ending
+        return kind(self._name, what, remedy)
 
     def _kill(self) -> None:
         _kill_group(self._process)

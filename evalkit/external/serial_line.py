@@ -21,6 +21,9 @@ DATA_BYTES = 512
 
 LAST, FIRST, NO_SESSION, TOO_LONG, BUSY = 1, 2, 4, 8, 16
 CHECKSUM_BYTES = 4
+BUSY_S = 600.0
+"""Longest wait for a board that computes."""
+
 MAX_CODED_BYTES = 4 * DATA_BYTES
 """More bytes without a zero are noise."""
 
@@ -209,15 +212,17 @@ class Link:
         """Return the answer of a board that has the message and computes; evalkit's answer_timeout_s is the limit.
 
         The answer may be lost on the line: an empty frame with the same sequence asks for it, at doubled intervals.
+        Raises LineError for a board that is silent for more than ``BUSY_S``.
         """
         wait_s = self.timeout_s
-        while True:
+        while wait_s < BUSY_S:
             answer = self._receive(time.monotonic() + wait_s)
             if answer is None:
                 self.line.write(b"\0" + encode_frame(self._sequence, 0, b""))
                 wait_s *= 2.0
             elif not answer[0] & BUSY:
                 return answer
+        raise LineError("no answer from the board, which has said that it computes; see where it hangs")
 
     def _receive(self, end: float) -> tuple[int, bytes] | None:
         """Return flags and data of the frame with the current sequence, or None if none came in time."""

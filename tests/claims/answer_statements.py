@@ -40,7 +40,7 @@ def leaders(facts: Facts, where: str) -> Sequence[str]:
 @kind(
     IN_ANSWER,
     r"Take (?P<names>.+?): (?:each )?(?:the best map|best or tied) on (?P<led>\d+) of (?P<of>\d+) "
-    r"(?:data sets?|recordings?)(?: by the fit to its known map)?"
+    r"(?:data sets?|recordings?)(?: by the fit to the known map)?"
     r"(?:; next best (?P<next>\d+) of (?P<its>\d+))?\.",
 )
 def take(facts: Facts, names: str, **said: str) -> Iterator[str]:
@@ -59,7 +59,7 @@ def take(facts: Facts, names: str, **said: str) -> Iterator[str]:
 @kind(
     IN_ANSWER,
     r"Take (?P<names>.+?): (?P<how>tied for the best|best|ahead|the best map) o[nf] (?P<where>.+?)"
-    r"(?P<fit> by the fit to its known map)?"
+    r"(?P<fit> by the fit to the known map)?"
     r"(?:, which has .+?|, but not told apart from (?P<others>.+?) by these runs)?\.",
 )
 def take_one(facts: Facts, names: str, how: str, where: str, fit: str | None, others: str | None) -> Iterator[str]:
@@ -77,7 +77,7 @@ def take_one(facts: Facts, names: str, how: str, where: str, fit: str | None, ot
 @kind(
     IN_ANSWER,
     r"No method is ahead: (?:all )?(?P<count>\d+) methods are (?:each )?(?:tied|best or tied) on "
-    r"(?:(?P<led>\d+) of (?P<of>\d+) data sets|(?P<where>.+?))(?: by the fit to its known map)?\.$",
+    r"(?:(?P<led>\d+) of (?P<of>\d+) data sets|(?P<where>.+?))(?: by the fit to the known map)?\.$",
 )
 def all_tied(facts: Facts, count: str, led: str | None, of: str | None, where: str | None) -> Iterator[str]:
     own, most = facts.content["answer"]["counted"], max(one for one, _ in standings(facts).values())
@@ -210,8 +210,10 @@ def doubt_pill(facts: Facts, where: str, text: str) -> Iterator[str]:
     yield from same("doubt", text in facts.content["sequences"][where]["warnings"], True)
 
 
-@kind(IN_PILLS, r"in a known map, (?:which all methods use|where (?P<names>.+?) only starts?)$")
-def known_map_pill(facts: Facts, names: str | None = None) -> Iterator[str]:
+@kind(IN_PILLS, r"(?:(?P<where>.+): )?in a known map, (?:which all methods use|where (?P<names>.+?) only starts?)$")
+def known_map_pill(facts: Facts, names: str | None = None, where: str | None = None) -> Iterator[str]:
+    in_map = {run["sequence"] for run in facts.content["runs"] if run["map_start"]}
+    yield from same("in a known map", set(list_of(where) if where else facts.content["sequences"]), in_map)
     only = [one for one in facts.methods if facts.content["methods"][one]["map_use"] == "starts there"]
     count = re.fullmatch(r"(\d+) methods", names or "")
     stated = int(count[1]) if count else list_of(names) if names else []
@@ -290,11 +292,11 @@ def tuned_pill(facts: Facts, methods: str, where: str) -> Iterator[str]:
     yield from same("tuned", int(count[1]) if count else list_of(methods), len(true) if count else true)
 
 
-@kind(IN_PILLS, r"no verdict on (?P<where>.+)$")
-def no_verdict_pill(facts: Facts, where: str) -> Iterator[str]:
+@kind(IN_PILLS, r"not counted: (?P<where>.+)$")
+def not_counted_pill(facts: Facts, where: str) -> Iterator[str]:
     for one in list_of(where):
         without = one in facts.runs and one not in facts.content["answer"]["counted"]
-        yield from same(f"{one} without a verdict", without, True)
+        yield from same(f"{one} not counted", without, True)
 
 
 @kind(IN_PILLS, r"missing here: (?P<listed>.+)$")

@@ -340,6 +340,12 @@ def test_a_busy_board_has_all_its_time_and_is_only_asked_with_empty_frames():
     assert link.repeats == 0
 
 
+def test_a_board_that_never_ends_to_compute_is_an_error(monkeypatch):
+    monkeypatch.setattr(serial_line, "BUSY_S", 0.01)
+    with pytest.raises(LineError, match="has said that it computes"):
+        Link(Slow(math.inf, LAST, b""), timeout_s=1e-3, tries=2).ask(b"R")
+
+
 def test_a_board_that_restarts_while_it_computes_is_an_error():
     with pytest.raises(LineError, match="has started again and lost its state"):
         Link(Slow(1, LAST | NO_SESSION, b""), timeout_s=1e-3, tries=2).ask(b"R")

@@ -131,7 +131,9 @@ class ColumnsLayout:
 
 
 def split_columns(line: bytes) -> list[bytes]:
-    """Return the columns of a line: separated by commas, semicolons, tabs or blanks; an empty one is "nan".
+    """Return the columns of a line: separated by commas, semicolons, tabs or blanks.
+
+    One that is empty, before or between commas or semicolons, is "nan"; several tabs or blanks separate two columns.
 
     >>> split_columns(b"1.5; 2,,3")
     [b'1.5', b'2', b'nan', b'3']

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -68,10 +68,9 @@ class BagDamage:
 
     def count(self) -> dict[str, int]:
         """Return the damage as a count by the name of the defect."""
-        if self.is_size_stated:
-            return {"percent of the bag lost, as it is cut short or damaged": self.lost_percent}
         if self.lost_bytes:
-            return {"percent of the bag lost, besides all that was cut off": self.lost_percent}
+            also = "as it is cut short or damaged" if self.is_size_stated else "besides all that was cut off"
+            return {f"percent of the bag lost, {also}": self.lost_percent}
         return {"bags without an index, read to the last whole record": 1}
 
 
@@ -255,7 +254,7 @@ def _open_reader(bag: Path) -> Any:
     from rosbags.highlevel import AnyReader  # noqa: PLC0415 - heavy, and used for bags only
 
     from evalkit_datasets.parsing.bag_types import NeededTypes  # noqa: PLC0415 - as above
-    from evalkit_datasets.parsing.unindexed_bag import find_file_of_records, open_unindexed  # noqa: PLC0415
+    from evalkit_datasets.parsing.unindexed_bag import has_magic, open_unindexed  # noqa: PLC0415
 
     types: Any = NeededTypes()
     try:
@@ -267,10 +266,14 @@ def _open_reader(bag: Path) -> Any:
     except UnpackedTooMuch:
         raise
     except Exception as error:
-        with suppress(Exception):  # the first error says what is wrong
+        try:
             if (unindexed := open_unindexed(bag)) is not None:
                 return unindexed
-        if find_file_of_records(bag) is not None:
+        except UnpackedTooMuch:
+            raise
+        except Exception:  # noqa: BLE001 - the first error says what is wrong
+            pass
+        if has_magic(bag):
             cause = str(error).rstrip(".") or type(error).__name__
             raise ValueError(f"{cause[:100]}; no whole chunk of messages lies before the damage") from error
         raise error from None

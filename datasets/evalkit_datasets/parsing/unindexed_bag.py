@@ -44,7 +44,7 @@ class UnindexedBag(ros1.Reader):
             raise ros1.ReaderError("File magic is invalid.")
         indexes: dict[int, list[IndexData]] = defaultdict(list)
         size = self.bio.seek(0, os.SEEK_END)
-        lost = stated = 0
+        lost = stated = index = 0
         self.bio.seek(len(MAGIC_1))
         while (begin := self.bio.tell()) < size:
             try:
@@ -52,6 +52,8 @@ class UnindexedBag(ros1.Reader):
                 kind, length = header.get_uint8("op"), ros1.read_uint32(self.bio)
                 if kind == RecordType.BAGHEADER:  # where the index begins: 0 as long as the bag is recorded
                     stated = header.get_uint64("index_pos")
+                elif kind == RecordType.CHUNK_INFO and not index:
+                    stated = index = begin  # the index is here, whatever the header states
             except (ros1.ReaderError, UnicodeDecodeError):
                 break  # cut short or overwritten: nothing behind it can be found
             end = self.bio.tell() + length
@@ -141,7 +143,8 @@ class UnindexedMcap(mcap.McapReader):
         self.bio.seek(self.data_start)
         while (begin := self.bio.tell()) + 9 <= size:
             kind, length = self.bio.read(1)[0], int.from_bytes(self.bio.read(8), "little")
-            if kind in MCAP_END:
+            if kind in MCAP_END:  # only the index lies behind it
+                self.damage = BagDamage(0, size, is_size_stated=True)
                 return begin
             if begin + 9 + length > size:
                 break
@@ -181,6 +184,15 @@ def find_file_of_records(bag: Path) -> Path | None:
     """Return the file of a bag that can be read without an index, None for a database or several files."""
     files = sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]
     return files[0] if len(files) == 1 and files[0].suffix in (".bag", ".mcap") else None
+
+
+def has_magic(bag: Path) -> bool:
+    """Return whether the file of a bag that can be read without an index begins as such a bag does."""
+    file = find_file_of_records(bag)
+    if file is None:
+        return False
+    with file.open("rb") as content:
+        return content.read(len(MAGIC_1)).startswith(MAGIC_1 if file.suffix == ".bag" else MAGIC_MCAP)
 
 
 def open_unindexed(bag: Path) -> AnyReader | None:

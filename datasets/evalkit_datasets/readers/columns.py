@@ -128,7 +128,9 @@ class Columns:
         for number, line in enumerate(iter_lines(self._path, EXPECTED), start=1):
             if number > self._layout.header_lines and not (comment and line.startswith(comment)):
                 words = split_columns(line)
-                if words:
+                if len(words) < self._layout.min_columns and line.rstrip().endswith((b",", b";")):
+                    words.append(b"nan")  # the last column is empty
+                if any(word != b"nan" for word in words):
                     yield number, words
 
     def _read_columns(self) -> tuple[Stamps, Ints, Floats, int]:

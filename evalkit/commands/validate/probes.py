@@ -20,7 +20,7 @@ from evalkit.commands.validate.equivalence.margins import (
     difference,
     radius_m,
 )
-from evalkit.commands.validate.equivalence.rounding import is_decided_by_rounding, is_ill_conditioned
+from evalkit.commands.validate.equivalence.rounding import is_decided_by_rounding, is_reached_by_rounding
 from evalkit.commands.validate.rules import runner
 from evalkit.commands.validate.rules.state_rules import match_bits
 from evalkit.commands.validate.scan_pairs import ScanPair, TwoScans
@@ -74,11 +74,11 @@ def compare_pairs(a: Plugin, b: Plugin, on: Data, count: int, exact: bool, margi
     unrepeated = _count_unrepeated(lambda: sides[1].registrations()["s2m"] if alone else TwoScans(sides[1]), answered)
     answers = [one.a.target_from_source for one in answered]
     residuals = [scan_pairs.residual_m(one.question, answer) for one, answer in zip(answered, answers, strict=True)]
-    clear = answered if alone else [one for one in answered if not _is_undecided(first, one)]
+    clear = answered if alone else _leave_out_undecided(first, answered)
     compared = _compare(sides, on["label"], clear, margins, lambda _: first if alone else None)
     for result in compared.values():
-        result["excepted"] += len(answered) - len(clear)
-        result["questions"] = len(answered)
+        for name in ("excepted", "apart", "questions"):
+            result[name] += len(answered) - len(clear)
     return {
         **_describe_questions(pairs),
         **compared,
@@ -90,14 +90,20 @@ def compare_pairs(a: Plugin, b: Plugin, on: Data, count: int, exact: bool, margi
     }
 
 
+def _leave_out_undecided(reference: Registration, answered: list[AnswerPair]) -> list[AnswerPair]:
+    """The answers of two odometries without those that rounding decides; all if it would decide more than half."""
+    clear = [one for one in answered if not _is_undecided(reference, one)]
+    return clear if 2 * len(clear) >= len(answered) else answered
+
+
 def _is_undecided(reference: Registration, answered: AnswerPair) -> bool:
-    """Whether an odometry's answer differs, and rounding to double precision moves that of the reference as well.
+    """Whether an odometry's answer differs, and rounding to double precision moves that of the reference to it.
 
     Nothing inside an odometry is seen, such as two points that are equally far away to the last bit.
     """
-    b = answered.b
-    apart = b is not None and not Margin().holds(answered.a.target_from_source, b.target_from_source)
-    return apart and is_ill_conditioned(reference, answered.question, answered.a, Margin())
+    a, b = answered.a.target_from_source, answered.b
+    apart = b is not None and not Margin().holds(a, b.target_from_source)
+    return b is not None and apart and is_reached_by_rounding(reference, answered.question, b.target_from_source)
 
 
 def _count_unrepeated(make: Callable[[], Registration], answered: list[AnswerPair]) -> int:

@@ -36,8 +36,8 @@ NOTE = (
     f"{capitalise(MAP_USES['reads'])}: the method reads the map itself. "
     f"{capitalise(MAP_USES['starts there'])}: it runs as without a map, and its drift stays. The pose error by map fit "
     "needs no ground truth: it is what the scans that fit say about the pose. It is calibrated if the ratio is 1 and "
-    "95 % of the true errors are within the prediction. Wrong by map fit: the probability that the position is more "
-    f"than {100.0 * WRONG_M:g} cm off, by the same fit."
+    f"95 % of the true errors are within {WITHIN:g} times the prediction. Wrong by map fit: the probability that the "
+    f"position is more than {100.0 * WRONG_M:g} cm off, by the same fit."
 )
 UNSEEN = "without ground truth the motion is checked, and not the place in the map: see the scans that do not fit"
 SEARCH = "the search of the start, the same for all methods"

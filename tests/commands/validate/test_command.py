@@ -106,7 +106,9 @@ def test_the_compiled_core_equals_the_reference_within_the_margin_of_its_precisi
     assert (level.outcome("equal"), found) == ("passed", margin), level.checks
 
 
-@pytest.mark.parametrize(("x", "other", "undecided"), [(0.0, 0.0, True), (0.0, 1.0, False), (0.5, 0.0, False)])
+@pytest.mark.parametrize(
+    ("x", "other", "undecided"), [(0.0, 0.0, True), (0.0, 1.0, False), (0.0, 7.0, False), (0.5, 0.0, False)]
+)
 def test_an_odometry_is_not_asked_for_the_answer_that_rounding_decides(x, other, undecided):
     # its answer is on which side of x = 0 the last point lies: on the line itself, rounding decides
     side = SimpleNamespace(

@@ -115,6 +115,9 @@ def test_nan_and_an_empty_column_are_an_invalid_beam_and_shift_no_other(tmp_path
     np.testing.assert_array_equal(frame.scan.ranges, [1.0, np.nan, 3.0, np.nan])
     (frame,) = read(tmp_path, "0;;;inf;4;9\n", layout)[1]
     np.testing.assert_array_equal(frame.scan.ranges, [np.nan, np.nan, np.inf, 4.0])
+    sequence, (frame,) = read(tmp_path, "0,1,2,3,\n,,,,\n", layout)  # the last column, and a line without any
+    np.testing.assert_array_equal(frame.scan.ranges, [1.0, 2.0, 3.0, np.nan])
+    assert "damaged" not in str(sequence.notes())
 
 
 def test_the_layout_lies_beside_a_compressed_log_of_its_own_suffix(tmp_path):

@@ -45,7 +45,7 @@ void port_write(unsigned char byte)
     UART_DATA = byte;
 }
 
-/* The timer has 32 bits and wraps after 172 s: one wrap between two calls is counted. */
+/* The timer has 32 bits: right where two calls are less than 172 s apart. */
 uint64_t port_clock_ns(void)
 {
     static uint64_t ticks;

@@ -60,9 +60,9 @@ def suggest_config(recording: Inspection) -> SuggestedConfig | None:
     chosen = {one.name: one.value for one in choices if one.value is not None}
     parameters = {"path": str(recording.path)} | {k: v for k, v in chosen.items() if not k.startswith(MAPPER)}
     reasons = [one.reason for one in choices if one.name != PROBLEM]  # problems are findings already
-    dataset, defects = _find_catalogued(recording.path)
+    dataset, drive, defects = _find_catalogued(recording.path)
     if dataset:
-        reasons.append(_describe_catalogued(dataset))
+        reasons.append(_describe_catalogued(dataset, drive))
     return SuggestedConfig(
         reader, parameters, _format_table(reader, recording.path, chosen), _format_command(parameters),
         tuple(reasons), tried.scans, tried.truth, tried.notes, tried.problem, dataset, defects,
@@ -77,8 +77,8 @@ def choose_parameters(reader: str, given: Mapping[str, Value]) -> tuple[Choice, 
     recording = inspect_recording(Path(str(given["path"])), reader, given)
     if not recording.lidars:
         return ()
-    dataset, _ = _find_catalogued(recording.path)
-    catalogued = [Choice("use", None, _describe_catalogued(dataset))] if dataset else []
+    dataset, drive, _ = _find_catalogued(recording.path)
+    catalogued = [Choice("use", None, _describe_catalogued(dataset, drive))] if dataset else []
     return (*_choose(recording, given)[0], *catalogued)
 
 
@@ -260,8 +260,8 @@ def _try_reader(reader: str, parameters: Mapping[str, Value]) -> _Trial:
     return _Trial(len(sequence), known, sequence.notes(), first.base_from_sensor)
 
 
-def _find_catalogued(path: Path) -> tuple[str, tuple[str, ...]]:
-    """Return the data set made of this file, "" if none, and the known defects of the file."""
+def _find_catalogued(path: Path) -> tuple[str, str, tuple[str, ...]]:
+    """Return the data set made of this file, "" if none, the drive if not its first, and the file's known defects."""
     for file in [path] if path.is_file() else sorted(path.iterdir()):
         for card in catalog.load_catalog().values():
             if not card.bytes or file.stat().st_size != card.bytes:
@@ -271,12 +271,18 @@ def _find_catalogued(path: Path) -> tuple[str, tuple[str, ...]]:
             except (BadData, DataMissing):
                 continue
             dataset = next((name for name in data_sets.FILES if card.name in data_sets.recordings_of(name)), "")
-            return dataset, card.defects
-    return "", ()
+            return dataset, _find_drive(dataset, card.name), card.defects
+    return "", "", ()
 
 
-def _describe_catalogued(dataset: str) -> str:
-    return f'it is a catalogued recording: use = "{dataset}" runs it with its parameters and ground truth'
+def _find_drive(dataset: str, file: str) -> str:
+    drives = data_sets.DATASETS[dataset].get("drives", {}) if dataset else {}
+    return next((name for name in list(drives)[1:] if drives[name] == file), "")
+
+
+def _describe_catalogued(dataset: str, drive: str) -> str:
+    use = f'use = "{dataset}"' + (f', drive = "{drive}",' if drive else "")
+    return f"it is a catalogued recording: {use} runs it with its parameters and ground truth"
 
 
 def _format_table(reader: str, path: Path, chosen: Mapping[str, Value]) -> str:

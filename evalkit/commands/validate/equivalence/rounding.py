@@ -48,6 +48,14 @@ def is_ill_conditioned(reference: Registration, question: Question, right: Match
     return False
 
 
+def is_reached_by_rounding(reference: Registration, question: Question, answer: Pose) -> bool:
+    """Whether the reference gives an answer where its points are perturbed by rounding to double precision."""
+    return any(
+        Margin().holds(match.target_from_source, answer)
+        for match in _answer_perturbed(reference, question, FLOAT64_ROUNDOFF)
+    )
+
+
 def _answer_perturbed(reference: Registration, question: Question, roundoff: float) -> Iterator[Match]:
     """The answers of the reference to copies of a question with perturbed points."""
     rng = np.random.default_rng(0)

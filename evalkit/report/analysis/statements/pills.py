@@ -57,15 +57,17 @@ def compute_pills(
 
 def _describe_known_map(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> Pill | None:
     """Return which methods track the robot in a known map, and which only start there; None without such a map."""
-    tracked = {run.method for sequence in sequences for run in sequence.all_runs if run.result.start is not None}
+    in_map = [one for one in sequences if any(run.result.start is not None for run in one.all_runs)]
+    tracked = {run.method for sequence in in_map for run in sequence.all_runs if run.result.start is not None}
     if not tracked:
         return None
+    where = "" if len(in_map) == len(sequences) else f"{join_words(one.label for one in in_map)}: "
     present = [method for method in comparison.method_labels if method in tracked]
     only = [method for method in present if comparison.methods[method].map_use == "starts there"]
     if not only:
-        return Pill("in a known map, which all methods use", "")
+        return Pill(f"{where}in a known map, which all methods use", "")
     names = join_words(only) if len(only) <= MAX_NAMED else f"{len(only)} methods"
-    return Pill(f"in a known map, where {names} only start{'s' * (len(only) == 1)}", "")
+    return Pill(f"{where}in a known map, where {names} only start{'s' * (len(only) == 1)}", "")
 
 
 def find_dataset(sequence: SequenceAnalysis) -> str:
@@ -164,7 +166,7 @@ def _describe_not_counted(
         for sequence, verdict in zip(sequences, verdicts, strict=True)
         if verdict.sequence not in counted and not sequence.card.degenerate and not sequence.none_finished
     ]
-    return Pill(f"no verdict on {join_words(left)}", "") if left and counted else None
+    return Pill(f"not counted: {join_words(left)}", "") if left and counted else None
 
 
 def _describe_missing(comparison: Comparison) -> Pill | None:

@@ -12,7 +12,7 @@ from evalkit.report.analysis.statements.verdict import LED, SequenceVerdict, exp
 from evalkit.report.formatting import capitalise, format_amount, format_milliseconds, join_words
 from evalkit.stats.runs import FEW_RUNS
 
-BY_FIT = " by the fit to its known map"
+BY_FIT = " by the fit to the known map"
 """What follows the name of a data set without ground truth that the fit to a known map decides."""
 
 
@@ -71,6 +71,10 @@ def explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence
         (
             outcomes <= {"degenerate", "unranked"},
             f"No method is ranked: the geometry of {degenerate} does not determine the pose.",
+        ),
+        (
+            outcomes <= {"single", "lost", "unranked", "degenerate"},
+            "No method is ahead: no data set ranks two methods.",
         ),
         (bool(outcomes & set(LED)), "No method is ahead: too few runs to tell the methods apart."),
         (
