@@ -186,8 +186,14 @@ def losses(facts: Facts, words: str) -> Iterator[str]:
 
 @kind(IN_ANSWER, r"It is also the cheapest matcher\.")
 @kind(IN_ANSWER, r"Cheapest of them: (?P<name>.+?)\.$")
-@kind(IN_ANSWER, rf"Cheapest matcher: (?P<name>.+?), (?P<ms>{NUMBER} ms)(?:, (?P<times>{NUMBER}) times the [a-z ]+)?\.")
-def cheapest(facts: Facts, name: str = "", ms: str = "", times: str | None = None) -> Iterator[str]:
+@kind(
+    IN_ANSWER,
+    rf"Cheapest matcher: (?P<name>.+?), (?P<ms>{NUMBER} ms)(?:, (?P<times>{NUMBER}) times the [a-z ]+?"
+    r"(?: where both count \((?P<shared>\d+) data sets?\))?)?\.",
+)
+def cheapest(
+    facts: Facts, name: str = "", ms: str = "", times: str | None = None, shared: str | None = None
+) -> Iterator[str]:
     answer = facts.content["answer"]
     others = [one for one in facts.methods if one not in facts.with_role("baseline")]
     timed = {one: _cost(facts, one) for one in (answer["winners"] if len(answer["winners"]) > 1 else others)}
@@ -203,6 +209,7 @@ def cheapest(facts: Facts, name: str = "", ms: str = "", times: str | None = Non
             if {name, answer["winners"][0]} <= set(ranked):
                 logs.append(sign * math.log(found[name].median / found[answer["winners"][0]].median))
         yield from check_amount("times the error", times, math.exp(sum(logs) / len(logs)))
+        yield from same("both count", int(shared or len(answer["counted"])), len(logs))
 
 
 @kind(IN_PILLS, r"(?P<where>[^:]+): (?P<text>problem: .+|.+: check it)$")

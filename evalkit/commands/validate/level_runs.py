@@ -63,6 +63,9 @@ def trajectories_level(
         if corrected := _take_corrected(runs, terms):
             checks.append(_same_path("corrected path", place, corrected, margins.get(place), terms))
             checks.append(_same_closures(place, corrected, terms))
+        elif correcting := [label for label in (terms.backend, terms.reference) if runs[label].result.final]:
+            what = f"only {correcting[0]} has corrected poses"
+            checks.append(Check(f"the corrected path of {terms.reference}", place, "not applicable", "never", what))
     checks += [
         _within_rounding(place, both[place], result, margins.get(place), terms)
         for place, result in perturbed.items()
