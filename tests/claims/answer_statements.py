@@ -189,10 +189,15 @@ def losses(facts: Facts, words: str) -> Iterator[str]:
 @kind(
     IN_ANSWER,
     rf"Cheapest matcher: (?P<name>.+?), (?P<ms>{NUMBER} ms)(?:, (?P<times>{NUMBER}) times the [a-z ]+?"
-    r"(?: where both count \((?P<shared>\d+) data sets?\))?)?\.",
+    r"(?: on (?P<shared>\d+) of (?P<of>\d+))?)?\.",
 )
 def cheapest(
-    facts: Facts, name: str = "", ms: str = "", times: str | None = None, shared: str | None = None
+    facts: Facts,
+    name: str = "",
+    ms: str = "",
+    times: str | None = None,
+    shared: str | None = None,
+    of: str | None = None,
 ) -> Iterator[str]:
     answer = facts.content["answer"]
     others = [one for one in facts.methods if one not in facts.with_role("baseline")]
@@ -209,7 +214,8 @@ def cheapest(
             if {name, answer["winners"][0]} <= set(ranked):
                 logs.append(sign * math.log(found[name].median / found[answer["winners"][0]].median))
         yield from check_amount("times the error", times, math.exp(sum(logs) / len(logs)))
-        yield from same("both count", int(shared or len(answer["counted"])), len(logs))
+        counted = len(answer["counted"])
+        yield from same("both count", [int(shared or counted), int(of or counted)], [len(logs), counted])
 
 
 @kind(IN_PILLS, r"(?P<where>[^:]+): (?P<text>problem: .+|.+: check it)$")

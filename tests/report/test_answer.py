@@ -157,7 +157,7 @@ def test_a_data_set_on_which_settings_were_chosen_does_not_count_for_that_method
     assert "chosen" not in " ".join(pills(comparison))
     cheap = {**comparison.methods, "b": replace(comparison.methods["b"], tuned_on=("hall",))}
     told = subtitle(replace(comparison, methods=cheap))  # on room twice and on lab half the error of a
-    assert told.endswith("Cheapest matcher: b, 1.0 ms, 1.0 times the error where both count (2 data sets).")
+    assert told.endswith("Cheapest matcher: b, 1.0 ms, 1.0 times the error on 2 of 3.")
     chosen = {"a": ("room",), "b": ("hall",), "c": ("room", "hall")}
     many = {name: replace(card, tuned_on=chosen[name]) for name, card in comparison.methods.items()}
     told = [text for text in pills(replace(comparison, methods=many)) if "chosen" in text]

@@ -137,5 +137,5 @@ def _format_cheapest(cheapest: Standing, winners: Sequence[Standing], contests: 
     times = "" if ratio is None or others else f", {ratio:.1f} times the {measure}"
     shared = sum({cheapest.method, winners[0].method} <= {one.method for one in contest.ranked} for contest in contests)
     if times and shared < len(contests):
-        times += f" where both count ({shared} data set{'s' if shared > 1 else ''})"
+        times += f" on {shared} of {len(contests)}"
     return f"Cheapest matcher: {cheapest.method}, {format_milliseconds(cheapest.cpu_ms or 0.0)}{times}."
