@@ -142,6 +142,11 @@ def join_words(words: Iterable[str]) -> str:
     return listed[0] if len(listed) == 1 else f"{', '.join(listed[:-1])} and {listed[-1]}" if listed else "none"
 
 
+def name_or_count(methods: Sequence[str], most: int) -> str:
+    """List methods in a sentence, or say how many there are where that is more than ``most``."""
+    return join_words(methods) if len(methods) <= most else f"{len(methods)} methods"
+
+
 def strip_full_stop(text: str) -> str:
     """Remove the full stop at the end, for use within a sentence."""
     return text.rstrip(". ")

@@ -60,12 +60,7 @@ def trajectories_level(
     both = {place: runs for place, runs in records.items() if _have_answers(runs, terms.backend, terms.reference)}
     for place, runs in both.items():
         checks.append(_same_path("path", place, runs, margins.get(place), terms))
-        if corrected := _take_corrected(runs, terms):
-            checks.append(_same_path("corrected path", place, corrected, margins.get(place), terms))
-            checks.append(_same_closures(place, corrected, terms))
-        elif correcting := [label for label in (terms.backend, terms.reference) if runs[label].result.final]:
-            what = f"only {correcting[0]} has corrected poses"
-            checks.append(Check(f"the corrected path of {terms.reference}", place, "not applicable", "never", what))
+        checks += _same_corrections(place, runs, margins.get(place), terms)
     checks += [
         _within_rounding(place, both[place], result, margins.get(place), terms)
         for place, result in perturbed.items()
@@ -157,15 +152,24 @@ def _complete_runs(runs: Mapping[str, RunRecord]) -> list[Check]:
     return checks
 
 
-def _take_corrected(runs: Mapping[str, RunRecord], terms: ComparisonTerms) -> Mapping[str, RunRecord] | None:
-    """The runs of both methods with their corrected poses in place of the answers; None unless both correct them."""
-    corrected = {}
-    for label in (terms.backend, terms.reference):
-        result = runs[label].result.with_final_answers
-        if result is None:
-            return None
-        corrected[label] = replace(runs[label], result=result)
-    return corrected
+def _same_corrections(
+    place: str, runs: Mapping[str, RunRecord], margin: tuple[float, float] | None, terms: ComparisonTerms
+) -> list[Check | None]:
+    """The checks of the corrected poses and the closures of two SLAMs; none where no method corrects its poses."""
+    corrected = {
+        label: replace(runs[label], result=result)
+        for label in (terms.backend, terms.reference)
+        if (result := runs[label].result.with_final_answers) is not None
+    }
+    if len(corrected) == 1:
+        what = f"only {next(iter(corrected))} has corrected poses"
+        return [Check(f"the corrected path of {terms.reference}", place, "not applicable", "never", what)]
+    if not corrected:
+        return []
+    return [
+        _same_path("corrected path", place, corrected, margin, terms),
+        _same_closures(place, corrected, terms),
+    ]
 
 
 def _same_closures(place: str, runs: Mapping[str, RunRecord], terms: ComparisonTerms) -> Check:

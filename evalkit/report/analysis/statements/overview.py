@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from evalkit.metrics.runtime import late_share, work_ns
 from evalkit.report.analysis.comparison import Comparison
@@ -15,6 +15,11 @@ from evalkit.report.formatting import join_words
 from evalkit.stats.runs import MIN_RUNS
 
 MAX_LATE_SHARE = 0.01
+
+WITHOUT_RANKING: Mapping[VerdictOutcome, str] = {
+    "lost": "no method held the track", "single": "one ranked method", "unranked": "none is ranked",
+}  # fmt: skip
+"""Why a sequence does not count whose methods are not ranked."""
 
 
 def compute_overview(
@@ -136,10 +141,8 @@ def _find_why_not_counted(sequence: SequenceAnalysis, verdict: SequenceVerdict) 
         return "degenerate geometry"
     if sequence.deciding is None:
         return "no value"
-    if verdict.outcome in ("lost", "single", "unranked"):
-        return {"lost": "no method held the track", "single": "one ranked method"}.get(
-            verdict.outcome, "none is ranked"
-        )
+    if verdict.outcome in WITHOUT_RANKING:
+        return WITHOUT_RANKING[verdict.outcome]
     truth = [] if sequence.deciding.metric.group in WITH_TRUTH else ["no ground truth"]
     return " and ".join([*truth, *([] if sequence.deciding.repeated else ["no repeated runs"])])
 

@@ -11,7 +11,7 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.statements.verdict import SequenceVerdict
-from evalkit.report.formatting import format_loss_times, join_words
+from evalkit.report.formatting import format_loss_times, join_words, name_or_count
 from evalkit.results.run_record import RunRecord
 
 MAX_NAMED = 4
@@ -66,7 +66,7 @@ def _describe_known_map(comparison: Comparison, sequences: Sequence[SequenceAnal
     only = [method for method in present if comparison.methods[method].map_use == "starts there"]
     if not only:
         return Pill(f"{where}in a known map, which all methods use", "")
-    names = join_words(only) if len(only) <= MAX_NAMED else f"{len(only)} methods"
+    names = name_or_count(only, MAX_NAMED)
     return Pill(f"{where}in a known map, where {names} only start{'s' * (len(only) == 1)}", "")
 
 
@@ -149,13 +149,11 @@ def _describe_tuned(comparison: Comparison, sequences: Sequence[SequenceAnalysis
     if len(groups) > MAX_GROUPS:
         return [Pill(f"settings of {len(chosen)} methods were chosen on data sets shown here: not counted there")]
     return [
-        Pill(f"settings of {_name_or_count(methods)} were chosen on {join_words(where)}: not counted there")
+        Pill(
+            f"settings of {name_or_count(methods, MAX_OF_A_KIND)} were chosen on {join_words(where)}: not counted there"
+        )
         for where, methods in groups.items()
     ]
-
-
-def _name_or_count(methods: Sequence[str]) -> str:
-    return join_words(methods) if len(methods) <= MAX_OF_A_KIND else f"{len(methods)} methods"
 
 
 def _describe_not_counted(

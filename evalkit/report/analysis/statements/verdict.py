@@ -31,6 +31,7 @@ from evalkit.report.formatting import (
     format_gap,
     format_median,
     join_words,
+    name_or_count,
     strip_full_stop,
 )
 from evalkit.results.run_record import RunRecord
@@ -310,7 +311,9 @@ def explain_unranked(sequences: Iterable[SequenceAnalysis]) -> str:
         "guessed": "{} registered too few scans", "unfinished": "{} did not complete every run with a value",
         "absent": "{} did not run",
     }  # fmt: skip
-    listed = (clauses[cause].format(_name_or_count(methods)) for cause, methods in causes.items() if methods)
+    listed = (
+        clauses[cause].format(name_or_count(methods, MAX_UNRANKED)) for cause, methods in causes.items() if methods
+    )
     return "; ".join(listed)
 
 
@@ -321,10 +324,6 @@ def _find_cause(score: MethodScore, runs: Sequence[RunRecord]) -> str:
     if not score.complete == score.expected == len(score.values):
         return "unfinished"
     return "lost" if score.lost is not None else "tuned" if score.registers else "guessed"
-
-
-def _name_or_count(methods: Sequence[str]) -> str:
-    return join_words(methods) if len(methods) <= MAX_UNRANKED else f"{len(methods)} methods"
 
 
 def _explain_unranked(score: MethodScore | None) -> str:
