@@ -281,14 +281,15 @@ class Motion:
     A scan that is deskewed at a wrong velocity is bent, but half of its beams are displaced to one side and half to the
     other: where it is matched, the base is right in the middle of the sweep. So where the motion within the scan is not
     measured, the velocity is that from the middle of the last sweep to the middle of this one, and going back from the
-    middle at that velocity gives the pose at the first beam.
+    middle at that velocity gives the pose at the first beam. Stamps less than half a sweep apart (the same scan twice,
+    or stamps of arrival) tell no velocity: it stays, and the next one is measured from the sweep before them.
     """
 
     def __init__(self, prior: str, deskew: bool = True) -> None:
         self._prior, self._deskew = prior, deskew
         self._step = _Step(Pose(), 0)
         self._last: _Time | None = None  # at the first beam
-        self._last_middle = _Time(Pose(), 0)  # of the last sweep; at its first beam where its motion was measured
+        self._last_middle = _Time(Pose(), 0)  # of a sweep, from where the next velocity is measured
         self._start_from_points = Pose()
         self._points_from_base: Pose | None = None  # at the first beam of the last scan; None: the identity
         self._odom_from_base: Pose | None = None
@@ -317,8 +318,11 @@ class Motion:
 
     def store(self, frame: Frame, pose: Pose, matched: bool = True) -> None:
         """Store the pose of this scan: that of its points, or where they were not ``matched``, at the first beam."""
-        first, middle, self._step = self._settle(frame, pose, self._half_ns(frame) if matched else 0)
-        self._last, self._last_middle = _Time(first, frame.scan.stamp_ns), middle
+        half_ns = self._half_ns(frame) if matched else 0
+        first, middle, self._step = self._settle(frame, pose, half_ns)
+        if not self._is_too_soon(middle, half_ns):
+            self._last_middle = middle
+        self._last = _Time(first, frame.scan.stamp_ns)
         self._start_from_points, self._points_from_base = pose, None if first is pose else pose.inverse() @ first
         self._odom_from_base = frame.odom_from_base
 
@@ -334,9 +338,13 @@ class Motion:
         """Return the pose at the first beam, the middle of the sweep, and the step to it from that of the last one."""
         half = self._constant_velocity(self._step, half_ns) if half_ns else None
         middle = _Time(pose if half is None else pose @ half, frame.scan.stamp_ns + half_ns)
-        step = self._step_to(middle)
+        step = self._step if self._is_too_soon(middle, half_ns) else self._step_to(middle)
         first = middle.start_from_base @ self._constant_velocity(step, half_ns).inverse() if half_ns else pose
         return first, middle, step
+
+    def _is_too_soon(self, middle: _Time, half_ns: int) -> bool:
+        """Return whether a sweep, half of which takes so long, was taken too soon after the last one for a velocity."""
+        return self._last is not None and max(middle.stamp_ns - self._last_middle.stamp_ns, 0) < half_ns
 
     def _step_to(self, middle: _Time) -> _Step:
         if self._last is None:

@@ -194,6 +194,20 @@ def test_the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two_sw
     assert measured.find_first_beam(wheels, Pose(1.0, 0.0, 0.0)) == Pose(1.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize("second_m", [0.2, 0.4], ids=["the same scan twice", "stamps of arrival"])
+def test_stamps_of_two_sweeps_less_than_half_a_sweep_apart_tell_no_velocity(second_m):
+    motion = frontend.Motion("constant-velocity")
+    motion.store(sweep(0), Pose())
+    motion.store(sweep(1), Pose(0.2, 0.0, 0.0))
+    soon = replace(sweep(1), scan=replace(sweep(1).scan, stamp_ns=STEP_NS + STEP_NS // 3))
+    before = motion.within_scan(soon)
+    motion.store(soon, Pose(second_m, 0.0, 0.0))
+    assert motion.within_scan(sweep(2)) == before
+    motion.store(sweep(3), Pose(0.7, 0.0, 0.0))  # two sweeps after the first of both
+    # its middle is half a step of 0.2 m on; that of the first of both was matched before anything was known: at 0.2 m
+    assert motion.within_scan(sweep(4)).x == pytest.approx((0.7 + 0.1 - 0.2) / 2, abs=1e-6)
+
+
 def sweep(at: int) -> Frame:
     """Return a frame whose last beam is fired when the next one begins."""
     one = frame(Pose(), at)

@@ -61,7 +61,11 @@ void ek_motion_store(ek_motion *motion, const ek_prior *prior, ek_pose start_fro
     if (motion->started) {
         motion->interval_ns[1] = motion->interval_ns[0];
         motion->interval_ns[0] = time_between(motion->stamp_ns, prior->stamp_ns);
-        motion->step_ns = time_between(motion->middle_ns, middle_ns);
+    }
+    const int64_t step_ns = motion->started ? time_between(motion->middle_ns, middle_ns) : 0;
+    const int told = !motion->started || step_ns >= half_ns; /* sweeps nearer to each other tell no velocity */
+    if (motion->started && told) {
+        motion->step_ns = step_ns;
         motion->step = ek_se2_between(motion->start_from_middle, middle);
     }
     if (half_ns) {
@@ -70,9 +74,11 @@ void ek_motion_store(ek_motion *motion, const ek_prior *prior, ek_pose start_fro
     motion->started = 1;
     motion->settled = half_ns > 0;
     motion->stamp_ns = prior->stamp_ns;
-    motion->middle_ns = middle_ns;
+    if (told) {
+        motion->middle_ns = middle_ns;
+        motion->start_from_middle = middle;
+    }
     motion->start_from_points = start_from_points;
-    motion->start_from_middle = middle;
     motion->start_from_base = first;
     motion->has_last_odometry = prior->has_odometry;
     motion->odom_from_base = prior->odom_from_base;

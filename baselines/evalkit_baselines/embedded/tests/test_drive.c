@@ -435,6 +435,35 @@ static void the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two
     CHECK(motion.step_ns == 50);
 }
 
+/* Sweeps of 100 ns, matched at 0 and 0.2 m. A third one 49 ns later tells no velocity, wherever it is matched: 0.2 m a sweep
+ * stays, and the next velocity is measured from the second: 0.7 m, and half of 0.2 m on, in two sweeps. */
+static void sweeps_less_than_half_a_sweep_apart_tell_no_velocity(void)
+{
+    static const double soon[] = {0.2, 0.4};
+    ek_real ranges[2] = {EK_R(2.0), EK_R(2.0)}, angles[2] = {EK_R(0.0), EK_R(0.0)};
+    const ek_scan_parameters parameters = {ORIGIN, EK_R(0.1), EK_R(10.0), EK_R(0.0)};
+    for (size_t k = 0; k < 2u; k++) {
+        const int64_t stamps[] = {0, 100, 149, 300};
+        const double matched[] = {0.0, 0.2, soon[k], 0.7}, step[] = {0.0, 0.2, 0.2, 0.6};
+        ek_motion motion;
+        ek_sweep sweep;
+        memset(&motion, 0, sizeof motion);
+        memset(&sweep, 0, sizeof sweep);
+        sweep.ranges = ranges;
+        sweep.angles = angles;
+        sweep.beams = 2u;
+        sweep.time_increment_ns = 100;
+        for (size_t at = 0; at < 4u; at++) {
+            const ek_prior prior = {stamps[at], 0, ORIGIN};
+            CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OK);
+            ek_motion_store(&motion, &prior, pose_of(matched[at], 0.0, 0.0));
+            CHECK_NEAR(motion.step.x, step[at], TOLERANCE);
+            CHECK(motion.step_ns == (at == 3u ? 200 : at > 0u ? 100 : 0));
+            CHECK(motion.stamp_ns == stamps[at]);
+        }
+    }
+}
+
 static void a_full_map_drops_new_voxels_and_a_full_voxel_new_points(void)
 {
     const ek_real four[] = {EK_R(0.2), EK_R(0.2), EK_R(1.5), EK_R(0.5), EK_R(0.6), EK_R(0.4), EK_R(0.4), EK_R(0.3)};
@@ -508,6 +537,7 @@ int main(void)
     what_does_not_fit_is_refused_and_changes_nothing();
     constant_velocity_is_extrapolated_for_two_steps_at_most();
     the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two_sweeps();
+    sweeps_less_than_half_a_sweep_apart_tell_no_velocity();
     a_map_keeps_from_where_its_points_were_seen();
     a_full_map_drops_new_voxels_and_a_full_voxel_new_points();
     free(arena.memory);

@@ -3,7 +3,7 @@
  * A scan that is deskewed at a wrong velocity is bent, but half of its beams are displaced to one side and half to the other:
  * where it is matched, the base is right in the middle of the sweep. So where the motion within the sweep is not measured, the
  * velocity is that from the middle of the last sweep to the middle of this one, and going back from the middle at that velocity
- * gives the pose at the first beam. As Motion in evalkit/odometry/frontend.py.
+ * gives the pose at the first beam. Sweeps less than half a sweep apart tell no velocity. As Motion in evalkit/odometry/frontend.py.
  */
 #ifndef EK_MOTION_H
 #define EK_MOTION_H
@@ -28,7 +28,7 @@ typedef struct {
     ek_pose start_from_base;   /* at the first beam */
     ek_pose start_from_points; /* as matched */
     ek_pose odom_from_base;
-    ek_pose start_from_middle, step; /* the step is that between the middles of the last two sweeps */
+    ek_pose start_from_middle, step; /* the step that tells the velocity, up to the middle of a sweep */
     int64_t stamp_ns, middle_ns, step_ns;
     int64_t interval_ns[2]; /* between the first beams of the last scans, the latest first */
     int64_t half_ns;        /* of the sweep that was projected: from its first beam to its middle; 0: its motion was measured */
