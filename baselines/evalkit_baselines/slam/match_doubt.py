@@ -17,7 +17,7 @@ from evalkit.core.pose import Pose
 from evalkit_baselines.slam.second_try import DOUBTED, MIN_SHARE
 
 USUAL_SCANS = 50
-"""Scans over which the usual error of matches, and their usual gap to the prediction, are averaged."""
+"""Scans over which the usual error of matches, their points, and their gap to the prediction, are averaged."""
 
 APART = 3.0
 """The same for its gap to the prediction, in times the usual gap."""
@@ -38,6 +38,7 @@ class MatchDoubt:
 
     def __init__(self) -> None:
         self._usual_m = 0.0
+        self._usual_points = 0.0
         self._usual_gap_m = 0.0
         self._usual_gap_rad = 0.0
         self._compared = 0
@@ -47,6 +48,11 @@ class MatchDoubt:
     def usual_m(self) -> float:
         """Usual error of matches, a recent mean (m); 0 before the first one."""
         return self._usual_m
+
+    @property
+    def usual_points(self) -> float:
+        """Usual number of points of a scan that fits, a recent mean; 0 before the first one."""
+        return self._usual_points
 
     @property
     def usual_gap(self) -> tuple[float, float] | None:
@@ -66,6 +72,7 @@ class MatchDoubt:
         """
         usual = self._usual_m if self._usual_m > 0.0 else match.residual_m
         share = _misfit(match, points, usual)
+        self._usual_points += (points - self._usual_points) / (USUAL_SCANS if self._usual_points > 0.0 else 1)
         self._usual_m = usual + (min(match.residual_m, DOUBTED * usual) - usual) / USUAL_SCANS
         if predicted is None:
             return share == 0.0

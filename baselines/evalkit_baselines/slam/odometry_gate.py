@@ -32,8 +32,9 @@ POOR_SHARE = 0.5
 """Both limits are multiplied by this where a match has ``UNUSUAL`` times the usual error and pairs for less than
 ``MIN_SHARE`` of the points."""
 
-MIN_POINTS = 40
-"""Where the odometry is good enough for a limit below ``WIDE``, a match of a scan with fewer points is not believed."""
+MIN_POINTS, TIMES_FEWER = 40, 3.0
+"""Where the odometry is good enough for a limit below ``WIDE``, a match of a scan with fewer points is not believed; of
+a lidar with few beams, of one with so many times fewer than usual."""
 
 
 @dataclass
@@ -43,13 +44,22 @@ class OdometryGate:
     _is_measured: bool = False
     _limit: tuple[float, float] = WIDE
     _poor_m: float = math.inf
+    _fewest: float = MIN_POINTS
 
-    def begin_scan(self, step: Pose | None, usual_gap: tuple[float, float] | None, usual_m: float = 0.0) -> None:
+    def begin_scan(
+        self,
+        step: Pose | None,
+        usual_gap: tuple[float, float] | None,
+        usual_m: float = 0.0,
+        usual_points: float = math.inf,
+    ) -> None:
         """Give the motion since the last scan by wheel odometry, if measured, and what is usual.
 
-        ``usual_gap``: of matches to the odometry (m, rad), None: unknown; ``usual_m``: error of matches, 0: unknown.
+        ``usual_gap``: of matches to the odometry (m, rad), None: unknown; ``usual_m``: error of matches, 0: unknown;
+        ``usual_points``: of a scan.
         """
         self._is_measured = step is not None
+        self._fewest = min(MIN_POINTS, usual_points / TIMES_FEWER)
         self._poor_m = UNUSUAL * usual_m if usual_m > 0.0 else math.inf
         self._limit = WIDE
         if step is not None and usual_gap is not None:
@@ -74,7 +84,7 @@ class OdometryGate:
         share = POOR_SHARE if poor else 1.0
         far = math.hypot(gap.x, gap.y) > share * most_m or abs(gap.theta) > share * most_rad
         clear = match.converged and match.error < CLEAR_M and match.inliers >= CLEAR_SHARE * points
-        few = self.is_good and points < MIN_POINTS
+        few = self.is_good and points < self._fewest
         return match if not few and (clear or not far) else replace(match, target_from_source=guess, inliers=0)
 
 

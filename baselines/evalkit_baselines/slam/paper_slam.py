@@ -159,7 +159,7 @@ class PaperSlam:
         is_closed = self._is_closed(hits, predicted)
         for icp in self._icps:
             icp.is_closed = is_closed
-        self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m)
+        self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m, self._doubt.usual_points)
         elapsed_ns = frame.scan.stamp_ns - self._stamps_ns[-1] if self._stamps_ns else 0
         uneven = self._turns.measure(frame, step, elapsed_ns)
         if uneven and self._turns.is_odometry_right and self._gate.is_good:

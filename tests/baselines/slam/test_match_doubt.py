@@ -33,10 +33,11 @@ def test_a_step_is_doubted_by_the_gap_to_the_prediction_where_its_match_fits_wor
 
 def test_without_odometry_no_gap_is_doubted_and_of_a_far_larger_error_twice_the_usual_one_counts():
     doubt = MatchDoubt()
-    assert doubt.usual_m == 0.0
-    for residual_m, inliers, fits in ((0.1, 80, True), (0.3, 80, False)):
+    assert doubt.usual_m == doubt.usual_points == 0.0
+    for residual_m, inliers, points, fits in ((0.1, 80, 100, True), (0.3, 80, 50, False)):
         match = StageEstimate(True, True, 5, residual_m, inliers)
-        assert doubt.observe(Pose(), None, Pose(), match, 100) == fits
+        assert doubt.observe(Pose(), None, Pose(), match, points) == fits
+    assert doubt.usual_points == pytest.approx(100.0 - 50.0 / 50.0)
     assert doubt.usual_m == pytest.approx(0.1 + (0.2 - 0.1) / 50.0)
     assert not doubt.observe(Pose(), None, Pose(), StageEstimate(True, True, 5, 0.1, 79), 100)
     assert doubt.take() == (0.0, 0.0)

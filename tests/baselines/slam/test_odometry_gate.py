@@ -52,6 +52,16 @@ def test_far_answers_and_beside_good_odometry_those_of_few_points_are_the_guess_
         assert match.inliers == 0
 
 
+@pytest.mark.parametrize(
+    ("points", "usual_points", "is_believed"), [(20, 60.0, True), (19, 60.0, False), (39, 600.0, False)]
+)
+def test_of_a_lidar_with_few_beams_a_third_of_the_usual_points_is_enough(points, usual_points, is_believed):
+    gated = Gated(Answers(Pose(0.1, 0.0, 0.0)), OdometryGate())
+    gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), (0.0, 0.0), usual_points=usual_points)
+    cloud = Cloud(np.ones((points, 2)))
+    assert (gated.register(cloud, cloud, GUESS).inliers > 0) == is_believed
+
+
 @pytest.mark.parametrize("usual", [0.02, 0.0])
 @pytest.mark.parametrize(
     ("gap", "is_believed"), [((0.39, 0.0, 0.39), True), ((0.0, 0.41, 0.0), False), ((0.0, 0.0, 0.41), False)]

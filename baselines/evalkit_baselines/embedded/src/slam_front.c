@@ -35,7 +35,8 @@
 #define FIRST_GAP EK_R(0.01) /* m: odometry is thought to be no better than this, */
 #define GAP_SHARE EK_R(0.05) /* and this share of its step, */
 #define FIRST_TURN EK_R(0.01) /* rad: nor in heading */
-#define FEWEST 40u           /* a match of a scan with fewer points is not believed where the odometry is good enough for less than FARTHEST */
+#define FEWEST EK_R(40.0)    /* a match of a scan with fewer points is not believed where the odometry is good enough for less than FARTHEST; */
+#define TIMES_FEWER EK_R(3.0) /* of a lidar with few beams, of one with so many times fewer than usual */
 
 static const ek_real TURNS[] = {EK_R(0.0), EK_R(-12.0), EK_R(12.0), EK_R(-24.0), EK_R(24.0)}; /* deg: of further tries */
 
@@ -273,7 +274,8 @@ static ek_real limit_of(ek_real usual, ek_real least, ek_real most)
 
 ek_gate ek_slam_gate(const ek_slam *slam, int measured, ek_pose step)
 {
-    ek_gate gate = {measured, FARTHEST, FARTHEST_THETA, UNUSUAL * slam->usual_error};
+    const ek_real fewest = slam->usual_points / TIMES_FEWER;
+    ek_gate gate = {measured, FARTHEST, FARTHEST_THETA, UNUSUAL * slam->usual_error, fewest < FEWEST ? fewest : FEWEST};
     if (slam->compared >= USUAL_COUNT) {
         const ek_real length = EK_SQRT(step.x * step.x + step.y * step.y), turn = EK_FABS(step.theta);
         gate.metres = limit_of(slam->usual_gap, NEAREST + STEP_SHARE * length, FARTHEST);
@@ -296,7 +298,7 @@ int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_po
     const int far = gap.x * gap.x + gap.y * gap.y > metres * metres || EK_FABS(gap.theta) > theta;
     const int clear = match->converged && match->error < CLEAR &&
                       (ek_real)match->inliers >= CLEAR_SHARE * (ek_real)points;
-    const int few = ek_slam_is_good(gate) && points < FEWEST;
+    const int few = ek_slam_is_good(gate) && (ek_real)points < gate->fewest;
     return !gate->measured || (!few && (clear || !far));
 }
 
@@ -366,6 +368,8 @@ int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, cons
     const ek_real usual = slam->usual_error > EK_R(0.0) ? slam->usual_error : match->error;
     const ek_real share = misfit_of(slam, match, usual);
     slam->usual_error = take_mean(usual, match->error, DOUBTED * usual);
+    const ek_real more = (ek_real)slam->scan.count - slam->usual_points;
+    slam->usual_points += slam->usual_points > EK_R(0.0) ? more / USUAL_SCANS : more;
     const int fits = share == EK_R(0.0);
     if (!predicted) {
         return fits;

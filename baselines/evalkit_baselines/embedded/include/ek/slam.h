@@ -91,6 +91,7 @@ typedef struct {
     int32_t measured;      /* 0: the guess is none of wheel odometry */
     ek_real metres, theta; /* m, rad */
     ek_real poor;          /* m: a match with a larger error and few pairs may be at most half as far; 0: unknown */
+    ek_real fewest;        /* points: a match of fewer is not believed where the odometry is good */
 } ek_gate;
 
 #define EK_TURNS_RIGHT 2
@@ -143,6 +144,7 @@ typedef struct {
     ek_dirt dirt;
     ek_doubt doubt;          /* of the step since the last keyframe */
     ek_real usual_error;     /* m: of matches with the map */
+    ek_real usual_points;    /* of scans that match it */
     ek_real usual_gap, usual_turn; /* m, rad: between them and the odometry */
     uint32_t compared;       /* scans with odometry before this one, as far as they are counted */
     ek_gate gate;            /* of this scan */
