@@ -27,6 +27,7 @@ from evalkit.plugins.specs import SlamSpec
 from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded.compiled import compiled_missing
 from evalkit_baselines.slam import pose_graph
+from evalkit_baselines.slam.companions import Companions
 from evalkit_baselines.slam.continuity import SOON_NS, Continuity
 from evalkit_baselines.slam.keyframes import DOUBTED_M, DriftModel, Edge, Keyframes, Step
 from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
@@ -132,6 +133,7 @@ class PaperSlam:
         self._doubt = MatchDoubt()
         self._turns = UnevenTurns()
         self._speckles = Speckles()
+        self._companions = Companions()
         self._hits = 0  # of the front end's last keyframe
         self._wheels: Pose | None = None  # raw odometry at the last keyframe
         self._fitted_ns: int | None = None  # stamp of the last scan that was not lost
@@ -152,6 +154,9 @@ class PaperSlam:
         self._corrected = False
         wheels = frame.odom_from_base
         frame = self._scale.correct(replace(frame, scan=self._speckles.drop(smooth_ranges(frame.scan))))
+        odom = frame.odom_from_base if self._settings.prior == "odometry" else None
+        odom_from_sensor = None if odom is None else odom @ frame.base_from_sensor
+        frame = replace(frame, scan=self._companions.drop(frame.scan, odom_from_sensor))
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         last = Pose.of(self._odom_from_base[-1]) if self._stamps_ns else None
         step = last.inverse() @ predicted if measured and last is not None else None

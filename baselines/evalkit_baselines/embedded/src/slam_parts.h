@@ -4,6 +4,7 @@
 
 #include "ek/slam.h"
 
+#define ek_before EK_NAME(before)
 #define ek_slam_start_wheels EK_NAME(slam_start_wheels)
 #define ek_slam_prepare EK_NAME(slam_prepare)
 #define ek_slam_observe_wheels EK_NAME(slam_observe_wheels)
@@ -38,9 +39,16 @@ ek_status ek_slam_init(ek_slam *slam, ek_arena *arena, const ek_slam_parameters 
 /* Scale 1 for the wheel odometry. */
 void ek_slam_start_wheels(ek_slam *slam);
 
-/* The sweep with smoothed ranges, without the speckles of a dirty lidar, and with scaled odometry; `wheels` and `dirt` become
- * the state after this sweep. */
-ek_sweep ek_slam_prepare(const ek_slam *slam, const ek_sweep *sweep, ek_wheels *wheels, ek_dirt *dirt);
+/* What is known of the wheels and of the lidar before a sweep. */
+typedef struct {
+    ek_wheels wheels;
+    ek_dirt dirt;
+    ek_company company;
+} ek_before;
+
+/* The sweep with smoothed ranges, without the speckles of a dirty lidar and without what moves along, and with scaled odometry;
+ * `before` becomes what is known after this sweep. */
+ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_before *before);
 
 /* Compare the motion between the last two keyframes as matched with that of the wheels. */
 void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *open, int known);

@@ -1024,41 +1024,40 @@ static void the_scale_of_the_wheels_is_learned(void)
     wheels->has_last = 0;
     wheels->matched = EK_R(40.0);
     wheels->driven = EK_R(50.0);
-    ek_wheels next;
-    ek_dirt dirt;
-    ek_sweep prepared = ek_slam_prepare(&slam, &sweep, &next, &dirt);
+    ek_before next;
+    ek_sweep prepared = ek_slam_prepare(&slam, &sweep, &next);
     CHECK_NEAR(prepared.odom_from_base.x, 10.0, TOLERANCE);
     CHECK_NEAR(prepared.start_from_end.x, 0.84, TOLERANCE);
     CHECK(prepared.ranges == slam.cleaned);
     for (size_t i = 0; i < sweep.beams; i++) {
         CHECK_NEAR(prepared.ranges[i], sweep.ranges[i], 0.0);
     }
-    slam.wheels = next;
+    slam.wheels = next.wheels;
     sweep.odom_from_base.x = EK_R(12.0);
-    prepared = ek_slam_prepare(&slam, &sweep, &next, &dirt);
+    prepared = ek_slam_prepare(&slam, &sweep, &next);
     CHECK_NEAR(prepared.odom_from_base.x, 11.6, TOLERANCE);
     for (size_t i = 0; i < BEAMS; i += 10u) { /* a dirty scan is cleaned */
         ranges[i] = EK_R(4.0) + ranges[i];
     }
     for (uint32_t k = 0; k < 40u; k++) { /* once the lidar is known to be dirty */
-        const ek_real range = ek_slam_prepare(&slam, &sweep, &next, &dirt).ranges[40];
-        CHECK(isnan(range) == (dirt.share >= EK_R(0.015)) && dirt.scans == 51u + k);
-        slam.dirt = dirt;
+        const ek_real range = ek_slam_prepare(&slam, &sweep, &next).ranges[40];
+        CHECK(isnan(range) == (next.dirt.share >= EK_R(0.015)) && next.dirt.scans == 51u + k);
+        slam.dirt = next.dirt;
     }
-    CHECK(dirt.share >= EK_R(0.015));
+    CHECK(next.dirt.share >= EK_R(0.015));
     for (size_t i = 0; i < BEAMS; i++) { /* fine beams that tremble by 10 cm are smoothed */
         ranges[i] = i % 2u ? EK_R(1.1) : EK_R(1.0);
         angles[i] = EK_R(0.25 / 180.0) * EK_PI * (ek_real)i;
     }
-    prepared = ek_slam_prepare(&slam, &sweep, &next, &dirt);
+    prepared = ek_slam_prepare(&slam, &sweep, &next);
     CHECK(prepared.ranges == slam.cleaned);
     CHECK_NEAR(prepared.ranges[10], 1.0, TOLERANCE);
     sweep.beams = BEAMS + 1u; /* refused later, not smoothed beyond the memory */
-    CHECK(ek_slam_prepare(&slam, &sweep, &next, &dirt).ranges == sweep.ranges);
+    CHECK(ek_slam_prepare(&slam, &sweep, &next).ranges == sweep.ranges);
     sweep.angles = NULL;
-    CHECK(ek_slam_prepare(&slam, &sweep, &next, &dirt).angles == NULL);
+    CHECK(ek_slam_prepare(&slam, &sweep, &next).angles == NULL);
     sweep.ranges = NULL;
-    CHECK(ek_slam_prepare(&slam, &sweep, &next, &dirt).ranges == NULL);
+    CHECK(ek_slam_prepare(&slam, &sweep, &next).ranges == NULL);
     free(arena.memory);
 }
 

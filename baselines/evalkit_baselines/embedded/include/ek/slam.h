@@ -8,6 +8,7 @@
 #ifndef EK_SLAM_H
 #define EK_SLAM_H
 
+#include "ek/companions.h"
 #include "ek/continuity.h"
 #include "ek/loop_finder.h"
 #include "ek/motion.h"
@@ -142,6 +143,8 @@ typedef struct {
     ek_slam_task task;
     ek_wheels wheels;
     ek_dirt dirt;
+    ek_view views[3];
+    ek_company company;      /* which of the views are kept */
     ek_doubt doubt;          /* of the step since the last keyframe */
     ek_real usual_error;     /* m: of matches with the map */
     ek_real usual_points;    /* of scans that match it */
