@@ -131,7 +131,7 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
         what = f"its poses are not odometry but {inside}: scans and ODOM lines contain corrected poses"
         yield _warning("odometry", what, "they are used as ground truth, without odometry")
     elif not inside:
-        yield _note("truth", "no ground truth in it", "give relations or a true trajectory")
+        yield _note("truth", "none inside the file", "relations or a true trajectory may lie beside it, or be given")
 
 
 def _check_remarks(streams: RecordingStreams) -> Iterator[InspectionFinding]:
