@@ -308,9 +308,7 @@ def _require_other_than_truth(methods: tuple[Method, ...], sequence: SequenceSpe
         spec = registry.find_backend(method.backend)
         own = spec.addresses if isinstance(spec, (RecordedOdometrySpec, RecordedSlamSpec)) else ()
         if any(is_same_result(each, truth) for each in own):
-            what = (
-                f"'{method.label}': its poses are the ground truth of {sequence.label}, {truth}: its error is zero"
-            )
+            what = f"'{method.label}': its poses are the ground truth of {sequence.label}, {truth}: its error is zero"
             remedy = f"give another ground truth ({GROUND_TRUTH}, --ground-truth), or leave the method out"
             raise BadExperiment(file, "", f"{what}; {remedy}")
 

@@ -18,7 +18,7 @@ from evalkit.core.se2 import wrap
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import Choice
-from evalkit_datasets.commands.inspect.findings import LidarStats, is_default_code
+from evalkit_datasets.commands.inspect.findings import DIRECTION, LidarStats, is_default_code
 from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
@@ -28,6 +28,9 @@ from evalkit_datasets.recordings import catalog, data_sets
 TILT_WORDS = ("vertical",)
 MAPPER = "mapper."
 PROBLEM = "problem"  # the name of a choice that sets nothing
+STATES_DIRECTION = {"base_from_sensor", "fields"}
+"""Parameters of a user who knows how the lidar is mounted."""
+
 MIN_MOUNTING_DEG, MAX_SQUARE_DEG = 5.0, 2.0
 """A smaller heading is not applied; a heading this close to a multiple of 90 deg is taken as that."""
 
@@ -201,11 +204,12 @@ def _choose_for_log(recording: Inspection) -> Iterator[Choice]:
 def _repeat_problems(recording: Inspection, given: Mapping[str, Value]) -> Iterator[Choice]:
     """Say before a comparison what makes its numbers wrong, such as ranges in another unit."""
     said: set[str] = set()  # the same odometry may come as messages and as tf
-    for finding in (one for one in recording.findings if one.level == "problem"):
+    for finding in (one for one in recording.findings if one.level == "problem" or one.about == DIRECTION):
         unused = finding.about.startswith("odometry ") and given.get("odometry") == "none"
-        if not unused and finding.what not in said:
+        stated = finding.about == DIRECTION and not STATES_DIRECTION.isdisjoint(given)
+        if not unused and not stated and finding.what not in said:
             advice = f"; {finding.advice}" if finding.advice else ""
-            yield Choice(PROBLEM, None, f"problem: {finding.about}: {finding.what}{advice}", warns=True)
+            yield Choice(PROBLEM, None, f"{finding.level}: {finding.about}: {finding.what}{advice}", warns=True)
         said.add(finding.what)
 
 
