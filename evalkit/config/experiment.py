@@ -22,11 +22,16 @@ from evalkit.io.toml import load_toml
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, defaults, registry
 from evalkit.plugins.parameters import EXCERPT, NUISANCE, Value, resolve_parameters
+from evalkit.plugins.result_files import is_same_result
+from evalkit.plugins.specs import RecordedOdometrySpec, RecordedSlamSpec
 
 Item = TypeVar("Item")
 
 RESULTS = Path("evalkit-results")
 """Folder of the results folders of commands that are given none."""
+
+GROUND_TRUTH = "ground_truth"
+"""The parameter of readers that names a true trajectory."""
 
 NUISANCE_KEYS = (NUISANCE, EXCERPT)
 MAX_NUISANCE = 64
@@ -198,6 +203,8 @@ def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, sou
         mapper = _read_mapper(table.table("mapper", " with use = NAME"))
     _require_distinct("method", [method.label for method in methods], file)
     _require_distinct("sequence", [sequence.label for sequence in sequences], file)
+    for sequence in sequences:
+        _require_other_than_truth(methods, sequence, file)
     return Experiment(
         name,
         table.text("title", name),
@@ -292,6 +299,18 @@ def _require_distinct(kind: str, labels: list[str], file: str) -> None:
     for label, count in Counter(labels).items():
         if count > 1:
             raise BadExperiment(file, "", f"two {kind}s are labelled '{label}'; give one a label = \"...\" of its own")
+
+
+def _require_other_than_truth(methods: tuple[Method, ...], sequence: SequenceSpec, file: str) -> None:
+    """Raise BadExperiment for poses computed elsewhere that are the ground truth: their error is zero."""
+    truth = str(sequence.parameters.get(GROUND_TRUTH, ""))
+    for method in methods if truth else ():
+        spec = registry.find_backend(method.backend)
+        own = spec.addresses if isinstance(spec, (RecordedOdometrySpec, RecordedSlamSpec)) else ()
+        if any(is_same_result(each, truth) for each in own):
+            what = f"'{method.label}': its poses are the ground truth of {sequence.label}, {truth}: its error is zero"
+            remedy = f"give another ground truth ({GROUND_TRUTH}, --ground-truth), or leave the method out"
+            raise BadExperiment(file, "", f"{what}; {remedy}")
 
 
 def _select(

@@ -143,7 +143,7 @@ def quarantine(
     changes: dict[str, Any] = {
         "cause": Cause.QUARANTINED,
         "reason": f"quarantined: {what}; --rerun crashed runs it again",
-        "provenance": _provenance(settings, spec, None),
+        "provenance": _provenance(store, settings, spec, None),
     }
     result = replace(result, **changes) if result else RunResult(NO_STEPS, 0, **changes)
     store.discard_scores(spec.key)
@@ -173,7 +173,7 @@ def _execute(store: Store, settings: RunSettings, pending: PendingRun, slot: Wor
         if slot.stop.is_set():
             raise CancelledError
         steps = result.steps if settings.timed else _without_times(result.steps)
-        result = replace(result, steps=steps, provenance=_provenance(settings, spec, slot.core))
+        result = replace(result, steps=steps, provenance=_provenance(store, settings, spec, slot.core))
         if not settings.timed:
             result = replace(result, final_cpu_ns=0)
         store.save_result(spec, result)
@@ -265,13 +265,17 @@ def _without_times(steps: NDArray[np.void]) -> NDArray[np.void]:
     return copied
 
 
-def _provenance(settings: RunSettings, spec: RunSpec, core: int | None) -> dict[str, Any]:
-    """When and where a run was executed, with which versions and limits (JSON values)."""
+def _provenance(store: Store, settings: RunSettings, spec: RunSpec, core: int | None) -> dict[str, Any]:
+    """When and where a run was executed, with which versions and limits (JSON values).
+
+    ``folder``: the working folder as seen from the results, so that both may be moved together.
+    """
     where = {name: settings.environment.get(name, "unknown") for name in environment.KEPT_WITH_RUNS}
     libraries = ("numpy", "scipy", *registry.find_backend(spec.method.backend).requires)
     return {
         "executed_at": datetime.now(UTC).isoformat(),
         **where,
+        "folder": os.path.relpath(Path.cwd(), store.folder.resolve()),
         "core": core,
         "versions": environment.versions(libraries),
         "timed": settings.timed,

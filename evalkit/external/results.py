@@ -56,6 +56,7 @@ def scheme(rest: str) -> BackendSpec:
         parameters=override_defaults(name, PARAMETERS, words),
         missing=partial(find_missing, *files),
         digest=compute_digest(*files, words=f"{query}{address.final}"),
+        addresses=tuple(each for each in (f"{file}{query}", address.final) if each),
     )
     if final is None:
         return online

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,9 @@ from evalkit.io.timestamps import format_stamp, order_stamps, parse_stamp_ns
 
 LAYOUT = "t x y z qx qy qz qw"
 
+MAX_TILT_RAD = math.radians(30.0)
+"""A frame tilted by more does not lie in the plane of a floor: a ramp is less steep."""
+
 
 @dataclass(frozen=True, eq=False)
 class TumFile:
@@ -29,20 +33,23 @@ def read_tum(path: Path, parent: str = "world", child: str = "base") -> TumFile:
     """Return the planar part of a TUM file, sorted by time; of poses with equal stamps the first is kept.
 
     Comments (#), blank lines and commas are allowed. Raises DataMissing if there is no such file and BadData, with the
-    line, if it is not a trajectory.
+    line, if it is not a trajectory in a plane: of poses tilted by more than 30 deg, the heading has no meaning.
     """
-    stamps, rows = [], []
+    stamps, rows, lines = [], [], []
     for line, words in iter_rows(path, LAYOUT, f"a trajectory in TUM format ({LAYOUT})"):
         try:
             stamps.append(parse_stamp_ns(words[0]))
         except ValueError as error:
             raise BadData(str(path), f"line {line}", str(error), f"expected '{LAYOUT}'") from None
-        rows.append(_planar_pose(path, line, parse_numbers(path, line, words[1:], LAYOUT)))
+        rows.append(_check_pose(path, line, parse_numbers(path, line, words[1:], LAYOUT)))
+        lines.append(line)
     if not rows:
         raise BadData(str(path), "", "no pose in it", f"expected lines '{LAYOUT}'")
+    _check_tilt(path, lines, np.array(rows)[:, 3:])
+    poses = np.array([(x, y, yaw_from_quaternion(*rotation)) for x, y, _, *rotation in rows])
     order = order_stamps(np.array(stamps, dtype=np.int64))
     counts = {"poses out of order": order.backwards, "poses with a repeated stamp ignored": order.repeated}
-    trajectory = Trajectory(np.array(stamps)[order.keep], np.array(rows)[order.keep], parent, child)
+    trajectory = Trajectory(np.array(stamps)[order.keep], poses[order.keep], parent, child)
     return TumFile(trajectory, {name: count for name, count in counts.items() if count})
 
 
@@ -61,11 +68,37 @@ def yaw_from_quaternion(qx: float, qy: float, qz: float, qw: float) -> float:
     return float(np.arctan2(2.0 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz))
 
 
-def _planar_pose(path: Path, line: int, values: list[float]) -> Floats:
-    x, y, _, *quaternion = values
+def _check_pose(path: Path, line: int, values: list[float]) -> list[float]:
     if not np.isfinite(values).all():
         raise BadData(str(path), f"line {line}", "a value is not finite", "remove the pose from the file")
-    if abs(np.linalg.norm(quaternion) - 1.0) > 0.01:
-        found = f"a quaternion of length {np.linalg.norm(quaternion):g}"
+    length = float(np.linalg.norm(values[3:]))
+    if abs(length - 1.0) > 0.01:
+        found = f"a quaternion of length {length:g}"
         raise BadData(str(path), f"line {line}", found, f"expected '{LAYOUT}' with a unit quaternion")
-    return np.array([x, y, yaw_from_quaternion(*quaternion)])
+    return values
+
+
+def _check_tilt(path: Path, lines: list[int], quaternions: Floats) -> None:
+    """Raise BadData for quaternions (N, 4) in another order, or of a frame that does not lie in the plane.
+
+    All poses may be upside down, as those of a lidar mounted so are.
+    """
+    limit, upright = math.cos(MAX_TILT_RAD), _cos_of_tilt(quaternions)
+    swapped = bool((_cos_of_tilt(np.roll(quaternions, -1, axis=1)) > limit).all() and (upright < limit).mean() > 0.5)
+    side = -1.0 if (upright < 0.0).all() and not swapped else 1.0
+    tilted = np.flatnonzero(side * upright < limit)
+    if not len(tilted):
+        return
+    tilt_deg = math.degrees(math.acos(np.clip(side * upright[tilted[0]], -1.0, 1.0)))
+    remedy = f"expected '{LAYOUT}' of a frame with x forward and z up"
+    if swapped:
+        remedy += "; its quaternions are in the order 'qw qx qy qz': move qw to the end"
+    else:
+        remedy += "; turn the poses of a camera or an IMU with other axes (z forward) into those of the robot's base"
+    what = f"a pose tilted by {tilt_deg:.0f} deg to the plane (at most {math.degrees(MAX_TILT_RAD):.0f} deg)"
+    raise BadData(str(path), f"line {lines[tilted[0]]}", what, remedy)
+
+
+def _cos_of_tilt(quaternions: Floats) -> Floats:
+    """Return the cosines (N,) of the angles between the z axes of rotations (N, 4) and that of the world."""
+    return np.asarray(1.0 - 2.0 * (quaternions[:, 0] ** 2 + quaternions[:, 1] ** 2))

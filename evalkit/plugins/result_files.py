@@ -5,6 +5,7 @@ TUM trajectories are read here; readers of other files are plug-ins, found by th
 
 from __future__ import annotations
 
+import filecmp
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,6 +71,16 @@ def parse_address(text: str) -> ResultAddress:
         remedy = "write ?topic=/pose, ?tf=map,base_link or ?map=/map; ?final=FILE or &final=FILE for corrected poses"
         raise BadData(name, "", f"'?{words[:80]}' behind its name", remedy)
     return ResultAddress(Path(name), dict(pairs), final)
+
+
+def is_same_result(one: str, other: str) -> bool:
+    """Return whether two addresses mean the same poses: in the same file, or in files of the same content."""
+    first, second = parse_address(one), parse_address(other)
+    if first.query != second.query:
+        return False
+    if first.path.resolve() == second.path.resolve():
+        return True
+    return first.path.is_file() and second.path.is_file() and filecmp.cmp(first.path, second.path, shallow=False)
 
 
 def read_trajectory(text: str) -> TumFile:

@@ -137,14 +137,20 @@ class SlamSpec(OdometrySpec):
     kind: ClassVar[BackendKind] = "slam"
 
 
+@dataclass(frozen=True)
 class RecordedOdometrySpec(OdometrySpec):
-    """An odometry that returns poses computed elsewhere."""
+    """An odometry that returns poses computed elsewhere, at these ``addresses`` (``plugins.result_files``)."""
+
+    addresses: tuple[str, ...] = ()
 
     recorded: ClassVar[bool] = True
 
 
+@dataclass(frozen=True)
 class RecordedSlamSpec(SlamSpec):
-    """A SLAM that returns poses computed elsewhere."""
+    """A SLAM that returns poses computed elsewhere, at these ``addresses``."""
+
+    addresses: tuple[str, ...] = ()
 
     recorded: ClassVar[bool] = True
 

@@ -198,6 +198,15 @@ def load_run(folder: Path, entry: Mapping[str, Any], truth: Truth) -> RunRecord:
     return RunRecord(spec, result, replace(scores, alignment=entry["alignment"]), truth, entry["command"])
 
 
+def find_working_folder(folder: Path, key: str) -> Path | None:
+    """Return the folder from which relative paths of a run's data count, None if its result does not state it."""
+    try:
+        working: str = read_sealed(folder / "runs" / key / RESULT)["provenance"]["folder"]
+        return (folder / working).resolve()
+    except (OSError, KeyError, TypeError, ValueError):
+        return None
+
+
 def load_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     """Load a CSV table of the report beside its results.json: its columns, and its rows by column.
 

@@ -119,6 +119,19 @@ def test_a_missing_file_of_a_reader_is_an_error(tmp_path, log, key):
         plan_runs(sequences=[table])
 
 
+@pytest.mark.parametrize("method", ["file:{truth}", "file:{copy}", "file:{own}?final={truth}"])
+def test_poses_that_are_the_ground_truth_are_no_method(tmp_path, log, method):
+    names = {name: tmp_path / f"{name}.tum" for name in ("truth", "copy", "own")}
+    for name, path in names.items():
+        path.write_text(f"0 {1 if name == 'own' else 0} 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
+    table = {"use": "carmen", "label": "mine", "path": str(log), "ground_truth": str(names["truth"])}
+    plan_runs(methods=[{"use": f"file:{names['own']}"}], sequences=[table])
+    use = method.format(**names)
+    with pytest.raises(BadExperiment, match="its poses are the ground truth of mine") as caught:
+        plan_runs(methods=[{"use": use, "label": "answers"}], sequences=[table])
+    assert "'answers'" in str(caught.value)
+
+
 def test_a_reader_without_a_path_is_an_error():
     with pytest.raises(BadExperiment, match=r"sequence 1 \(carmen\): carmen: parameter 'path' is empty; give a path"):
         plan_runs(sequences=[{"use": "carmen"}])

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from datetime import UTC, datetime
+from pathlib import Path
 from queue import SimpleQueue
 
 import numpy as np
@@ -214,6 +215,7 @@ def test_every_run_stores_its_provenance(tmp_path, threaded_scoring):
     assert made.pop("core") == next(iter(environment.cores()), None)
     assert made.pop("versions") == environment.versions(("numpy", "scipy"))
     assert made.pop("timed") is True
+    assert (tmp_path / made.pop("folder")).resolve() == Path.cwd()
     assert made.keys() == set(environment.KEPT_WITH_RUNS)
     assert {name: text for name, text in made.items() if text != "unknown"} == {"commit": "abc", "processor": "slow"}
 

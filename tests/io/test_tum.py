@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from evalkit.core.errors import BadData, DataMissing
 from evalkit.core.trajectory import Trajectory
@@ -51,6 +52,45 @@ def test_a_tilted_pose_keeps_its_heading():
         np.sin(half_yaw) * np.cos(half_roll), np.cos(half_yaw) * np.cos(half_roll),
     )  # fmt: skip
     assert yaw_from_quaternion(*q) == pytest.approx(0.8)
+
+
+def write_rotations(tmp_path, rotations, order="xyzw"):
+    """Write poses at the origin with these rotations (scipy), one a second."""
+    columns = ["xyzw".index(letter) for letter in order]
+    quaternions = rotations.as_quat()[:, columns].tolist()
+    return write_tum(tmp_path, "".join(f"{at} 0 0 0 {' '.join(map(str, q))}\n" for at, q in enumerate(quaternions)))
+
+
+@pytest.mark.parametrize("headings_deg", [(0, 20, 90, -150), (10, 0, -15), (5,)])
+def test_quaternions_with_w_first_are_refused_at_the_first_line_that_shows_it(tmp_path, headings_deg):
+    path = write_rotations(tmp_path, Rotation.from_euler("z", [[each] for each in headings_deg], degrees=True), "wxyz")
+    with pytest.raises(BadData, match=r"line 1: .* 't x y z qx qy qz qw'.*'qw qx qy qz': move qw to the end"):
+        read_tum(path)
+
+
+def test_a_pose_tilted_by_more_than_30_deg_is_refused_and_a_ramp_is_read(tmp_path):
+    ramp = Rotation.from_euler("ZYX", [[40, 0, 0], [40, -29, 0], [130, 0, 29]], degrees=True)
+    poses = read_tum(write_rotations(tmp_path, ramp)).trajectory.poses
+    np.testing.assert_allclose(np.degrees(poses[:, 2]), [40, 40, 130], atol=1e-9)
+    steep = Rotation.from_euler("ZYX", [[40, 0, 0], [40, -31, 0], [130, 0, 0]], degrees=True)
+    with pytest.raises(BadData, match=r"line 2: a pose tilted by 31 deg to the plane \(at most 30 deg\)") as caught:
+        read_tum(write_rotations(tmp_path, steep))
+    assert "move qw" not in str(caught.value)
+
+
+def test_poses_of_a_camera_with_z_forward_are_refused_with_what_to_do(tmp_path):
+    camera = Rotation.from_euler("Y", [[0], [20], [50], [90]], degrees=True)  # world and camera: x right, z forward
+    with pytest.raises(BadData, match=r"line 3: a pose tilted by 50 deg .* \(z forward\) into those of the robot's"):
+        read_tum(write_rotations(tmp_path, camera))
+
+
+def test_poses_of_a_lidar_upside_down_keep_their_heading(tmp_path):
+    flipped = Rotation.from_euler("ZYX", [[0, 0, 180], [60, 0, 180], [100, 0, 178]], degrees=True)
+    poses = read_tum(write_rotations(tmp_path, flipped)).trajectory.poses
+    np.testing.assert_allclose(np.degrees(poses[:, 2]), [0, 60, 100], atol=1e-9)
+    mixed = Rotation.from_euler("ZYX", [[0, 0, 0], [60, 0, 0], [100, 0, 180]], degrees=True)
+    with pytest.raises(BadData, match="line 3: a pose tilted by 180 deg"):
+        read_tum(write_rotations(tmp_path, mixed))
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,8 @@ import numpy as np
 
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
+from evalkit.io.tum import MAX_TILT_RAD
 from evalkit_datasets.parsing.buffers import PoseBuffer
-
-MAX_TILT_RAD = math.radians(30.0)
 
 
 @dataclass(frozen=True, slots=True)

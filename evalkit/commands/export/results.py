@@ -8,14 +8,21 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from evalkit.core.errors import EvalkitError, StoreError, UnknownName
+from evalkit.core.errors import DataMissing, EvalkitError, StoreError, UnknownName
 from evalkit.core.ground_truth import Truth
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import NUISANCE
 from evalkit.plugins.protocols import Sequence as SensorSequence
 from evalkit.report.analysis.scores import DECIDING, Spread, choose_spread
 from evalkit.report.html.method_colours import Stroke, assign_strokes
-from evalkit.results.reader import REMEDY, as_incomplete, load_results_json, load_run, load_table
+from evalkit.results.reader import (
+    REMEDY,
+    as_incomplete,
+    find_working_folder,
+    load_results_json,
+    load_run,
+    load_table,
+)
 from evalkit.results.run_record import RunRecord
 
 IN_PAPERS = ("drift_percent", "cpu_median_ms")
@@ -172,7 +179,7 @@ def _select(
         one for one in content["runs"]
         if (not sequences or one["sequence"] in sequences) and (not methods or one["method"] in methods)
     ]  # fmt: skip
-    opened, remarks = _open_sequences(entries) if scans else ({}, [])
+    opened, remarks = _open_sequences(folder, entries) if scans else ({}, [])
     runs = []
     for entry in (one for one in entries if one["scans_answered"]):
         sequence = opened.get((entry["sequence"], entry["seed"]))
@@ -223,8 +230,8 @@ def _summary_row(row: Mapping[str, str], perturbed: bool) -> SummaryRow:
 
 
 def _open_sequences(
-    entries: Sequence[Mapping[str, Any]],
-) -> tuple[dict[tuple[str, int | None], SensorSequence], list[str]]:
+    folder: Path, entries: Sequence[Mapping[str, Any]],
+) -> tuple[dict[tuple[str, int | None], SensorSequence], list[str]]:  # fmt: skip
     """Open the sequences, by label and seed; return also why some cannot be opened."""
     opened: dict[tuple[str, int | None], SensorSequence] = {}
     remarks: dict[str, None] = {}
@@ -232,8 +239,34 @@ def _open_sequences(
         name = one["sequence"], one["seed"]
         if name in opened or not one["scans_answered"]:
             continue
+        working = find_working_folder(folder, one["key"])
+        parameters = (
+            one["dataset_parameters"] if working is None else _resolve_paths(one["dataset_parameters"], working)
+        )
         try:
-            opened[name] = registry.dataset(one["dataset"]).open(one["dataset_parameters"])
+            opened[name] = registry.dataset(one["dataset"]).open(parameters)
         except (EvalkitError, TypeError) as error:  # TypeError: a stored parameter that the reader does not have
-            remarks[f"{one['sequence']}: without scans and ground truth ({error})"] = None
+            sought = f"; relative paths were sought in {working}, where it ran" if working else ""
+            why = f"{error}{sought if isinstance(error, DataMissing) else ''}"
+            remarks[f"{one['sequence']}: without scans and ground truth ({why})"] = None
     return opened, list(remarks)
+
+
+def _resolve_paths(parameters: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
+    """Return the parameters with absolute paths of the files that they name relative to a folder, if it is known."""
+    resolved = dict(parameters)
+    for name, value in parameters.items():
+        if folder is not None and isinstance(value, str) and value:
+            resolved[name] = _resolve_path(value, folder)
+    return resolved
+
+
+def _resolve_path(value: str, folder: Path) -> str:
+    """Return the absolute path of a file or an address in it (FILE?topic=/pose); any other text as it is."""
+    path, mark, query = value.partition("?")
+    try:
+        if (folder / value).exists():  # a file may have a question mark in its name
+            return str(folder / value)
+        return f"{folder / path}{mark}{query}" if path and (folder / path).exists() else value
+    except (OSError, ValueError):  # a text that is not the path of a file
+        return value

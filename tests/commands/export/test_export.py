@@ -746,3 +746,32 @@ def test_results_with_missing_keys_or_wrong_types_are_one_line(finished_folder, 
     (finished_folder / "results.json").write_text(seal({"schema": schema, **content}, {}), encoding="utf-8")
     with pytest.raises(StoreError, match=r"results\.json: no key 'title'; repeat the comparison with --resume"):
         load_selection(finished_folder)
+
+
+def write_recording(folder):
+    """Write a CARMEN log of a robot that drives straight, with its true poses beside it."""
+    ranges = " ".join(f"{2.0 + 0.01 * beam:.2f}" for beam in range(180))
+    folder.mkdir(parents=True)
+    times = [(f"{1000 + 0.1 * at:.1f}", f"{0.02 * at:.2f} 0 0") for at in range(12)]
+    lines = [f"FLASER 180 {ranges} {pose} {pose} {time} h {time}" for time, pose in times]
+    (folder / "drive.log").write_text("\n".join(lines) + "\n")
+    (folder / "poses.tum").write_text("".join(f"{time} {pose} 0 0 0 1\n" for time, pose in times))
+
+
+def test_data_with_relative_paths_are_found_from_any_folder_and_after_a_move(tmp_path, monkeypatch):
+    project, work = tmp_path / "project", tmp_path / "project" / "work"
+    write_recording(project / "data")
+    work.mkdir()
+    monkeypatch.chdir(work)
+    given = ["../data/drive.log", "--ground-truth", "../data/poses.tum", "--backends", "wheel-odometry", "--as-is"]
+    assert CliRunner().invoke(app, ["compare", *given, "--out", "../results"]).exit_code == 0
+    (tmp_path / "moved").mkdir()
+    project.rename(tmp_path / "moved" / "project")
+    monkeypatch.chdir(tmp_path)
+    found = load_selection(Path("moved/project/results"))
+    assert found.remarks == ()
+    assert len(found.runs[0].truth.trajectory) == 12
+    (tmp_path / "moved" / "project" / "data" / "poses.tum").unlink()
+    (remark,) = load_selection(Path("moved/project/results")).remarks
+    assert "../data/poses.tum: no such file" in remark
+    assert f"relative paths were sought in {tmp_path / 'moved' / 'project' / 'work'}, where it ran" in remark

@@ -30,7 +30,7 @@ from evalkit_datasets.commands.inspect.odometry_stats import TwistComparison, co
 from evalkit_datasets.commands.inspect.page import build_document
 from evalkit_datasets.commands.inspect.range_stats import find_no_return_codes, measure_ranges
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
-from evalkit_datasets.commands.inspect.suggested_config import best_lidar, suggest_config
+from evalkit_datasets.commands.inspect.suggested_config import best_lidar, is_named_as_truth, suggest_config
 from evalkit_datasets.commands.inspect.timing import ClockOffset, measure_clock_offset, measure_timing
 
 DATA = Path(os.environ.get("EVALKIT_DATA") or "absent")
@@ -314,6 +314,75 @@ def test_a_comparison_takes_what_the_inspection_finds_except_what_is_given(tmp_p
     assert chosen == {"range_max_m": 30.0, "relations": str(tmp_path / "truth.relations")}
     given = {"path": str(path), "range_max_m": 25.0, "relations": ""}
     assert list(registry.dataset("carmen").choose(given)) == []
+
+
+def tum(path, begin_s=1000):
+    """Write true poses at 60 tenths of a second: those of the scans of ``drive``."""
+    path.write_text("".join(f"{begin_s + 0.1 * at:.1f} 0 0 0 0 0 0 1\n" for at in range(60)), encoding="utf-8")
+    return path
+
+
+def truth_choices(path):
+    return [one for one in registry.dataset("carmen").choose({"path": str(path)}) if one.name == "ground_truth"]
+
+
+@pytest.mark.parametrize(
+    ("recording", "file", "named"),
+    [
+        ("drive", "drive.tum", True),
+        ("drive.bag", "Drive-GroundTruth.tum", True),
+        ("fr079-fullrate.clf.gz", "fr079-reference-flirtlib.tum", True),
+        ("fr079-fullrate.clf.gz", "fr079.relations", True),
+        ("drive", "truth.tum", True),
+        ("drive", "ground_truth_2d.tum", True),
+        ("drive", "gt.tum", True),
+        ("drive", "final.tum", False),
+        ("drive", "drive-slam.tum", False),
+        ("drive", "drive2.tum", False),
+        ("drive", "other-truth.tum", False),
+        ("drive", "truthless.tum", False),
+        ("fr079-fullrate.clf.gz", "fr079-gmapping.tum", False),
+    ],
+)
+def test_a_truth_has_the_name_of_its_recording_or_of_a_truth(recording, file, named):
+    assert is_named_as_truth(Path(file), Path(recording)) is named
+
+
+def test_the_output_of_a_slam_beside_a_recording_is_not_taken_for_its_truth(tmp_path):
+    path = log(tmp_path, *drive())
+    tum(tmp_path / "final.tum"), tum(tmp_path / "online.tum"), tum(tmp_path / "early.tum", 500)
+    (said,) = truth_choices(path)
+    assert (said.value, "--ground-truth FILE" in said.reason) == (None, True)
+    assert "no ground truth taken of final.tum, online.tum, in the same folder: no name says" in said.reason
+    truth = tum(tmp_path / "truth.tum")
+    (chosen,) = truth_choices(path)
+    assert chosen.value == str(truth)
+    tum(tmp_path / "gt.tum")
+    (said,) = truth_choices(path)
+    assert said.value is None
+    assert "of gt.tum, truth.tum, in the same folder: several have the name of a truth" in said.reason
+
+
+def test_a_truth_by_its_name_that_cannot_be_used_is_told(tmp_path):
+    path = log(tmp_path, *drive())
+    tum(tmp_path / "truth.tum", 500)
+    (said,) = truth_choices(path)
+    assert said.value is None
+    assert "ground truth truth.tum not taken: " in said.reason
+    assert "do not overlap the recording" in said.reason
+
+
+def test_a_given_truth_is_checked_and_stands_in_the_command(tmp_path):
+    path = log(tmp_path, *drive())
+    given = tum(tmp_path / "final.tum")
+    good = CliRunner().invoke(cli.app, ["inspect", str(path), "--ground-truth", str(given)])
+    assert good.exit_code == 0
+    assert "opened: 60 scans, with ground truth" in good.stdout
+    assert shlex.join(["evalkit", "compare", str(path), "--ground-truth", str(given)]) in good.stdout
+    assert "truth: none inside the file" in good.stdout
+    bad = CliRunner().invoke(cli.app, ["inspect", str(path), "--ground-truth", str(tum(given, 500))])
+    assert bad.exit_code == 1
+    assert "do not overlap the recording" in " ".join(bad.stdout.split())
 
 
 @pytest.mark.parametrize(

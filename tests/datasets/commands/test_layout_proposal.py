@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
+from evalkit.plugins import registry
 from evalkit_datasets.commands.inspect.layout_proposal import propose_layout
 from evalkit_datasets.parsing.columns_layout import layout_from_table
 from evalkit_datasets.readers.columns import Columns
@@ -65,6 +66,21 @@ def test_beams_that_turn_against_the_odometry_are_clockwise(tmp_path):
     proposal = propose_layout(write_log(tmp_path / "drive.log", clockwise=True))
     assert tomllib.loads(proposal.toml)["scan"]["clockwise"] is True
     assert "taken as clockwise" in proposal.toml
+
+
+def test_a_direction_that_cannot_be_checked_is_said_in_the_layout_and_by_the_inspection(tmp_path):
+    path = write_log(tmp_path / "drive.log", poses=False)
+    proposal = propose_layout(path)
+    assert "# direction not checked: no odometry is known; counter-clockwise assumed" in proposal.toml
+    assert "# mounting assumed: base_from_sensor (m, m, deg), the lidar at the robot's centre" in proposal.toml
+    assert tomllib.loads(proposal.toml)["base_from_sensor"] == [0.0, 0.0, 0.0]
+    path.with_name("drive.log.toml").write_text(proposal.toml)
+    told = " ".join(CliRunner().invoke(app, ["inspect", str(path)]).output.split())
+    assert "warning: direction of the angles: columns: whether the angles are mirrored" in told
+    (said,) = [one for one in registry.dataset("columns").choose({"path": str(path)}) if "mirrored" in one.reason]
+    assert (said.value, said.warns) == (None, True)
+    checked = propose_layout(write_log(tmp_path / "turns.log"))
+    assert "direction not checked" not in checked.toml
 
 
 def test_centimetres_metres_and_a_code_above_the_ranges_are_told_apart(tmp_path):

@@ -11,7 +11,8 @@ from evalkit.core.pose import Pose
 from evalkit_datasets.commands.datasets.example_bag import write_example
 from evalkit_datasets.commands.inspect.frame_tree import FrameTree
 from evalkit_datasets.commands.inspect.inspector import inspect_recording
-from evalkit_datasets.commands.inspect.mounting_angle import estimate_mounting_angle, estimate_translation
+from evalkit_datasets.commands.inspect.mounting_angle import estimate_motion, estimate_mounting_angle
+from evalkit_datasets.commands.inspect.odometry_stats import compare_turns
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
 from evalkit_datasets.commands.inspect.suggested_config import _choose_mounting, best_lidar, choose_parameters
 
@@ -43,16 +44,16 @@ def drive(heading_deg, backwards=False, noise_m=0.0):
 
 
 def test_a_translation_is_seen_by_the_scans():
-    seen = estimate_translation(ranges_in_room(3.0, 2.0, 0.3), ranges_in_room(3.0, 2.0, 0.3), ANGLES)
-    assert seen == pytest.approx((0.0, 0.0), abs=1e-9)
+    seen = estimate_motion(ranges_in_room(3.0, 2.0, 0.3), ranges_in_room(3.0, 2.0, 0.3), ANGLES)
+    assert seen == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
     moved = se2.between(np.array([[3.0, 2.0, 0.3]]), np.array([[3.1, 2.06, 0.3]]))[0]
-    seen = estimate_translation(ranges_in_room(3.0, 2.0, 0.3), ranges_in_room(3.1, 2.06, 0.3), ANGLES)
-    assert seen == pytest.approx(moved[:2], abs=5e-3)
+    seen = estimate_motion(ranges_in_room(3.0, 2.0, 0.3), ranges_in_room(3.1, 2.06, 0.3), ANGLES)
+    assert seen[:2] == pytest.approx(moved[:2], abs=5e-3)
 
 
 def test_one_direction_of_walls_shows_no_translation_along_them():
     wall = np.where(np.sin(ANGLES) > 0.2, 2.0 / np.maximum(np.sin(ANGLES), 0.2), np.inf)
-    assert estimate_translation(wall, wall, ANGLES) is None
+    assert estimate_motion(wall, wall, ANGLES) is None
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 37.0, 90.0, -135.0, 180.0])
@@ -100,9 +101,9 @@ def test_the_heading_is_applied_where_nothing_states_it(tmp_path):
 
 def test_scans_that_do_not_tell_have_no_translation():
     room = ranges_in_room(3.0, 2.0, 0.0)
-    assert estimate_translation(room, room[:-1], ANGLES) is None
-    assert estimate_translation(room[:5], room[:5], ANGLES[:5]) is None
-    assert estimate_translation(np.full_like(room, np.nan), room, ANGLES) is None
+    assert estimate_motion(room, room[:-1], ANGLES) is None
+    assert estimate_motion(room[:5], room[:5], ANGLES[:5]) is None
+    assert estimate_motion(np.full_like(room, np.nan), room, ANGLES) is None
 
 
 def test_a_lidar_that_turns_on_the_robot_has_no_mounting_angle():
@@ -111,3 +112,28 @@ def test_a_lidar_that_turns_on_the_robot_has_no_mounting_angle():
     turned = [np.roll(row, at) for row, at in zip(rows, rng.integers(0, 720, len(rows)), strict=True)]
     assert estimate_mounting_angle(wheels, laser) is not None
     assert estimate_mounting_angle(wheels, replace(laser, scans=ScanSample(turned))) is None
+
+
+def drive_arcs(sign, turn_deg=4.0, count=60):
+    """Drive a circle of 1 m radius in the room; ``sign`` -1: the lidar lies upside down and nothing says so."""
+    turns = np.radians(turn_deg) * np.arange(count)
+    poses = np.column_stack([3.0 + np.sin(turns), 2.0 - np.cos(turns), turns])
+    rng = np.random.default_rng(2)
+    rows = [ranges_in_room(*pose) + rng.normal(0.0, 0.01, len(ANGLES)) for pose in poses]
+    stamps = np.arange(count) * 180_000_000
+    laser = LaserStream("/scan", "LaserScan", "laser", stamps, None, ScanSample(rows), sign * ANGLES, 0.1, 12.0)
+    return OdometryStream("/odom", "odom", "base", stamps, poses), laser
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_mirrored_angles_are_found_on_arcs_too(sign):
+    found = compare_turns(*drive_arcs(sign))
+    assert (found.driving, found.differs) == (True, sign < 0.0)
+    assert found.scale == pytest.approx(sign, abs=0.1)
+
+
+def test_an_odometry_that_turns_at_random_shows_no_direction():
+    wheels, laser = drive_arcs(1.0)
+    turns = np.radians(4.0) * np.cumsum(np.random.default_rng(5).choice([-1.0, 1.0], len(wheels.poses)))
+    assert compare_turns(replace(wheels, poses=np.column_stack([wheels.poses[:, :2], turns])), laser) is None
+    assert compare_turns(*drive(0.0)) is None  # straight drives

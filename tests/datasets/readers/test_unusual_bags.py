@@ -149,6 +149,51 @@ def test_a_field_that_is_not_there_is_named(tmp_path):
         RosBag(str(path), "/odom", fields="ranges=dist angles=angle")
 
 
+FIELDS = "ranges=ranges first=angle_min step=angle_increment"
+
+
+def write_drive(folder, turn, tf=False, beams=360):
+    """Write a drive in a room of 8 m by 5 m by a robot whose lidar lies upside down; ``turn``: rad a scan."""
+    bag, step = Bag("mcap"), 2.0 * math.pi / beams
+    if tf:
+        bag.tf(T0, "base_link", "laser", quaternion=(1.0, 0.0, 0.0, 0.0))
+    for k in range(40):
+        yaw = turn * k
+        x, y = (3.0 + math.sin(yaw), 2.0 - math.cos(yaw)) if turn else (2.0 + 0.05 * k, 1.0)
+        ways = 1e-6 + yaw - (step * np.arange(beams) - math.pi)  # the angles of a lidar upside down grow clockwise
+        cos, sin = np.cos(ways), np.sin(ways)
+        ranges = np.minimum(np.where(cos > 0, 8 - x, -x) / cos, np.where(sin > 0, 5 - y, -y) / sin)
+        bag.odom(T0 + k * PERIOD, x, y, yaw)
+        bag.scan(T0 + k * PERIOD, ranges, angle_min=-math.pi, angle_max=math.pi, angle_increment=step)
+    return bag.write(folder)
+
+
+def directions(path, **given):
+    found = choose_parameters("rosbag", {"path": str(path), **given})
+    return [(one.reason.split(":")[0], one.warns) for one in found if "mirrored" in one.reason]
+
+
+def test_a_lidar_upside_down_without_a_transform_is_a_problem_on_arcs_and_the_advice_mends_it(tmp_path):
+    path = write_drive(tmp_path, turn=0.07)
+    assert directions(path) == [("problem", True)]
+    assert directions(path, fields=f"{FIELDS} clockwise") == []
+    (turn,) = inspect_recording(path, given={"fields": f"{FIELDS} clockwise"}).turns.values()
+    assert turn.scale == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_direction_that_cannot_be_checked_is_a_warning_unless_something_states_it(tmp_path):
+    path = write_drive(tmp_path, turn=0.0)
+    (warning,) = [one for one in inspect_recording(path).findings if "mirrored" in one.what]
+    assert warning.level == "warning"
+    assert "/scan: whether the angles are mirrored (a lidar upside down) could not be checked" in warning.what
+    assert "the odometry does not turn measurably" in warning.what
+    assert directions(path) == [("warning", True)]
+    assert directions(path, base_from_sensor="0 0 0") == directions(path, fields=FIELDS) == []
+    stated = tmp_path / "stated"
+    stated.mkdir()
+    assert directions(write_drive(stated, turn=0.0, tf=True)) == []
+
+
 @pytest.mark.parametrize(
     ("scale", "period", "said"),
     [(1.0, PERIOD, ""), (1000.0, PERIOD, "millimetres or centimetres taken for metres"),

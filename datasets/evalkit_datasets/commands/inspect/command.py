@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -30,6 +31,9 @@ def inspect(
         Path, typer.Argument(help="A bag (ROS 1 or 2), a CARMEN log, or a text log in columns.", show_default=False)
     ],
     reader: Annotated[str, typer.Option(**READER)] = "",
+    ground_truth: Annotated[
+        Path | None, typer.Option(help="Ground-truth trajectory (TUM) to check with it.", show_default=False)
+    ] = None,
     folder: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write a page with plots there.", show_default=False)
     ] = None,
@@ -42,11 +46,12 @@ def inspect(
     """
     if not file.exists():
         raise BadData(str(file), "", "no such file or folder", "give the path of a bag or a log")
+    given = {} if ground_truth is None else {"ground_truth": str(ground_truth)}
     if not reader and (proposal := _propose(file)) is not None:
-        _print_proposal(file, proposal, as_json, save)
+        _print_proposal(file, given, proposal, as_json, save)
         raise typer.Exit(0 if save else 1)
     recording = inspect_recording(file, reader)
-    advice = suggest_config(recording)
+    advice = suggest_config(recording, given)
     page = None if folder is None else _write_page(folder, recording, advice)
     if as_json:
         print_json(inspection_to_json(recording, advice) | {"page": str(page) if page else None})
@@ -68,7 +73,7 @@ def _propose(file: Path) -> LayoutProposal | None:
         return None  # the inspection says why
 
 
-def _print_proposal(file: Path, proposal: LayoutProposal, as_json: bool, save: bool) -> None:
+def _print_proposal(file: Path, given: Mapping[str, str], proposal: LayoutProposal, as_json: bool, save: bool) -> None:
     if save:
         write_texts(file.parent, {f"{file.name}.toml": proposal.toml})
     if as_json:
@@ -77,7 +82,8 @@ def _print_proposal(file: Path, proposal: LayoutProposal, as_json: bool, save: b
     print_hanging(out, f"{file.name}: text log in columns; {proposal.scans} scans can be read with this layout", "bold")
     out.print(f"\n{proposal.toml}", soft_wrap=True)
     done = f"saved as {file}.toml: check it" if save else f"check it, save it as {file}.toml (--save)"
-    print_hanging(out, f"{done}, and inspect the log again: evalkit inspect {file}")
+    words = [str(file), *(word for name, value in given.items() for word in (f"--{name.replace('_', '-')}", value))]
+    print_hanging(out, f"{done}, and inspect the log again: evalkit inspect {shlex.join(words)}")
 
 
 def inspection_to_json(recording: Inspection, advice: SuggestedConfig | None) -> dict[str, Any]:
@@ -125,7 +131,8 @@ def _print_inspection(recording: Inspection, advice: SuggestedConfig | None) -> 
         print_hanging(out, f"chosen: {reason}", "green")
     for defect in advice.defects:
         print_hanging(out, f"known defect: {defect}")
-    print_hanging(out, f"does not run: {advice.problem}" if advice.problem else f"opened: {advice.scans} scans")
+    opened = f"opened: {advice.scans} scans{', with ground truth' if advice.truth else ''}"
+    print_hanging(out, f"does not run: {advice.problem}" if advice.problem else opened)
     block = f"\n{advice.table}\n{advice.command}"  # lines stay whole, to be copied
     out.print(block, soft_wrap=True)
 

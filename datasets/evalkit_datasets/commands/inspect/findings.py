@@ -28,6 +28,7 @@ MAX_DRIFT_PPM = 500.0
 MAX_OFFSET_RANGE_S = 0.05
 MAX_SCAN_STEP_M = 0.4
 HANDLED = "handled by the reader"
+DIRECTION = "direction of the angles"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +91,12 @@ MIN_RATE_HZ, MAX_RATE_HZ, MIN_RATED = 0.02, 500.0, 10
 MIN_SWEEP_S, MAX_SWEEP_S = 0.04, 0.5
 """Periods (s) of scans within which a robot moves visibly, and that are a revolution: longer ones leave scans out."""
 
+DIRECTION_REMEDIES = {
+    "rosbag": f"give --set '{FIELDS} clockwise'",
+    "columns": "write clockwise = true in [scan] of the layout",
+}
+"""How the direction of the angles is stated, by reader; other formats define it."""
+
 MIN_STANDING, MAX_STILL_OF_MOVING = 0.99, 0.5
 """An odometry that stands for a larger share of the time contradicts scans of which a smaller share does not change."""
 
@@ -102,7 +109,7 @@ def collect_findings(
     rank: dict[Level, int] = {"problem": 0, "warning": 1, "note": 2}
     found = [*_check_file(streams, inside), *_check_lidars(lidars), *_check_scan_steps(odometries, streams),
              *_check_odometry(odometries, turns, streams), *_check_standing(lidars, odometries),
-             *_check_frames(tree, streams)]  # fmt: skip
+             *_check_direction(streams, turns, tree), *_check_frames(tree, streams)]  # fmt: skip
     return tuple(sorted(found, key=lambda finding: rank[finding.level]))
 
 
@@ -131,7 +138,7 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
         what = f"its poses are not odometry but {inside}: scans and ODOM lines contain corrected poses"
         yield _warning("odometry", what, "they are used as ground truth, without odometry")
     elif not inside:
-        yield _note("truth", "no ground truth in it", "give relations or a true trajectory")
+        yield _note("truth", "none inside the file", "relations or a true trajectory may lie beside it, or be given")
 
 
 def _check_remarks(streams: RecordingStreams) -> Iterator[InspectionFinding]:
@@ -352,9 +359,22 @@ def _check_turning(turn: TurnComparison | None, about: str) -> Iterator[Inspecti
             yield _problem(about, f"{what}: the lidar's angles are mirrored, or the odometry's heading", mend)
         else:
             yield _warning(about, what, "check wheel base and clock")
-    elif turn is not None and turn.spread_deg > 1.5:
+    elif turn is not None and turn.spread_deg > 1.5 and not turn.driving:
         what = f"its rotations differ from those of the scans by {turn.spread_deg:.1f} deg ({turn.pairs} turns)"
         yield _note(about, what, "a weak initial guess for registrations")
+
+
+def _check_direction(
+    streams: RecordingStreams, turns: Mapping[str, TurnComparison], tree: FrameTree
+) -> Iterator[InspectionFinding]:
+    """Warn where neither a mounting nor a turn tells whether the angles of a lidar are mirrored."""
+    stated = {mounting.sensor for mounting in tree.mountings if not mounting.problem}
+    unknown = [laser.topic for laser in streams.lasers if laser.frame not in stated]
+    if turns or not unknown or streams.reader not in DIRECTION_REMEDIES:
+        return
+    why = "the odometry does not turn measurably" if streams.wheels else "there is no odometry"
+    what = f"{', '.join(unknown)}: whether the angles are mirrored (a lidar upside down) could not be checked: {why}"
+    yield _warning(DIRECTION, what, f"where a map is a mirror image, {DIRECTION_REMEDIES[streams.reader]}")
 
 
 def _check_twist(one: OdometryStats, about: str) -> Iterator[InspectionFinding]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from evalkit.config import adhoc_experiment
@@ -23,6 +23,7 @@ from evalkit_datasets.commands.inspect.streams import LaserStream, RecordingStre
 from evalkit_datasets.commands.inspect.timing import measure_clock_offset, measure_timing
 from evalkit_datasets.parsing import rosbag_parser
 from evalkit_datasets.parsing.columns_layout import is_described
+from evalkit_datasets.parsing.sweeps import parse_fields
 
 ROSBAG, CARMEN, COLUMNS = OWN = ("rosbag", "carmen", "columns")
 """Readers with an inspection of their own: of the file instead of the frames (columns: with a proposal)."""
@@ -90,11 +91,19 @@ def _lacks_layout(path: Path, reader: str) -> bool:
 
 def _read_streams(path: Path, reader: str, given: Mapping[str, Value]) -> RecordingStreams:
     if reader == ROSBAG:
-        return bag_streams.read_bag_streams(path)
+        streams = bag_streams.read_bag_streams(path)
+        fields = parse_fields(str(given.get("fields", "")))
+        return _reverse_angles(streams) if fields is not None and fields.clockwise else streams
     if reader == CARMEN:
         return log_streams.read_log_streams(path)
     own = {name: value for name, value in given.items() if name not in ("start", "every", "limit")}
     return log_streams.read_sequence_streams(path, reader, own)
+
+
+def _reverse_angles(streams: RecordingStreams) -> RecordingStreams:
+    """Return the streams with the angles of all scans clockwise."""
+    lasers = [one if "clockwise" in one.fields.split() else replace(one, angles=-one.angles) for one in streams.lasers]
+    return replace(streams, lasers=lasers)
 
 
 def measured_directions(lidar: LidarStats) -> float:

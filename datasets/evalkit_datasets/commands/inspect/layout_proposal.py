@@ -65,6 +65,7 @@ def propose_layout(path: Path) -> LayoutProposal | None:
     ranges = rows[:, first : first + beams]
     scan, why = _describe_ranges(ranges)
     layout: dict[str, Any] = {"header_lines": header} if header else {}
+    layout["base_from_sensor"] = [0.0, 0.0, 0.0]
     layout["time"] = {"column": at + 1, "unit": unit} | ({"wraps_at": wraps_at} if wraps_at else {})
     layout["scan"] = {"first": first + 1, "beams": beams, **scan}
     reasons = [f"column {at + 1} increases by {period_s:.3g} s a line: the time, in {unit}", *why]
@@ -164,7 +165,7 @@ def _describe_ranges(ranges: Floats) -> tuple[dict[str, Any], list[str]]:
     scan |= {"first_angle_deg": first_deg, "step_deg": round(step_deg, 7)}
     scan["range_max_m"] = math.ceil(10.0 * highest * metres * 1.001) / 10.0
     view = f"{abs(step_deg) * (beams if beams not in VIEWS else beams - 1):.0f} deg"
-    why.append(f"{beams} beams: {view} from {first_deg:g} deg on, counter-clockwise; check it, and the mounting")
+    why.append(f"{beams} beams: {view} from {first_deg:g} deg on, counter-clockwise; check it")
     return scan, why
 
 
@@ -200,6 +201,10 @@ def _try_layout(path: Path, layout: dict[str, Any], reasons: list[str]) -> Layou
         if turn is not None and turn < -0.5:
             layout["scan"]["clockwise"] = True
             reasons.append("the scans turn against the odometry: the beams are taken as clockwise")
+        elif turn is None or turn < 0.5:
+            why = "the odometry does not turn measurably" if "pose" in layout else "no odometry is known"
+            reasons.append(f"direction not checked: {why}; counter-clockwise assumed, else clockwise = true in [scan]")
+        reasons.append("mounting assumed: base_from_sensor (m, m, deg), the lidar at the robot's centre, 0 deg forward")
         scans = len(Columns(str(path), layout))
     except EvalkitError:
         return None

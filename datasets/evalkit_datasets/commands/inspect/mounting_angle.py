@@ -54,8 +54,8 @@ def estimate_mounting_angle(wheels: OdometryStream, laser: LaserStream) -> Mount
     headings = []
     for one, other in _select_pairs(seconds_since_first(times), poses):
         moved = se2.between(poses[one : one + 1], poses[other : other + 1])[0]
-        seen = estimate_translation(laser.ranges[order[one]], laser.ranges[order[other]], laser.angles)
-        if seen is None or not SPEED_RATIOS[0] < np.hypot(*seen) / np.hypot(*moved[:2]) < SPEED_RATIOS[1]:
+        seen = estimate_motion(laser.ranges[order[one]], laser.ranges[order[other]], laser.angles)
+        if seen is None or not SPEED_RATIOS[0] < np.hypot(*seen[:2]) / np.hypot(*moved[:2]) < SPEED_RATIOS[1]:
             continue
         headings.append(math.atan2(moved[1], moved[0]) - math.atan2(seen[1], seen[0]))
     if len(headings) < MIN_PAIRS:
@@ -70,11 +70,11 @@ def estimate_mounting_angle(wheels: OdometryStream, laser: LaserStream) -> Mount
     return MountingAngle(heading, spread, 1.2533 * spread / math.sqrt(len(headings)), len(headings))
 
 
-def estimate_translation(one: Floats, other: Floats, angles: Floats) -> tuple[float, float] | None:
-    """Return the translation (m) of a lidar between two scans (B,) in its own frame; None if they do not tell.
+def estimate_motion(one: Floats, other: Floats, angles: Floats) -> Floats | None:
+    """Return the motion (3,) of a lidar between two scans (B,) in its own frame (m, m, rad); None if they do not tell.
 
     The range flow of Jaimez et al. (Planar odometry from a radial laser scanner, ICRA 2016, eq. 5): linear in the
-    motion, solved by least squares with Cauchy weights. Rotation is solved for as well, and not returned.
+    motion, solved by least squares with Cauchy weights.
     """
     if len(one) != len(other) or len(one) < MIN_BEAMS:
         return None
@@ -99,7 +99,7 @@ def estimate_translation(one: Floats, other: Floats, angles: Floats) -> tuple[fl
         residual = change - rows @ solution
         scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-4)
         weights = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2)
-    return float(solution[0]), float(solution[1])
+    return solution
 
 
 def _fit_lines(ranges: Floats, step: float) -> tuple[Floats, Floats]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from evalkit.core import se2
-from evalkit.core.arrays import Bools
+from evalkit.core.arrays import Bools, Ints
 from evalkit.core.se2 import Floats, Stamps
+from evalkit_datasets.commands.inspect.mounting_angle import estimate_motion
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, interpolate_odometry
 from evalkit_datasets.commands.inspect.timing import (
     ClockOffset,
@@ -150,19 +152,21 @@ class TurnComparison:
 
     ``scale``: median of the rotation of the scans divided by that of the odometry (1: they agree, -1: opposite
     direction); ``interval``: of that median, about 95 %, by ranks. ``spread_deg``: half the range from the 16th to the
-    84th percentile of the difference.
+    84th percentile of the difference. ``driving``: the robot drives between the scans, so that only the direction of
+    their rotation is reliable.
     """
 
     pairs: int
     scale: float
     interval: tuple[float, float]
     spread_deg: float
+    driving: bool = False
 
     @property
     def differs(self) -> bool:
-        """Whether the scans rotate more than 15 % more or less than the odometry, beyond chance."""
+        """Whether the scans rotate more than 15 % more or less than the odometry, or against it, beyond chance."""
         low, high = self.interval
-        return high < 1.0 - SAME_SCALE or low > 1.0 + SAME_SCALE
+        return high < 0.0 if self.driving else high < 1.0 - SAME_SCALE or low > 1.0 + SAME_SCALE
 
 
 MAX_PAIR_S = 3.0
@@ -173,6 +177,12 @@ MIN_TURN = math.radians(3.0)
 MAX_TURN = math.radians(35.0)
 MAX_PAIRS = 200
 MIN_PAIRS = 8
+MAX_FLOW_TURN, MAX_FLOW_M = math.radians(15.0), 0.4
+"""Range flow is linear in the motion between two scans, which is therefore small."""
+
+MIN_FLOW_SCALE = 0.5
+"""Rotation by range flow divided by that of the odometry: less of it shows no direction."""
+
 SAME_SCALE = 0.15
 CLIP_M = 10.0
 MAX_DIFFERENCES = 500_000
@@ -180,26 +190,44 @@ MAX_DIFFERENCES = 500_000
 
 
 def compare_turns(wheels: OdometryStream, laser: LaserStream) -> TurnComparison | None:
-    """Return the comparison of rotations, or None if fewer than eight pairs of scans rotate on the spot.
+    """Return the comparison of rotations, or None if fewer than eight pairs of scans rotate measurably.
 
     A rotation on the spot shifts a scan along its angles: the shift with the smallest median difference of ranges is
-    the rotation, to a fraction of a beam.
+    the rotation, to a fraction of a beam. With fewer than eight of them, the range flow tells in which direction the
+    scans rotate while the robot drives.
     """
     times, order, poses = interpolate_odometry(wheels, laser)
     if len(times) < MIN_PAIRS:
         return None
     middle_m = float(np.median([_median_range(laser.ranges[at]) for at in order]))
-    pairs = _select_pairs(times, poses, middle_m)
     step = float(np.median(np.diff(laser.angles)))
-    odometry_turns, scan_turns = [], []
-    for one, other in pairs:
-        turn = _measure_rotation(laser.ranges[order[one]], laser.ranges[order[other]], step)
-        if turn is not None:
-            odometry_turns.append(float(se2.wrap(poses[other, 2] - poses[one, 2])))
-            scan_turns.append(turn)
-    if len(odometry_turns) < MIN_PAIRS:
+    pairs = _select_pairs(times, poses, MAX_TURN, lambda turn: MAX_SHIFT * middle_m * turn)
+    on_spot = _compare_pairs(poses, {
+        (one, other): _measure_rotation(laser.ranges[order[one]], laser.ranges[order[other]], step)
+        for one, other in pairs
+    })  # fmt: skip
+    return on_spot or _compare_while_driving(laser, times, order, poses)
+
+
+def _compare_while_driving(laser: LaserStream, times: Stamps, order: Ints, poses: Floats) -> TurnComparison | None:
+    """Return the comparison of rotations by range flow, None if it shows no direction beyond chance."""
+    turns: dict[tuple[int, int], float | None] = {}
+    for one, other in _select_pairs(times, poses, MAX_FLOW_TURN, lambda _turn: MAX_FLOW_M):
+        seen = estimate_motion(laser.ranges[order[one]], laser.ranges[order[other]], laser.angles)
+        turns[one, other] = None if seen is None else float(seen[2])
+    found = _compare_pairs(poses, turns)
+    if found is None or found.interval[0] <= 0.0 <= found.interval[1] or abs(found.scale) < MIN_FLOW_SCALE:
         return None
-    odometry, scans = np.array(odometry_turns), np.array(scan_turns)
+    return replace(found, driving=True)
+
+
+def _compare_pairs(poses: Floats, turns: Mapping[tuple[int, int], float | None]) -> TurnComparison | None:
+    """Return the comparison with the rotations (rad) between pairs of scans, None if fewer than eight are known."""
+    known = {pair: turn for pair, turn in turns.items() if turn is not None}
+    if len(known) < MIN_PAIRS:
+        return None
+    ones, others = np.array(list(known)).T
+    odometry, scans = se2.wrap(poses[others, 2] - poses[ones, 2]), np.array(list(known.values()))
     low, high = np.degrees(np.percentile(scans - odometry, [16, 84]))
     ratios = np.sort(scans / odometry)
     rank = int(0.5 * len(ratios) - math.sqrt(len(ratios)))  # Conover 1999, section 3.2: normal approximation
@@ -207,10 +235,13 @@ def compare_turns(wheels: OdometryStream, laser: LaserStream) -> TurnComparison 
     return TurnComparison(len(ratios), float(np.median(ratios)), interval, 0.5 * float(high - low))
 
 
-def _select_pairs(times: Stamps, poses: Floats, middle_m: float) -> list[tuple[int, int]]:
-    """Return pairs of scans within 3 s between which the odometry rotates by 3 to 35 deg, nearly on the spot.
+def _select_pairs(
+    times: Stamps, poses: Floats, max_turn: float, max_moved_m: Callable[[float], float]
+) -> list[tuple[int, int]]:
+    """Return pairs of scans within 3 s between which the odometry rotates by 3 deg to ``max_turn`` (rad).
 
-    No two pairs overlap: each is a turn of its own, and an odometry that lags in a single turn is no wrong scale.
+    ``max_moved_m(turn)``: its largest translation (m) in a turn (rad). No two pairs overlap: each is a turn of its own,
+    and an odometry that lags in a single turn is no wrong scale.
     """
     pairs: list[tuple[int, int]] = []
     seconds = seconds_since_first(times)
@@ -220,11 +251,11 @@ def _select_pairs(times: Stamps, poses: Floats, middle_m: float) -> list[tuple[i
         last = int(np.searchsorted(seconds, seconds[one] + MAX_PAIR_S, side="right"))
         for other in range(one + 1, min(last, one + 12)):
             turn = abs(float(se2.wrap(poses[other, 2] - poses[one, 2])))
-            if turn > MAX_TURN:
+            if turn > max_turn:
                 break
             if turn >= MIN_TURN:
                 moved = float(np.hypot(*(poses[other, :2] - poses[one, :2])))
-                if moved <= MAX_SHIFT * turn * middle_m:
+                if moved <= max_moved_m(turn):
                     pairs.append((one, other))
                 break
     return pairs[:: max(len(pairs) // MAX_PAIRS, 1)]

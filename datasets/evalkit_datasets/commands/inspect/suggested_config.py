@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
 
 from evalkit.core.errors import BadData, DataMissing, EvalkitError
 from evalkit.core.pose import Pose
@@ -15,19 +18,28 @@ from evalkit.core.se2 import wrap
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import Choice
-from evalkit_datasets.commands.inspect.findings import LidarStats, is_default_code
+from evalkit_datasets.commands.inspect.findings import DIRECTION, LidarStats, is_default_code
 from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
+from evalkit_datasets.parsing.truth_files import TruthPaths, load_truth
 from evalkit_datasets.recordings import catalog, data_sets
 
 TILT_WORDS = ("vertical",)
 MAPPER = "mapper."
 PROBLEM = "problem"  # the name of a choice that sets nothing
+STATES_DIRECTION = {"base_from_sensor", "fields"}
+"""Parameters of a user who knows how the lidar is mounted."""
+
 MIN_MOUNTING_DEG, MAX_SQUARE_DEG = 5.0, 2.0
 """A smaller heading is not applied; a heading this close to a multiple of 90 deg is taken as that."""
 
 USUAL_CELL_M, LARGE_CELL_M = 0.05, 0.1
+
+TRUTH_NAMES = ("truth", "ground[-_]?truth", "gt", "reference", "mocap", "vicon", "optitrack")
+"""Words (regular expressions) that the name of a file with a true trajectory begins with."""
+
+MAX_LISTED = 5
 
 
 @dataclass(frozen=True)
@@ -51,13 +63,16 @@ class SuggestedConfig:
     defects: tuple[str, ...] = ()
 
 
-def suggest_config(recording: Inspection) -> SuggestedConfig | None:
-    """Return a configuration for a recording, or None if it contains no laser scan."""
+def suggest_config(recording: Inspection, given: Mapping[str, Value] | None = None) -> SuggestedConfig | None:
+    """Return a configuration for a recording, or None if it contains no laser scan.
+
+    ``given``: parameters of the reader that are not searched.
+    """
     if not recording.lidars:
         return None
-    choices, tried = _choose(recording, {})
+    choices, tried = _choose(recording, given or {})
     reader = _find_reader(recording)
-    chosen = {one.name: one.value for one in choices if one.value is not None}
+    chosen = {one.name: one.value for one in choices if one.value is not None} | dict(given or {})
     parameters = {"path": str(recording.path)} | {k: v for k, v in chosen.items() if not k.startswith(MAPPER)}
     reasons = [one.reason for one in choices if one.name != PROBLEM]  # problems are findings already
     dataset, drive, defects = _find_catalogued(recording.path)
@@ -189,11 +204,12 @@ def _choose_for_log(recording: Inspection) -> Iterator[Choice]:
 def _repeat_problems(recording: Inspection, given: Mapping[str, Value]) -> Iterator[Choice]:
     """Say before a comparison what makes its numbers wrong, such as ranges in another unit."""
     said: set[str] = set()  # the same odometry may come as messages and as tf
-    for finding in (one for one in recording.findings if one.level == "problem"):
+    for finding in (one for one in recording.findings if one.level == "problem" or one.about == DIRECTION):
         unused = finding.about.startswith("odometry ") and given.get("odometry") == "none"
-        if not unused and finding.what not in said:
+        stated = finding.about == DIRECTION and not STATES_DIRECTION.isdisjoint(given)
+        if not unused and not stated and finding.what not in said:
             advice = f"; {finding.advice}" if finding.advice else ""
-            yield Choice(PROBLEM, None, f"problem: {finding.about}: {finding.what}{advice}", warns=True)
+            yield Choice(PROBLEM, None, f"{finding.level}: {finding.about}: {finding.what}{advice}", warns=True)
         said.add(finding.what)
 
 
@@ -210,19 +226,57 @@ def _choose_cells(lidar: LidarStats) -> Iterator[Choice]:
 
 
 def _find_truth_files(recording: Inspection, given: Mapping[str, Value]) -> Iterator[Choice]:
-    """Find relations and reference trajectory in the same folder that overlap the recording in time."""
-    folder, stem = recording.path.parent, recording.path.name.split(".")[0].split("-")[0]
-    reader = _find_reader(recording)
+    """Find relations and reference trajectory in the same folder that overlap the recording in time.
+
+    Without a name that says so a trajectory may as well be that of a method: it is told, and not chosen.
+    """
     for name, ending in (("relations", "*.relations"), ("ground_truth", "*.tum")):
-        if name in given:
-            continue
-        files = sorted(folder.glob(ending), key=lambda file: (not file.name.startswith(stem), "gmapping" in file.name))
-        for file in files:
-            tried = _try_reader(reader, _minimal_parameters(recording) | {name: str(file)})
-            if not tried.problem and tried.truth:
-                what = f"{name.replace('_', ' ')} {file.name}: in the same folder, and overlaps in time"
-                yield Choice(name, str(file), what)
-                break
+        if name not in given:
+            yield from _choose_truth(recording, name, sorted(recording.path.parent.glob(ending)))
+
+
+def _choose_truth(recording: Inspection, name: str, files: list[Path]) -> Iterator[Choice]:
+    """Choose the only file with the name of a truth; say which other ones, or several, could be chosen."""
+    what, option = name.replace("_", " "), f"--{name.replace('_', '-')}"
+    named = [file for file in files if is_named_as_truth(file, recording.path)]
+    problems = {file: _find_truth_problem(recording, name, file) for file in named}
+    fitting = [file for file in named if not problems[file]]
+    yield from (Choice(name, None, f"{what} {file.name} not taken: {why}") for file, why in problems.items() if why)
+    if len(fitting) == 1:
+        yield Choice(name, str(fitting[0]), f"{what} {fitting[0].name}: in the same folder, and overlaps in time")
+        return
+    others = fitting or [file for file in files if file not in named and _overlaps(recording, name, file)]
+    if others:
+        listed = ", ".join(file.name for file in others[:MAX_LISTED]) + (", ..." if len(others) > MAX_LISTED else "")
+        why = "several have the name of a truth" if fitting else "no name says that it is the truth"
+        yield Choice(name, None, f"no {what} taken of {listed}, in the same folder: {why}; choose with {option} FILE")
+
+
+def is_named_as_truth(file: Path, recording: Path) -> bool:
+    """Return whether a file is called like its recording ("drive.tum") or a truth ("gt.tum", "drive-truth.tum").
+
+    The name of a recording may go on behind a hyphen ("drive-merged.log").
+    """
+    name, whole = file.stem.lower(), recording.name.split(".")[0].lower()
+    own = whole, whole.split("-")[0]
+    rest = next((name[len(each) + 1 :] for each in own if name.startswith((f"{each}-", f"{each}_", f"{each}."))), name)
+    return name in own or re.match(rf"({'|'.join(TRUTH_NAMES)})([-_.]|$)", rest) is not None
+
+
+def _find_truth_problem(recording: Inspection, name: str, file: Path) -> str:
+    """Return why a recording cannot be read with a truth, "" if it can."""
+    tried = _try_reader(_find_reader(recording), _minimal_parameters(recording) | {name: str(file)})
+    return tried.problem or ("" if tried.truth else "no pose of it lies within the scans")
+
+
+def _overlaps(recording: Inspection, name: str, file: Path) -> bool:
+    """Return whether a file can be read and overlaps the scans in time, without opening the recording again."""
+    stamps = np.sort(recording.streams.lasers[0].stamps_ns)
+    try:
+        truth, _ = load_truth(TruthPaths(**{name: str(file)}), stamps, (int(stamps[0]), int(stamps[-1])))
+    except EvalkitError:
+        return False
+    return truth.trajectory is not None or truth.relations is not None
 
 
 def _find_fields(recording: Inspection, topic: str) -> str:
