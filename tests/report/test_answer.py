@@ -8,6 +8,7 @@ from evalkit.core.run_result import LostTrack, RunConditions
 from evalkit.metrics import all_metrics
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_amount, format_milliseconds
+from evalkit.report.html.report_page import render_report
 
 
 @pytest.fixture
@@ -295,5 +296,17 @@ def test_errors_are_printed_in_millimetres_below_a_metre(demo, value, text):
 
 
 def test_times_are_printed_with_two_digits():
-    texts = [format_milliseconds(value).replace("\u00a0", " ") for value in (0.724, 0.997, 8.06, 9.96, 118.2)]
-    assert texts == ["0.72 ms", "1.0 ms", "8.1 ms", "10 ms", "118 ms"]
+    times = (0.00352, 0.0099, 0.724, 0.997, 8.06, 9.96, 118.2)
+    texts = [format_milliseconds(value).replace("\u00a0", " ") for value in times]
+    assert texts == ["0.0035 ms", "0.0099 ms", "0.72 ms", "1.0 ms", "8.1 ms", "10 ms", "118 ms"]
+
+
+def test_a_short_time_is_no_zero_in_a_sentence_nor_in_the_page_tables(build, runs, demo):
+    """Wheel odometry takes 3.5 us a scan; a percentage that small stays zero."""
+    times = next(metric for metric in all_metrics() if metric.name == "cpu_median_ms")
+    assert [format_amount(times, value) for value in (0.00352, 0.0)] == ["0.0035\u00a0ms", "0.00\u00a0ms"]
+    assert format_amount(demo.metrics[1], 0.00352) == "0.00\u00a0%"
+    short = build([run for name in "ab" for run in runs(name, "room", (0.01, 0.02), ms=0.00352)])
+    page = render_report(analyse(short))
+    assert "0.0035" in page
+    assert "0.00<" not in page
