@@ -276,14 +276,31 @@ def lost_pill(
         yield from same("sequences", int(match[1]), len(table[method]))
 
 
-@kind(
-    IN_PILLS, r"times from a busy machine \((?P<count>\d+) of (?P<all>\d+) runs disturbed, load up to (?P<load>\d+)\)$"
-)
-def busy(facts: Facts, count: str, load: str, **said: str) -> Iterator[str]:
+DISTURBANCES = {
+    "other_percent": (rf"other programs took (?:up to )?({NUMBER}) % of the core", 5.0),
+    "steal_percent": (rf"the hypervisor took (?:up to )?({NUMBER}) % of the core", 2.0),
+    "waited_percent": (rf"waiting for the core took (?:up to )?({NUMBER}) % of the time", 5.0),
+}
+"""How a pill states each cause, and the limit beyond which it is one."""
+
+
+@kind(IN_PILLS, r"times from a busy machine \((?P<count>\d+) of (?P<all>\d+) runs disturbed: (?P<causes>.+)\)$")
+def busy(facts: Facts, count: str, causes: str, **said: str) -> Iterator[str]:
     known = [run["conditions"] for run in facts.content["runs"] if run["conditions"] is not None]
+    disturbed = [one for one in known if one["disturbed"]]
     yield from same("runs", int(said["all"]), len(known))
-    yield from same("disturbed", int(count), sum(bool(one["disturbed"]) for one in known))
-    yield from check_amount("load", load, max(one["load"] or 0.0 for one in known))
+    yield from same("disturbed", int(count), len(disturbed))
+    yield from same("up to", "up to" in causes, len(disturbed) > 1)
+    named = 0
+    for name, (pattern, limit) in DISTURBANCES.items():
+        own = [one for one in disturbed if name != "waited_percent" or (one["busy_threads"] or 1) == 1]
+        largest = max((one[name] or 0.0 for one in own), default=0.0)
+        found = re.search(pattern, causes)
+        yield from same(name, found is not None, largest > limit)
+        named += found is not None
+        if found:
+            yield from check_amount(name, found[1], largest)
+    yield from same("causes", causes.count(" took "), named)
 
 
 def _tuned_on(facts: Facts, method: str) -> list[str]:

@@ -268,14 +268,23 @@ def test_maps_that_few_runs_do_not_tell_apart_are_not_tied(build, record):
 
 
 def test_a_busy_machine_is_named_and_an_idle_one_is_not(build, three):
-    def under(other_percent):
-        conditions = RunConditions(load=15.2, other_percent=other_percent)
-        first = replace(three[0], result=replace(three[0].result, conditions=conditions))
-        calm = [replace(run, result=replace(run.result, conditions=RunConditions(load=1.0))) for run in three[1:]]
-        return pills(build([first, *calm]))
+    def under(*conditions):
+        known = (*conditions, *[RunConditions(load=15.2)] * (len(three) - len(conditions)))
+        return pills(build([
+            replace(run, result=replace(run.result, conditions=own)) for run, own in zip(three, known, strict=True)
+        ]))  # fmt: skip
 
-    assert "times from a busy machine (1 of 18 runs disturbed, load up to 15)" in under(40.0)
-    assert not any("busy" in text for text in [*under(0.5), *pills(build(three))])
+    low = RunConditions(load=0.26, other_percent=7.04)
+    once = "times from a busy machine (1 of 18 runs disturbed: other programs took 7.0 % of the core)"
+    assert once in under(low)
+    both = (
+        "times from a busy machine (2 of 18 runs disturbed: other programs took up to 7.0 % of the core, the "
+        "hypervisor took up to 2.4 % of the core and waiting for the core took up to 40 % of the time)"
+    )
+    assert both in under(low, RunConditions(other_percent=4.9, steal_percent=2.4, waited_percent=40.0))
+    threads = RunConditions(waited_percent=40.0, busy_threads=2)  # its threads wait for each other
+    calm = [*under(RunConditions(other_percent=0.5)), *under(threads), *pills(build(three))]
+    assert not any("busy" in text for text in calm)
 
 
 def test_what_is_missing_is_one_pill(build, record, three):
