@@ -41,19 +41,23 @@ def leaders(facts: Facts, where: str) -> Sequence[str]:
     IN_ANSWER,
     r"Take (?P<names>.+?): (?:each )?(?:the best map|best or tied) on (?P<led>\d+) of (?P<of>\d+) "
     r"(?:data sets?|recordings?)(?: by the fit to the known map)?"
-    r"(?:; next best (?P<next>\d+) of (?P<its>\d+))?\.",
+    r"(?:, no other method on (?:more than (?P<most>\d+)|any))?"
+    r"(?:; (?P<fewer>.+?) (?:was|were) not compared on all (?P<all>\d+))?\.",
 )
-def take(facts: Facts, names: str, **said: str) -> Iterator[str]:
+def take(facts: Facts, names: str, **said: str | None) -> Iterator[str]:
     table, winners = standings(facts), names.split(" or ")
     yield from same("winners", set(winners), set(facts.content["answer"]["winners"]))
     for name in winners:
-        yield from same(f"{name} leads", int(said["led"]), table[name][0])
-    yield from same("most", int(said["led"]), max(led for led, _ in table.values()))
-    yield from same("of", int(said["of"]) in (table[winners[0]][1], len(facts.content["answer"]["counted"])), True)
-    if said["next"]:
-        others = {one: row for one, row in table.items() if one not in winners and row[1]}
-        yield from same("next best", int(said["next"]), max(led for led, _ in others.values()))
-        yield from same("its share", (int(said["next"]), int(said["its"])) in others.values(), True)
+        yield from same(f"{name} leads", int(said["led"] or 0), table[name][0])
+    yield from same("most", int(said["led"] or 0), max(led for led, _ in table.values()))
+    yield from same("of", int(said["of"] or 0) in (table[winners[0]][1], len(facts.content["answer"]["counted"])), True)
+    others = [led for name, (led, part) in table.items() if name not in winners and part]
+    yield from same("no other on more than", int(said["most"] or 0), max(others, default=0))
+    over = len(facts.content["answer"]["counted"])
+    fewer = [name for name, (_, part) in table.items() if 0 < part < over]
+    named = fewer if len(fewer) < 2 else [f"{len(fewer)} methods"]
+    yield from same("compared on fewer", [said["fewer"]] if said["fewer"] else [], named)
+    yield from same("all", int(said["all"] or over), over)
 
 
 @kind(
