@@ -45,7 +45,7 @@ NO_STEPS = np.zeros(0, dtype=STEP)
 DISTURBED = "disturbed"
 """Name of the runs that ``--rerun`` executes again because of their conditions, beside the statuses."""
 
-MAX_OTHER_PERCENT, MAX_STEAL_PERCENT, MAX_WAITED_PERCENT = 5.0, 2.0, 5.0
+MAX_PERCENT: Mapping[str, float] = {"other_percent": 5.0, "steal_percent": 2.0, "waited_percent": 5.0}
 """Beyond one of these a run was disturbed: its times say something about the machine too."""
 
 
@@ -76,11 +76,17 @@ class RunConditions:
                 raise ValueError(f"{item.name}: expected a finite number from 0, got {value}")
 
     @property
+    def disturbances(self) -> dict[str, float]:
+        """What took more than a little of the run's core, in percent, by the names of ``MAX_PERCENT``."""
+        taken = {name: getattr(self, name) or 0.0 for name in MAX_PERCENT}
+        if (self.busy_threads or 1) > 1:
+            del taken["waited_percent"]  # own threads wait for each other
+        return {name: value for name, value in taken.items() if value > MAX_PERCENT[name]}
+
+    @property
     def disturbed(self) -> bool:
         """Whether other processes or the hypervisor took more than a little of the run's core."""
-        waited = 0.0 if (self.busy_threads or 1) > 1 else self.waited_percent or 0.0  # own threads wait for each other
-        other, stolen = self.other_percent or 0.0, self.steal_percent or 0.0
-        return other > MAX_OTHER_PERCENT or stolen > MAX_STEAL_PERCENT or waited > MAX_WAITED_PERCENT
+        return bool(self.disturbances)
 
     def as_dict(self) -> dict[str, float | str | bool | None]:
         """All values with ``disturbed``, for JSON."""

@@ -35,6 +35,14 @@ def format_number(value: float, digits: int) -> str:
     return text.replace("-", "" if float(text) == 0.0 else "\u2212")
 
 
+def choose_decimals(unit: str, digits: int, *values: float) -> int:
+    """Return how many decimals values of a unit have: ``digits``, or as many as show two digits of a shorter time."""
+    largest = max(map(abs, values))
+    if unit != "ms" or not 0.0 < largest < 0.995 * 10.0**-digits:
+        return digits
+    return 1 - math.floor(math.log10(largest))
+
+
 def format_amount(metric: Metric, value: float, more: int = 0) -> str:
     """Format a value with its unit and a no-break space: "0.95 %"; metres below 1 m in millimetres: "8.4 mm".
 
@@ -47,7 +55,8 @@ def format_amount(metric: Metric, value: float, more: int = 0) -> str:
 def _format_alike(metric: Metric, values: Sequence[float], more: int = 0) -> tuple[list[str], str]:
     """Return values with the same decimals and their common unit: millimetres if all are below 1 m."""
     if metric.unit != "m":
-        return [format_number(value, metric.digits + more) for value in values], metric.unit
+        decimals = more + choose_decimals(metric.unit, metric.digits, *values)
+        return [format_number(value, decimals) for value in values], metric.unit
     largest = max(abs(value) for value in values)
     if largest >= 1.0:
         return [format_number(value, more + (2 if largest < 100.0 else 0)) for value in values], "m"
@@ -69,8 +78,9 @@ def format_tick(value: float) -> str:
 
 
 def format_milliseconds(value: float) -> str:
-    """Format a time with two digits: "0.72 ms", "8.1 ms", "120 ms"."""
-    return f"{value:.{2 if value < 0.995 else 1 if value < 9.95 else 0}f}\u00a0ms"
+    """Format a time with two digits: "0.0035 ms", "0.72 ms", "8.1 ms", "120 ms"."""
+    digits = 2 if value < 0.995 else 1 if value < 9.95 else 0
+    return f"{value:.{choose_decimals('ms', digits, value)}f}\u00a0ms"
 
 
 def format_bounds(interval: Interval, digits: int) -> str:

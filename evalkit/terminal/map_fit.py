@@ -3,34 +3,38 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from statistics import median
 
 from evalkit.metrics.fit_calibration import WRONG_M, load_calibration
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import MAP_USES, format_amount
+from evalkit.terminal.method_names import cut_middle
 
 FIT, PREDICTED, TRUE = "map_fit_m", "map_wrong_percent", "map_truly_wrong_percent"
 HEADS = {FIT: "fit", PREDICTED: "wrong by fit", TRUE: "truly wrong"}
 
 
-def describe_map_fit(analysis: Analysis) -> Iterator[str]:
-    """Yield a table for each sequence in a known map, then what its columns mean; nothing without such a sequence."""
+def describe_map_fit(analysis: Analysis, names: Mapping[str, str], width: int) -> Iterator[str]:
+    """Yield a table for each sequence in a known map, then what its columns mean; nothing without such a sequence.
+
+    ``names``: those of the methods in a table of at most ``width`` columns.
+    """
     shown = False
     for sequence in analysis.sequences:
         in_map = [label for label, own in sequence.runs.items() if any(one.result.start for one in own)]
         if not in_map:
             continue
         shown = True
-        names = [name for name in HEADS if name != TRUE or _has_values(sequence, name)]
-        rows = [["", "map", "localised after", *(HEADS[name] for name in names)]]
+        metrics = [name for name in HEADS if name != TRUE or _has_values(sequence, name)]
+        rows = [["", "map", "localised after", *(HEADS[name] for name in metrics)]]
         for label in sorted(in_map, key=lambda one: _find_wrong(sequence, one)):
-            cells = [_format(sequence, name, label) for name in names]
+            cells = [_format(sequence, name, label) for name in metrics]
             use = MAP_USES[analysis.comparison.methods[label].map_use]
-            rows.append([label, use, _format_start(sequence, label), *cells])
+            rows.append([names[label], use, _format_start(sequence, label), *cells])
         yield f"In the known map, {sequence.label}:"
-        yield from _align(rows)
+        yield from _align(rows, width)
         for label in in_map:
             ranking = sequence.rankings.get(PREDICTED)
             score = ranking.of(label) if ranking else None
@@ -69,9 +73,11 @@ def _format_start(sequence: SequenceAnalysis, label: str) -> str:
     return f"{median(one.after_s for one in starts):.1f} s" if starts[0].searched else "given"
 
 
-def _align(rows: list[list[str]]) -> Iterator[str]:
-    """Yield the lines of a table: the first two columns to the left, the others to the right."""
+def _align(rows: list[list[str]], width: int) -> Iterator[str]:
+    """Yield the lines of a table: the first two columns to the left, the others to the right, the names cut to fit."""
     sizes = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    sizes[0] = max(1, min(sizes[0], width - sum(size + 2 for size in sizes[1:]) - 2))
+    rows = [[cut_middle(name, sizes[0]), *others] for name, *others in rows]
     for row in rows:
         cells = [
             text.ljust(size) if at < 2 else text.rjust(size)

@@ -53,7 +53,7 @@ out = WordConsole()
 err = WordConsole(stderr=True)
 
 MAX_TABLE = 80
-"""Columns of a table that is piped; on a terminal the smaller of this and its width counts."""
+"""Most columns of a table that does not wrap; less where a terminal or COLUMNS is narrower."""
 
 ENGINES = ("local", "dask")
 EXECUTION = "Execution"
@@ -235,8 +235,8 @@ def split_sequence(text: str) -> tuple[str, dict[str, str]]:
 
 
 def table_width(console: Console) -> int:
-    """Return the width of a table: that of a terminal, at most 80 columns."""
-    return min(console.width, MAX_TABLE) if console.is_terminal else MAX_TABLE
+    """Return the width of a table: that of a terminal or COLUMNS, at most 80 columns."""
+    return min(console.width, MAX_TABLE)
 
 
 def print_json(content: object) -> None:

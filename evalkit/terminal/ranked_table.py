@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rich.console import Console
 from rich.text import Text
@@ -17,10 +18,14 @@ from evalkit.report.analysis.standings import find_cost, select_counted
 from evalkit.report.analysis.statements.warnings import list_remarks
 from evalkit.report.formatting import format_amount, format_milliseconds
 from evalkit.terminal.map_fit import describe_map_fit
+from evalkit.terminal.method_names import cut_middle, shorten_names
 from evalkit.terminal.options import table_width
 
 MAX_LINES = 10
-"""Lines of the table, its head included; a long head takes one more."""
+"""Lines of the table, a head of one line included."""
+
+LEAST_NAME = 12
+"""Columns to which a name may be cut."""
 
 BARS = (18, 8)
 """Widest and narrowest bar, in columns; a table without room for the narrowest has none."""
@@ -70,13 +75,14 @@ def print_answer(console: Console, analysis: Analysis) -> None:
     _print(console, answer.title, "bold")
     if answer.subtitle:
         _print(console, answer.subtitle)
+    names, width = shorten_names(analysis.comparison), table_width(console)
     head, rows = build_rows(analysis)
     if rows:
         console.print()
-        for line in format_rows(head, rows, table_width(console)):
+        for line in format_rows(head, [replace(row, method=names[row.method]) for row in rows], width):
             console.print(line)
         console.print()
-    for text in describe_map_fit(analysis):
+    for text in describe_map_fit(analysis, names, width):
         _print(console, text)
     for text in describe_notes(analysis):
         _print(console, text, "yellow")
@@ -173,23 +179,35 @@ def _cost(sequences: Sequence[SequenceAnalysis], method: str) -> str:
 
 
 def format_rows(head: str, rows: Sequence[RankedRow], width: int, cost: str = CPU) -> Iterator[Text]:
-    """Yield the lines of the table, at most ``MAX_LINES``, each of at most ``width`` columns if the names allow it.
+    """Yield the lines of the table, at most ``MAX_LINES``, each of at most ``width`` columns.
 
     Columns: method, error, its interval as a bar, error by the baseline's, error of corrected poses, CPU time a scan,
-    note. ``cost``: heading of the column of the CPU time, "" without one.
+    note. ``cost``: heading of the column of the CPU time, "" without one. What is too wide goes in this order: the
+    bar, the middle of the names, the end of the line.
     """
+    for line in _format_lines(head, rows, width, cost):
+        line.truncate(width, overflow="ellipsis")
+        yield line
+
+
+def _format_lines(head: str, rows: Sequence[RankedRow], width: int, cost: str) -> Iterator[Text]:
     shown = rows if len(rows) < MAX_LINES else rows[: MAX_LINES - 2]
-    cells = [(row.method, row.error, row.against, row.corrected, row.cost, row.note) for row in shown]
+    cells = [[row.method, row.error, row.against, row.corrected, row.cost, row.note] for row in shown]
     sizes = [max(map(len, column)) for column in zip(*cells, strict=True)]
     sizes[3:5] = (max(size, len(head)) if size else 0 for size, head in zip(sizes[3:5], (CORRECTED, cost), strict=True))
-    room = width - sum(size + 2 for size in sizes if size) - 2
-    bar = min(room, BARS[0]) if room >= BARS[1] else 0
+    room = width - sum(size + 2 for size in sizes if size)
+    bar = min(room - 2, BARS[0]) if room - 2 >= BARS[1] else 0
+    if room < 0:
+        sizes[0] = min(sizes[0], max(sizes[0] + room, LEAST_NAME))
+        for own in cells:
+            own[0] = cut_middle(own[0], sizes[0])
     scale = _Scale([value for row in shown for value in (row.low, row.value, row.high) if value is not None], bar)
     left = sum(size + 2 for size in (*sizes[:2], bar, sizes[2]) if size)
     heads = [f"{text:>{size}}" for text, size in ((CORRECTED, sizes[3]), (cost, sizes[4])) if size]
-    fits = len(head) + 2 <= left or not heads
-    for over in [head] if fits else [head, ""]:
-        columns = heads if fits or not over else []
+    above = textwrap.wrap(head, max(width - 2, 1), break_on_hyphens=False) or [""]
+    above += [""] if heads and len(head) + 2 > left else []
+    for at, over in enumerate(above, start=1):
+        columns = heads if at == len(above) else []
         yield Text("  ".join([f"{f'  {over}':<{left}}", *columns]).rstrip(), style="dim")
     for row, own in zip(shown, cells, strict=True):
         method, error, against, corrected, spent, note = (

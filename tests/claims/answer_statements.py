@@ -41,19 +41,23 @@ def leaders(facts: Facts, where: str) -> Sequence[str]:
     IN_ANSWER,
     r"Take (?P<names>.+?): (?:each )?(?:the best map|best or tied) on (?P<led>\d+) of (?P<of>\d+) "
     r"(?:data sets?|recordings?)(?: by the fit to the known map)?"
-    r"(?:; next best (?P<next>\d+) of (?P<its>\d+))?\.",
+    r"(?:, no other method on (?:more than (?P<most>\d+)|any))?"
+    r"(?:; (?P<fewer>.+?) (?:was|were) not compared on all (?P<all>\d+))?\.",
 )
-def take(facts: Facts, names: str, **said: str) -> Iterator[str]:
+def take(facts: Facts, names: str, **said: str | None) -> Iterator[str]:
     table, winners = standings(facts), names.split(" or ")
     yield from same("winners", set(winners), set(facts.content["answer"]["winners"]))
     for name in winners:
-        yield from same(f"{name} leads", int(said["led"]), table[name][0])
-    yield from same("most", int(said["led"]), max(led for led, _ in table.values()))
-    yield from same("of", int(said["of"]) in (table[winners[0]][1], len(facts.content["answer"]["counted"])), True)
-    if said["next"]:
-        others = {one: row for one, row in table.items() if one not in winners and row[1]}
-        yield from same("next best", int(said["next"]), max(led for led, _ in others.values()))
-        yield from same("its share", (int(said["next"]), int(said["its"])) in others.values(), True)
+        yield from same(f"{name} leads", int(said["led"] or 0), table[name][0])
+    yield from same("most", int(said["led"] or 0), max(led for led, _ in table.values()))
+    yield from same("of", int(said["of"] or 0) in (table[winners[0]][1], len(facts.content["answer"]["counted"])), True)
+    others = [led for name, (led, part) in table.items() if name not in winners and part]
+    yield from same("no other on more than", int(said["most"] or 0), max(others, default=0))
+    over = len(facts.content["answer"]["counted"])
+    fewer = [name for name, (_, part) in table.items() if 0 < part < over]
+    named = fewer if len(fewer) < 2 else [f"{len(fewer)} methods"]
+    yield from same("compared on fewer", [said["fewer"]] if said["fewer"] else [], named)
+    yield from same("all", int(said["all"] or over), over)
 
 
 @kind(
@@ -276,14 +280,31 @@ def lost_pill(
         yield from same("sequences", int(match[1]), len(table[method]))
 
 
-@kind(
-    IN_PILLS, r"times from a busy machine \((?P<count>\d+) of (?P<all>\d+) runs disturbed, load up to (?P<load>\d+)\)$"
-)
-def busy(facts: Facts, count: str, load: str, **said: str) -> Iterator[str]:
+DISTURBANCES = {
+    "other_percent": (rf"other programs took (?:up to )?({NUMBER}) % of the core", 5.0),
+    "steal_percent": (rf"the hypervisor took (?:up to )?({NUMBER}) % of the core", 2.0),
+    "waited_percent": (rf"waiting for the core took (?:up to )?({NUMBER}) % of the time", 5.0),
+}
+"""How a pill states each cause, and the limit beyond which it is one."""
+
+
+@kind(IN_PILLS, r"times from a busy machine \((?P<count>\d+) of (?P<all>\d+) runs disturbed: (?P<causes>.+)\)$")
+def busy(facts: Facts, count: str, causes: str, **said: str) -> Iterator[str]:
     known = [run["conditions"] for run in facts.content["runs"] if run["conditions"] is not None]
+    disturbed = [one for one in known if one["disturbed"]]
     yield from same("runs", int(said["all"]), len(known))
-    yield from same("disturbed", int(count), sum(bool(one["disturbed"]) for one in known))
-    yield from check_amount("load", load, max(one["load"] or 0.0 for one in known))
+    yield from same("disturbed", int(count), len(disturbed))
+    yield from same("up to", "up to" in causes, len(disturbed) > 1)
+    named = 0
+    for name, (pattern, limit) in DISTURBANCES.items():
+        own = [one for one in disturbed if name != "waited_percent" or (one["busy_threads"] or 1) == 1]
+        largest = max((one[name] or 0.0 for one in own), default=0.0)
+        found = re.search(pattern, causes)
+        yield from same(name, found is not None, largest > limit)
+        named += found is not None
+        if found:
+            yield from check_amount(name, found[1], largest)
+    yield from same("causes", causes.count(" took "), named)
 
 
 def _tuned_on(facts: Facts, method: str) -> list[str]:

@@ -17,14 +17,16 @@ START = MapStart(Pose(), 1, 0.0, False, 0.9)
 
 @pytest.fixture
 def lines(record, build):
-    def describe(values, start=START):
+    def describe(values, start=START, width=80):
         records = []
         for name, own in values.items():
             one = record(name, "room", {"ate_rmse_m": 0.1})
             scores = {key: score if isinstance(score, Score) else Score(score, 9) for key, score in own.items()}
             scored = replace(one.scores, by_metric={**one.scores.by_metric, **scores})
             records.append(replace(one, result=replace(one.result, start=start), scores=scored))
-        return list(describe_map_fit(analyse(build(records, metrics=all_metrics()))))
+        return list(
+            describe_map_fit(analyse(build(records, metrics=all_metrics())), {name: name for name in values}, width)
+        )
 
     return describe
 
@@ -42,6 +44,13 @@ def test_each_method_has_its_use_of_the_map_its_start_its_fit_and_its_wrong_posi
     ]
     assert "more than 10 cm off; too high where fewer than 27 % really are" in note
     assert len(note) < 300  # what the shares were learnt on is on the page
+
+
+def test_a_long_name_is_cut_to_the_width_of_the_table(lines):
+    """Of 60 columns, the others take 2 + 12 + 17 + 8 + 14 and the name the rest of 7."""
+    _, head, line, *_ = lines({"abcdefghijklmnopq": {PREDICTED: 1.0, FIT: 0.009}}, width=60)
+    assert line.startswith("  ab...pq  start only  ")
+    assert len(line) == len(head) == 60
 
 
 def test_a_given_start_is_not_searched(lines):

@@ -8,6 +8,7 @@ from rich.console import Console
 from evalkit.core.map_start import MapStart
 from evalkit.core.pose import Pose
 from evalkit.report.analysis.analysis import analyse
+from evalkit.terminal.method_names import shorten_address, shorten_names
 from evalkit.terminal.ranked_table import MAX_LINES, RankedRow, build_rows, format_rows, print_answer
 
 
@@ -37,6 +38,35 @@ def test_a_narrow_table_has_no_bar_and_equal_values_one_place():
     assert [line.plain.index("●") for line in list(format_rows("", [make_row("a", 1.0)] * 2, 80))[1:]] == [28, 28]
 
 
+def test_a_table_is_within_its_width_for_any_name():
+    """Of 80 columns, 2 + (4 + 2) + (6 + 2) + (8 + 2) + (4 + 0) are taken, and the name is cut to the rest of 48."""
+    rows = [make_row("x" * 30 + "middle" + "y" * 30, 1.0, note="best", against="0.10 x"), make_row("b", 2.0)]
+    *_, line, _ = [one.plain for one in format_rows("error, " + "r" * 90, rows, 80)]
+    assert line == f"  {'x' * 22}...{'y' * 23}  1 mm  0.10 x    1.0 ms  best"
+    for width in (20, 40, 80):
+        assert max(len(one.plain) for one in format_rows("error, " + "r" * 90, rows, width)) == width
+
+
+def test_an_address_is_named_by_its_file_unless_two_have_the_same():
+    addresses = ("exec:python /opt/my slam/slam.py --fast", "exec:ssh me@board.local ./my_icp", "exec:python slam.py",
+                 "lib:../libmine.so epsilon=1", "file:../online.tum?final=../final.tum", "file:run.mcap?topic=/pose",
+                 "exec:icp", "tree_icp:SPEC", "paper", "lib:")  # fmt: skip
+    assert [shorten_address(one) for one in addresses] == [
+        "exec: my", "exec: my_icp", "exec: slam.py", "lib: libmine.so", "file: online.tum", "file: run.mcap",
+        "exec: icp", "tree_icp:SPEC", "paper", "lib:",
+    ]  # fmt: skip
+
+
+def test_a_label_that_was_given_and_an_address_whose_file_is_not_its_own_stay_whole(record, build):
+    labels = ("exec:a/slam.py", "exec:b/slam.py", "lib:x/icp.so", "exec:given.py")
+    runs = [record(name, "room", {"ate_rmse_m": 0.1}) for name in labels]
+    runs = [
+        replace(one, spec=replace(one.spec, method=replace(one.spec.method, backend=backend)))
+        for one, backend in zip(runs, (*labels[:3], "exec:other.py"), strict=True)
+    ]
+    assert shorten_names(build(runs)) == dict(zip(labels, (*labels[:2], "lib: icp.so", labels[3]), strict=True))
+
+
 def test_values_that_are_close_are_drawn_close():
     """81 and 103 mm are a quarter apart: from zero, the first is at 79 % of the bar, not at its beginning."""
     dots = [
@@ -48,8 +78,9 @@ def test_values_that_are_close_are_drawn_close():
 def test_columns_keep_their_headings_below_a_title_that_is_wider_than_the_table():
     rows = [replace(make_row("a", 1.0), corrected="1 mm"), make_row("b", 2.0)]
     title = "distance between the halves of the run, a recording with a long name"
-    first, second, line, *_ = [one.plain for one in format_rows(title, rows, 60)]
-    assert (first.strip(), second.split()) == (title, ["corrected", "CPU/scan"])
+    *over, second, line, _ = [one.plain for one in format_rows(title, rows, 60)]
+    assert (" ".join(one.strip() for one in over), second.split()) == (title, ["corrected", "CPU/scan"])
+    assert max(map(len, over)) <= 60
     assert (second.index("corrected") + 9, len(second)) == (line.index("1 mm", 20) + 4, line.index("1.0 ms") + 6)
 
 

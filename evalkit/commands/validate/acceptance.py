@@ -11,8 +11,10 @@ SCHEMA = 3
 """Version of the JSON form (``acceptance.schema.json``). Increase it if a reader of the old form would be misled."""
 
 Claim = Literal["equal", "as-good"]
-CheckOutcome = Literal["passed", "failed", "not shown", "waived", "informative", "not applicable"]
-"""Of a check. "not shown": too few data to tell; "waived": failed, but excepted by name with a reason."""
+CheckOutcome = Literal["passed", "failed", "not shown", "waived", "not judged", "informative", "not applicable"]
+"""Of a check. "not shown": too few data to tell; "waived": failed, but excepted by name with a reason; "not judged":
+ended by an exception that another check, which failed, reports.
+"""
 
 Deciding = Literal["always", "equal", "as-good", "never"]
 """The claim that a check can refute: every claim, one of them, or none."""
@@ -30,7 +32,7 @@ class Check:
     """One measurement or test: what was observed, and the margin it was compared with, with that margin's origin.
 
     ``on``: sequence and seed, or "" for all. ``detail``: additional explanation. ``data``: the numbers behind the text,
-    as JSON values. The outcomes "informative" and "not applicable" never decide a claim.
+    as JSON values. The outcomes "not judged", "informative" and "not applicable" never decide a claim.
     """
 
     name: str
@@ -198,7 +200,7 @@ def as_junit(report: AcceptanceReport) -> str:
     """The report as JUnit XML: a suite for each level, a case for each check; what the claim needs may fail."""
     root = ElementTree.Element("testsuites", name=_printable(f"evalkit validate {report.subject}"))
     for level in report.levels:
-        skipped = [one for one in level.checks if one.outcome in ("not applicable", "waived")]
+        skipped = [one for one in level.checks if one.outcome in ("not applicable", "waived", "not judged")]
         failed = level.failed(report.claim) + level.not_shown(report.claim)
         suite = ElementTree.SubElement(
             root, "testsuite", name=f"{level.number} {level.name}", tests=str(len(level.checks)),

@@ -12,7 +12,7 @@ from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.equivalence.map_cells import GridPair
 from evalkit.commands.validate.known_motion import answer_errors
 from evalkit.commands.validate.level_answers import format_stage
-from evalkit.commands.validate.level_costs import milliseconds
+from evalkit.commands.validate.level_costs import REGISTRATION, milliseconds
 from evalkit.commands.validate.level_runs import CELL_MARGIN, path_distances
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
@@ -109,7 +109,7 @@ def time_figures(level: AcceptanceLevel) -> Iterator[Figure]:
     """Level 5: median and 95th percentile of every method."""
     for kind, labels, what in (
         ("scan_times", level.results["labels"], "a whole scan"),
-        ("pair_times", level.results["registrations"], "one registration of two scans"),
+        ("pair_times", level.results["registrations"], REGISTRATION),
     ):
         for place, result in level.results[kind].items():
             if ENDED in result:

@@ -26,9 +26,6 @@ TRACE_ALONE = "the pose is equal, but not trace"
 CROWDED = ("edges", "points", "sizes")
 """Families of drawn questions of points that have several others near, at the scale of a room."""
 
-NOT_JUDGED = "not judged: an exception ends it"
-"""Begins the observation of a rule that ends as another one did."""
-
 STAGES = {"s2s": "scan to scan", "s2m": "scan to map"}
 
 
@@ -54,7 +51,8 @@ def rules_level(
     for one in results:
         name = f"rule {one.rule}"
         if one.rule in unjudged:
-            checks.append(Check(name, "", one.outcome, "always", f"{NOT_JUDGED}, as in rule {unjudged[one.rule]}"))
+            observed = f"an exception ends it, as in rule {unjudged[one.rule]}"
+            checks.append(Check(name, "", "not judged", "always", observed, detail=one.sentence))
         elif one.outcome == "failed":
             checks.append(Check(name, "", one.outcome, "always", f"{one.sentence} Observed: {one.observed}"))
         else:

@@ -25,7 +25,8 @@ from evalkit.report.html.blocks import (
 )
 
 TONES: Mapping[CheckOutcome, Tone] = {
-    "passed": "good", "failed": "bad", "not shown": "warn", "waived": "warn", "informative": "", "not applicable": "",
+    "passed": "good", "failed": "bad", "not shown": "warn", "waived": "warn", "not judged": "warn",
+    "informative": "", "not applicable": "",
 }  # fmt: skip
 
 MAX_CHECKS = 20

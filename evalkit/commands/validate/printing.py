@@ -11,13 +11,12 @@ import typer
 from rich.table import Table
 
 from evalkit.commands.validate.acceptance import AcceptanceReport, Check, CheckOutcome, as_junit
-from evalkit.commands.validate.level_answers import NOT_JUDGED
 from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import out
 
-HIDDEN: tuple[CheckOutcome, ...] = ("passed", "not applicable")
+HIDDEN: tuple[CheckOutcome, ...] = ("passed", "not judged", "not applicable")
 """Outcomes whose checks are not printed where others failed; the page shows all."""
 
 MAX_LINES = 4
@@ -59,7 +58,7 @@ def _select_checks(report: AcceptanceReport) -> list[Check]:
     (level,) = report.levels
     if not _is_short(report):
         return list(level.checks)
-    return [one for one in level.checks if one.outcome not in HIDDEN and not one.observed.startswith(NOT_JUDGED)]
+    return [one for one in level.checks if one.outcome not in HIDDEN]
 
 
 def _is_short(report: AcceptanceReport) -> bool:

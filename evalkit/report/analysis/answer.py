@@ -63,12 +63,10 @@ def compute_answer(
     by_maps = bool(contests) and contests is by_evidence[2]
     standings = compute_standings(comparison, sequences, contests)
     winners = find_winners(standings, contests)
-    others = [one for one in standings if one.method not in winners and one.counted]
-    runner_up = others[0] if winners and others else None
     cheapest = find_cheapest(comparison, standings, winners)
     losses = find_losses(winners[0], contests) if len(winners) == 1 else ()
     return Answer(
-        format_title(standings, contests, winners, runner_up) if contests else explain_no_contest(sequences, verdicts),
+        format_title(standings, contests, winners) if contests else explain_no_contest(sequences, verdicts),
         " or ".join(winners),
         format_subtitle([one for one in standings if one.method in winners], contests, losses, cheapest),
         compute_pills(comparison, sequences, verdicts, {one.sequence for one in contests}),

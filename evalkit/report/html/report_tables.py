@@ -13,7 +13,14 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, select_unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.formatting import capitalise, count_losses, format_amount, format_loss, format_number
+from evalkit.report.formatting import (
+    capitalise,
+    choose_decimals,
+    count_losses,
+    format_amount,
+    format_loss,
+    format_number,
+)
 from evalkit.report.html.blocks import Block, Cell, Chips, Column, Table, Text, Tone
 from evalkit.report.html.method_colours import Strokes
 from evalkit.results.run_record import RunRecord
@@ -185,7 +192,7 @@ def numbers_table(analysis: Analysis, strokes: Strokes) -> Table:
             if sequence.final is not None:
                 cells.append(score_cell(sequence.final, sequence.final.of(standing.method), link))
         led = Cell(f"{standing.led}/{standing.counted}", standing.led) if standing.counted else DASH
-        cost = DASH if standing.cpu_ms is None else Cell(format_number(standing.cpu_ms, 2), standing.cpu_ms)
+        cost = DASH if standing.cpu_ms is None else Cell(_format_time(standing.cpu_ms), standing.cpu_ms)
         link = f"#method-{places[standing.method]}"
         rows.append([method_cell(comparison, strokes, standing.method, link), led, *cells, cost])
     return Table(columns, rows, label="At a glance")
@@ -299,7 +306,13 @@ def _bounds(metric: Metric, low: float, high: float) -> str:
 
 def _format(metric: Metric, value: float) -> str:
     """Format a value for a cell: positions with their unit, others without."""
-    return format_amount(metric, value) if metric.unit == "m" else format_number(value, metric.digits)
+    if metric.unit == "m":
+        return format_amount(metric, value)
+    return format_number(value, choose_decimals(metric.unit, metric.digits, value))
+
+
+def _format_time(milliseconds: float) -> str:
+    return format_number(milliseconds, choose_decimals("ms", 2, milliseconds))
 
 
 def _counterpart(metrics: Sequence[Metric], rows: Sequence[Published]) -> Metric | None:

@@ -155,8 +155,15 @@ def test_one_exception_that_ends_several_rules_is_said_once_and_breaks_the_first
     )
     by_name = {one.name: one for one in level.checks}
     assert [name for name, one in by_name.items() if "raises E" in one.observed] == ["rule order"]
-    assert by_name["rule large"].observed == "not judged: an exception ends it, as in rule order"
-    assert len(level.failed("equal")) == 6  # none of them has passed
+    large = by_name["rule large"]
+    assert (large.outcome, large.observed) == ("not judged", "an exception ends it, as in rule order")
+    assert [one.name for one in level.failed("equal")] == ["all rules", "rule order", "rule wall", "rule thread"]
+    assert (level.passed("equal"), level.outcome("equal")) == ([], "failed")
+    suite = ElementTree.fromstring(as_junit(report(level))).find("testsuite")
+    assert suite is not None
+    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("7", "4", "2")
+    skipped = [one.get("message", "") for one in suite.iter("skipped")]
+    assert skipped == [f"an exception ends it, as in rule order. It holds: {name}." for name in ("large", "buffers")]
     waived = rules_level(results, waivers={"order": "noise"}).checks
     assert waived[0].observed.startswith("3 of 6 rules broken: wall, large, thread, 1 waived; not judged, as the exc")
     everything = dict.fromkeys(("order", "wall", "large", "buffers", "thread"), "known")

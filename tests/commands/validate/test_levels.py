@@ -262,10 +262,17 @@ def test_times_are_told_by_the_clock_that_measured_them(reference, tmp_path):
         "2 ms (95 % 2, at most 2) of CPU time; 2 ms (95 % 2, at most 2) by the wall clock; 50 %"
     )
     assert (pace.outcome, pace.margin) == ("passed", "5 ms between two scans")
+    assert pace.observed == (
+        "keeps up: 95 % of the scans within 2 ms (wall clock), 5 ms between two scans; 0.0 % took longer"
+    )
     assert ratio.observed.startswith("0.5 times as long (CPU; quartiles 0.5 to 0.5): 2 ms, paper 4 ms")
     board, pace, ratio = costs({"room": times(cpu=(0, 4e6), wall=(9e6, 4e6), device=(7e6, 0))})
     assert board.observed.startswith("7 ms (95 % 7, at most 7) of device time; 9 ms")
     assert pace.outcome == "failed"
+    assert pace.observed == (
+        "does not keep up: 95 % of the scans within 7 ms (its own measurement), 5 ms between two scans; "
+        "100.0 % took longer"
+    )
     assert ratio.observed == "device and CPU times cannot be compared"
     remote = costs({"room": times(cpu=(0, 4e6), wall=(3e6, 4e6))})[0]
     assert remote.observed.startswith("3 ms (95 % 3, at most 3) of wall clock time")
@@ -273,13 +280,16 @@ def test_times_are_told_by_the_clock_that_measured_them(reference, tmp_path):
     assert "; 1 ms (95 % 1, at most 1) by its own measurement, the rest is communication" in both.observed
     ended = costs({"room": KILLED}, pair_times={"room": KILLED, "lab": times()})
     assert ended[0].observed == "the measurement did not finish: killed by signal 11"
-    assert [(one.name, one.on) for one in ended[1:]] == [("one registration, compared with paper", "lab")]
+    far = "one registration from a guess 5 or 30 cm off, compared with paper"
+    assert [(one.name, one.on) for one in ended[1:]] == [(far, "lab")]
     (tmp_path / "mine.so").write_bytes(b"no library")
     assert costs({}, compiled=[tmp_path / "mine.so"]) == ()
     heavy = replace(reference, result=replace(reference.result, peak_memory_bytes=256 * 2**20))
     none = replace(reference, result=replace(reference.result, peak_memory_bytes=0))
     (memory,) = costs({}, records={"lab": {"mine": none}, "room": {"mine": heavy, "paper": heavy}})
     assert memory.observed == "256 MiB with interpreter and data (paper 256 MiB)"
+    (alone,) = costs({}, records={"room": {"mine": heavy}})
+    assert alone.observed == "256 MiB with interpreter and data"
 
 
 def drawn(clear=None, limits=0, where="", start="", crowded=0, mispaired=0, scales=0, parameters=0, **evidence):

@@ -17,7 +17,6 @@ from evalkit.commands.validate.equivalence.divergence import Divergence
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, PosePair, Question
 from evalkit.commands.validate.equivalence.margins import Margin
 from evalkit.commands.validate.equivalence.questions import DrawnQuestion
-from evalkit.commands.validate.level_answers import NOT_JUDGED
 from evalkit.commands.validate.rules import scenes
 from evalkit.core.errors import BadParameter, DataMissing, NotInstalled, UnknownName
 from evalkit.core.grid import OccupancyGrid
@@ -311,7 +310,7 @@ def test_a_report_is_printed_by_level_or_by_check_and_kept_for_a_build_server(tm
     rows = printing.format_table(report).row_count
     both = printing.format_table(replace(report, levels=(level, replace(level, number=1)))).row_count
     assert (rows, both) == (6, 2)
-    unjudged = replace(level, checks=(*checks, replace(checks[0], observed=f"{NOT_JUDGED}, as in rule order")))
+    unjudged = replace(level, checks=(*checks, replace(checks[0], outcome="not judged")))
     assert printing.format_table(replace(report, levels=(unjudged,))).row_count == 6  # "all rules" names it
     with pytest.raises(typer.Exit) as ended:
         printing.finish(report, tmp_path, False, tmp_path / "junit.xml")

@@ -23,6 +23,13 @@ MAX_OF_A_KIND = 2
 MAX_GROUPS = 2
 """More groups of methods, by the data sets that their settings were chosen on, are counted in one pill."""
 
+DISTURBANCES: Mapping[str, tuple[str, str]] = {
+    "other_percent": ("other programs took", "the core"),
+    "steal_percent": ("the hypervisor took", "the core"),
+    "waited_percent": ("waiting for the core took", "the time"),
+}
+"""What disturbs a run, and of what its share is, by the names of ``RunConditions.disturbances``."""
+
 
 @dataclass(frozen=True, slots=True)
 class Pill:
@@ -128,13 +135,17 @@ def _group(what: str, found: Mapping[str, Sequence[str]]) -> list[Pill]:
 
 
 def _describe_load(runs: Sequence[RunRecord]) -> Pill | None:
-    """Return the runs during which other programs used the machine."""
+    """Return the runs during which other programs used the machine, and the largest of what exceeded its limit."""
     known = [run.result.conditions for run in runs if run.result.conditions is not None]
-    count = sum(one.disturbed for one in known)
-    if not count:
+    found = [own for one in known if (own := one.disturbances)]
+    if not found:
         return None
-    load = max(one.load or 0.0 for one in known)
-    return Pill(f"times from a busy machine ({count} of {len(known)} runs disturbed, load up to {load:.0f})")
+    up_to = "" if len(found) == 1 else "up to "
+    parts = []
+    for name, (what, of) in DISTURBANCES.items():
+        if percent := max(own.get(name, 0.0) for own in found):
+            parts.append(f"{what} {up_to}{percent:.{int(percent < 9.95)}f} % of {of}")
+    return Pill(f"times from a busy machine ({len(found)} of {len(known)} runs disturbed: {join_words(parts)})")
 
 
 def _describe_tuned(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> list[Pill]:

@@ -9,16 +9,14 @@ from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_map
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.standings import MAX_NAMED, Contest, Loss, Standing, compute_ratio
 from evalkit.report.analysis.statements.verdict import LED, SequenceVerdict, explain_unranked
-from evalkit.report.formatting import capitalise, format_amount, format_milliseconds, join_words
+from evalkit.report.formatting import capitalise, format_amount, format_milliseconds, join_words, name_or_count
 from evalkit.stats.runs import FEW_RUNS
 
 BY_FIT = " by the fit to the known map"
 """What follows the name of a data set without ground truth that the fit to a known map decides."""
 
 
-def format_title(
-    standings: Sequence[Standing], contests: Sequence[Contest], winners: Sequence[str], runner_up: Standing | None
-) -> str:
+def format_title(standings: Sequence[Standing], contests: Sequence[Contest], winners: Sequence[str]) -> str:
     """Return the title over at least one contest."""
     first, by_maps = standings[0], decided_by_maps(contests[0].ranking)
     how = BY_FIT if decided_by_fit(contests[0].ranking) else ""
@@ -34,9 +32,22 @@ def format_title(
         return _format_single(names, len(winners) > 1, contests[0], how)
     counted = first.counted if len(winners) == 1 else len(contests)
     best = f"{'each ' * (len(winners) > 1)}{'the best map' if by_maps else 'best or tied'}"
-    rest = "" if runner_up is None else f"; next best {runner_up.led} of {runner_up.counted}"
     kind = f"{'recording' if by_maps else 'data set'}{'s' if counted != 1 else ''}"
+    rest = _describe_others(standings, winners, len(contests))
     return f"Take {names}: {best} on {first.led} of {counted} {kind}{how}{rest}."
+
+
+def _describe_others(standings: Sequence[Standing], winners: Sequence[str], contests: int) -> str:
+    """Return on how many data sets any other method leads at most, and which methods were compared on fewer."""
+    others = [one for one in standings if one.counted and one.method not in winners]
+    if not others:
+        return ""
+    most = max(one.led for one in others)
+    rest = f", no other method on {f'more than {most}' if most else 'any'}"
+    fewer = [one.method for one in standings if 0 < one.counted < contests]
+    if not fewer:
+        return rest
+    return f"{rest}; {name_or_count(fewer, 1)} {'was' if len(fewer) == 1 else 'were'} not compared on all {contests}"
 
 
 def _format_single(names: str, tied: bool, contest: Contest, how: str) -> str:
