@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 
 import numpy as np
@@ -465,9 +465,9 @@ def test_a_scan_above_its_weighted_tallies_is_counted(capsys):
 def test_no_scan_on_the_emulated_cortex_m4f_takes_more_instructions_than_its_bound():
     words = [sys.executable, CORE / "board" / "figures", "--seed", "5", "--sessions", "5", "--bound", "500"]
     printed = subprocess.run(words, capture_output=True, text=True, check=True, timeout=600).stdout
-    for precision in ("double", "float"):
-        assert f"random, {precision}: 100 scans, 0 above their weighted tallies" in printed
-        assert f"{precision}: no tally exceeds its bound in 10000 random scans" in printed
+    for kind, precision in product(("points", "lines"), ("double", "float")):
+        assert f"random {kind}, {precision}: 100 scans, 0 above their weighted tallies" in printed
+        assert f"{kind}, {precision}: no tally exceeds its bound in 10000 random scans" in printed
     figures = load_figures()
     assert printed.count(" kB | ") == 2 * len(figures.CONFIGURATIONS)
     stacks = dict(re.findall(r"\n\| (`.*) \| \d+ B \| (\d+) B \|", printed))

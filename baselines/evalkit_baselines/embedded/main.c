@@ -33,28 +33,13 @@ static int print_file_error(const char *path, const char *what)
     return 1;
 }
 
-/* Set the parameters of embedded-pipeline-line. */
-static void use_lines(ek_frontend_parameters *frontend)
-{
-    ek_icp_parameters icp = frontend->scan_to_map;
-    icp.metric = EK_METRIC_LINE;
-    icp.cauchy = EK_R(0.1);
-    icp.epsilon = EK_R(1e-6);
-    icp.max_correspondence = EK_R(1.0);
-    icp.one_to_one = 0;
-    frontend->scan_to_scan = frontend->scan_to_map = icp;
-    frontend->keyframe_distance = EK_R(0.3);
-    frontend->keyframe_angle = EK_R(0.17453292519943295); /* 10 deg */
-    frontend->map_voxel = EK_R(0.1);
-}
-
 /* Returns 0, or 1 after a message. */
 static int start(session *s, const char *log)
 {
     ek_pipeline_parameters parameters = ek_pipeline_default();
     size_t bytes;
     if (s->line) {
-        use_lines(&parameters.frontend);
+        parameters.frontend = ek_frontend_lines();
     }
     parameters.grid.polygon = s->polygon;
     parameters.scan.range_min = s->log.range_min;

@@ -5,8 +5,9 @@
  *
  *     count sizes CONFIGURATION        print the bytes of the struct and of its memory, and the bounds of the tallies
  *     count log CONFIGURATION FILE     a recording (scanlog.h)
- *     count random SEED SESSIONS       sessions of 20 random scans with random parameters
- *     count bound SEED SESSIONS        the same, and print only the number of scans and the largest share of each bound
+ *     count random KIND SEED SESSIONS  sessions of 20 random scans with random parameters; KIND: points (and keyframes), or
+ *                                      lines (most with lines and a lasting map, half of them with polygons)
+ *     count bound KIND SEED SESSIONS   the same, and print only the number of scans and the largest share of each bound
  *     count stack                      on a board: print the stack of ek_pipeline_bytes, _start and _update with points
  *                                      and keyframes, then with lines and a lasting map, and of ek_icp_register with a table
  */
@@ -23,23 +24,31 @@
 #define RANDOM_BEAMS 96u
 #define SCANS 20
 
-/* Beams, keyframes, cells of the local map's index (0: as many as points need), side of the map in cells (0: no map). */
+/* Beams, keyframes, cells of the local map's index (0: as many as points need), side of the map in cells (0: no map), and
+ * voxels of a lasting map, with lines (0: points and keyframes). */
 typedef struct {
     const char *name;
     uint32_t points, keyframes, cells, side;
     double resolution, range_max; /* m */
+    uint32_t voxels;
+    double radius; /* of the lasting map (m) */
+    int32_t polygon;
 } configuration;
 
 static const configuration configurations[] = {
-    {"default", 2048u, 10u, 0u, 1024u, 0.05, 12.0},
-    {"1600", 1600u, 10u, 0u, 512u, 0.05, 12.0},
-    {"1600-no-map", 1600u, 10u, 0u, 0u, 0.05, 12.0},
-    {"360", 360u, 5u, 8192u, 256u, 0.1, 8.0},
+    {"default", 2048u, 10u, 0u, 1024u, 0.05, 12.0, 0u, 0.0, 0},
+    {"1600", 1600u, 10u, 0u, 512u, 0.05, 12.0, 0u, 0.0, 0},
+    {"1600-no-map", 1600u, 10u, 0u, 0u, 0.05, 12.0, 0u, 0.0, 0},
+    {"360", 360u, 5u, 8192u, 256u, 0.1, 8.0, 0u, 0.0, 0},
+    {"1600-lines", 1600u, 10u, 0u, 0u, 0.05, 12.0, 16384u, 15.0, 0},
+    {"360-lines", 360u, 10u, 0u, 0u, 0.1, 8.0, 4096u, 8.0, 0},
+    {"360-lines-polygon", 360u, 10u, 0u, 256u, 0.1, 8.0, 4096u, 8.0, 1},
 };
 
 static ek_pipeline pipeline;
 static ek_real ranges[MAX_BEAMS], angles[MAX_BEAMS];
 static void *memory;
+static unsigned char *aligned; /* its first byte at a multiple of EK_ALIGNMENT: newlib aligns to 8 bytes */
 static uint64_t state; /* of the random numbers */
 
 /* Random number in [low, high); the same on every processor (Marsaglia 2003, xorshift64). */
@@ -62,16 +71,21 @@ static int fail(const char *what, ek_status status)
     return 1;
 }
 
+/* Take memory instead of the last; NULL if there is too little. */
+static unsigned char *take_memory(size_t bytes)
+{
+    free(memory);
+    memory = malloc(bytes + EK_ALIGNMENT);
+    aligned = memory ? (unsigned char *)memory + (EK_ALIGNMENT - (uintptr_t)memory % EK_ALIGNMENT) : NULL;
+    return aligned;
+}
+
 static int begin(const ek_pipeline_parameters *parameters)
 {
     size_t bytes;
-    free(memory);
-    memory = NULL;
     ek_status status = ek_pipeline_bytes(parameters, &bytes);
     if (status == EK_OK) {
-        memory = malloc(bytes + EK_ALIGNMENT); /* newlib aligns to 8 bytes */
-        unsigned char *const aligned = (unsigned char *)memory + (EK_ALIGNMENT - (uintptr_t)memory % EK_ALIGNMENT);
-        status = memory ? ek_pipeline_start(&pipeline, aligned, bytes, parameters) : EK_TOO_LITTLE_MEMORY;
+        status = take_memory(bytes) ? ek_pipeline_start(&pipeline, aligned, bytes, parameters) : EK_TOO_LITTLE_MEMORY;
     }
     return status == EK_OK ? 0 : fail("start", status);
 }
@@ -79,11 +93,17 @@ static int begin(const ek_pipeline_parameters *parameters)
 static ek_pipeline_parameters configured(const configuration *chosen)
 {
     ek_pipeline_parameters parameters = ek_pipeline_default();
+    if (chosen->voxels) {
+        parameters.frontend = ek_frontend_lines();
+        parameters.frontend.voxels = chosen->voxels;
+        parameters.frontend.map_radius = EK_R(chosen->radius);
+    }
     parameters.frontend.points = chosen->points;
     parameters.frontend.keyframes = chosen->keyframes;
     parameters.frontend.cells = chosen->cells;
     parameters.map = chosen->side > 0u;
     if (parameters.map) {
+        parameters.grid.polygon = chosen->polygon;
         parameters.grid.columns = parameters.grid.rows = chosen->side;
         parameters.grid.left = parameters.grid.bottom = -(int32_t)(chosen->side / 2u);
         parameters.grid.resolution = EK_R(chosen->resolution);
@@ -101,42 +121,85 @@ static uint64_t smaller(uint64_t a, uint64_t b)
     return a < b ? a : b;
 }
 
-/* How often a search looks around: in squares of twice the size each, from 0.75 of a cell of at least 1 mm to the limit,
- * and once more where two points are equally near. */
-static uint64_t looks_of_search(ek_real limit)
+/* How often something is doubled until it is no longer below a limit. */
+static uint64_t doublings(double from, double limit)
 {
-    uint64_t looks = 3u;
-    for (double radius = 0.00075; radius < (double)limit + 0.01; radius *= 2.0) {
-        looks++;
+    uint64_t times = 0u;
+    for (; from < limit; from *= 2.0) {
+        times++;
     }
-    return looks;
+    return times;
 }
 
-/* The bounds of README.md; for maps that do not roll, from beams, and limits of correspondences above 0. */
+/* What a stage is matched with. */
+typedef struct {
+    uint64_t points, cells, longest; /* at most; longest: rows or columns of its cells */
+} target_size;
+
+/* Add the work of a registration. A search looks around in squares of twice the size each, from 0.75 of a cell of at least
+ * 1 mm to the limit, and once more where two points are equally near; for a line, from a quarter of a cell to all cells. */
+static void add_stage(const ek_icp_parameters *stage, uint64_t beams, uint64_t neighbours, target_size target,
+                      uint64_t most[EK_TALLIES])
+{
+    const uint64_t iterations = (uint64_t)stage->max_iterations, searches = beams * iterations;
+    const uint64_t looks = 3u + doublings(0.00075, (double)stage->max_correspondence + 0.01);
+    const uint64_t across = 6u * (uint64_t)(1000.0 * ((double)stage->max_correspondence + 0.01)); /* 1 mm */
+    most[EK_ITERATIONS] += iterations;
+    most[EK_POINTS] += EK_PADDED(beams) * (iterations + 1u);
+    most[EK_SEARCHES] += searches;
+    most[EK_ROWS] += searches * smaller(across + 2u * looks, looks * target.cells);
+    most[EK_CANDIDATES] += searches * looks * target.points;
+    if (stage->metric == EK_METRIC_LINE) {
+        const uint64_t normals = smaller(searches, target.points), all_looks = 2u + doublings(0.25, (double)target.longest);
+        const uint64_t candidates = normals * all_looks * target.points;
+        most[EK_FITS] += iterations;
+        most[EK_FITTED] += EK_PADDED(beams) * iterations;
+        most[EK_NORMALS] += normals;
+        most[EK_ROWS] += normals * (5u * target.longest + 2u * all_looks);
+        most[EK_CANDIDATES] += candidates;
+        most[EK_RANKED] += neighbours * (candidates + normals);
+    }
+}
+
+/* Add the work of a map of `lines` x `lines` cells around the robot. */
+static void add_window(uint64_t beams, uint64_t lines, int polygon, uint64_t most[EK_TALLIES])
+{
+    const uint64_t words = lines / EK_WORD;
+    most[EK_STEPS] = beams * (lines / 2u + 18u + words);
+    most[EK_WORDS] = most[EK_FILLED] = lines * words;
+    if (polygon) {
+        most[EK_CORNERS] = beams;
+        most[EK_STEPS] += (4u * beams + 2u) * (lines + 1u);
+        most[EK_WORDS] += (beams + 1u) * lines * words;
+    }
+}
+
+/* The bounds of README.md; for maps that do not roll, and limits of correspondences above 0. */
 static void bound(uint64_t most[EK_TALLIES])
 {
     const ek_frontend *const f = &pipeline.frontend;
-    const ek_icp_parameters *const stage[2] = {&f->parameters.scan_to_scan, &f->parameters.scan_to_map};
-    const uint64_t beams = f->parameters.points, points[2] = {beams, beams * f->parameters.keyframes};
-    const uint64_t cells[2] = {f->last.cell_capacity, f->local_map.cell_capacity};
-    const uint64_t lines = pipeline.parameters.map ? pipeline.grid.window.lines : 0u, words = lines / EK_WORD;
+    const ek_lasting_map *const map = &f->lasting;
+    const uint64_t beams = f->parameters.points, neighbours = f->parameters.neighbours;
+    const target_size last = {beams, f->last.cell_capacity, f->last.cell_capacity};
+    target_size local = {beams * f->parameters.keyframes, f->local_map.cell_capacity, f->local_map.cell_capacity};
     memset(most, 0, EK_TALLIES * sizeof *most);
     most[EK_SCANS] = 1u;
     most[EK_BEAMS] = beams;
-    for (int k = 0; k < 2; k++) {
-        const uint64_t iterations = (uint64_t)stage[k]->max_iterations, searches = beams * iterations;
-        const uint64_t looks = looks_of_search(stage[k]->max_correspondence);
-        const uint64_t across = 6u * (uint64_t)(1000.0 * ((double)stage[k]->max_correspondence + 0.01)); /* 1 mm */
-        most[EK_ITERATIONS] += iterations;
-        most[EK_POINTS] += EK_PADDED(beams) * (iterations + 1u);
-        most[EK_SEARCHES] += searches;
-        most[EK_ROWS] += searches * smaller(across + 2u * looks, looks * cells[k]);
-        most[EK_CANDIDATES] += searches * looks * points[k];
+    if (map->capacity) {
+        local.points = map->capacity;
+        local.cells = map->around.cell_capacity;
+        local.longest = smaller(local.cells, (uint64_t)(2250.0 * (double)map->radius) + 8u); /* 1 mm, and a border */
+        most[EK_ADDED] = beams;
+        most[EK_PROBES] = beams * (map->voxels.capacity + 1u);
+        most[EK_VOXELS] = map->voxels.capacity;
     }
-    most[EK_SLOTS] = 22u * beams + 9u * points[1] + 16000u;
-    most[EK_CELLS] = 5u * cells[0] + 7u * cells[1] + 4500u;
-    most[EK_STEPS] = lines ? beams * (lines / 2u + 18u + words) : 0u;
-    most[EK_WORDS] = most[EK_FILLED] = lines * words;
+    add_stage(&f->parameters.scan_to_scan, beams, neighbours, last, most);
+    add_stage(&f->parameters.scan_to_map, beams, neighbours, local, most);
+    most[EK_SLOTS] = 22u * beams + 9u * local.points + 16000u;
+    most[EK_CELLS] = 5u * last.cells + 7u * local.cells + 4500u;
+    if (pipeline.parameters.map) {
+        add_window(beams, pipeline.grid.window.lines, pipeline.parameters.grid.polygon, most);
+    }
 }
 
 static void print_bound(void)
@@ -258,7 +321,23 @@ static int run_log(const configuration *chosen, const char *path)
     return failed;
 }
 
-static ek_pipeline_parameters drawn_parameters(void)
+/* Draw lines, a lasting map and polygons. */
+static void draw_lines(ek_pipeline_parameters *parameters)
+{
+    ek_icp_parameters *const stages[2] = {&parameters->frontend.scan_to_scan, &parameters->frontend.scan_to_map};
+    for (int k = 0; k < 2; k++) {
+        stages[k]->metric = whole(0u, 7u) ? EK_METRIC_LINE : EK_METRIC_POINT;
+        stages[k]->cauchy = EK_R(whole(0u, 1u) ? uniform(0.01, 0.5) : 0.0);
+        stages[k]->share_noise = (int32_t)whole(0u, 1u);
+    }
+    parameters->frontend.neighbours = whole(2u, 16u);
+    parameters->frontend.map_voxel = EK_R(whole(0u, 7u) ? uniform(0.01, 0.5) : 0.0);
+    parameters->frontend.map_radius = EK_R(uniform(0.5, 15.0));
+    parameters->frontend.voxels = whole(1u, 1000u);
+    parameters->grid.polygon = (int32_t)whole(0u, 1u);
+}
+
+static ek_pipeline_parameters drawn_parameters(int lines)
 {
     ek_pipeline_parameters parameters = ek_pipeline_default();
     ek_icp_parameters *const stages[2] = {&parameters.frontend.scan_to_scan, &parameters.frontend.scan_to_map};
@@ -282,6 +361,9 @@ static ek_pipeline_parameters drawn_parameters(void)
     parameters.grid.left = parameters.grid.bottom = -32 * (int32_t)whole(1u, 3u);
     parameters.grid.resolution = EK_R(uniform(0.05, 0.2));
     parameters.grid.range_max = parameters.scan.range_max;
+    if (lines) {
+        draw_lines(&parameters);
+    }
     return parameters;
 }
 
@@ -319,12 +401,12 @@ static void draw_scan(scan_kind kind, int number, size_t beams, double range_max
     }
 }
 
-static int run_random(uint64_t seed, long sessions, int silent)
+static int run_random(int lines, uint64_t seed, long sessions, int silent)
 {
     int failed = 0;
     state = seed * 0x9E3779B97F4A7C15u + 1u;
     for (long session = 0; session < sessions && !failed; session++) {
-        const ek_pipeline_parameters parameters = drawn_parameters();
+        const ek_pipeline_parameters parameters = drawn_parameters(lines);
         const scan_kind kind = (scan_kind)whole(0u, KINDS); /* KINDS: another one for each scan */
         failed = begin(&parameters);
         for (int number = 0; number < SCANS && !failed; number++) {
@@ -377,7 +459,6 @@ static int print_sizes(const configuration *chosen)
 
 #ifdef BOARD_COUNT
 static size_t bytes_of_pipeline;
-static unsigned char *aligned;
 
 static ek_status call_bytes(void *parameters)
 {
@@ -395,7 +476,6 @@ static int print_stack_of_pipeline(ek_pipeline_parameters parameters)
     ek_status status;
     const unsigned long bytes = stack_of(call_bytes, &parameters, &status);
     int failed = status == EK_OK ? begin(&parameters) : fail("bytes", status);
-    aligned = (unsigned char *)memory + (EK_ALIGNMENT - (uintptr_t)memory % EK_ALIGNMENT);
     const unsigned long start = failed ? 0u : stack_of(call_start, &parameters, &status);
     unsigned long most = 0u;
     for (int number = 0; number < 2 * SCANS && status == EK_OK && !failed; number++) {
@@ -447,10 +527,8 @@ static int print_stack_of_table(void)
     r.parameters = ek_icp_default();
     ek_arena arena = ek_arena_make(NULL, 0u);
     for (int pass = 0; pass < 2; pass++) {
-        free(memory);
-        memory = pass ? malloc(arena.used + EK_ALIGNMENT) : NULL;
         if (pass) {
-            arena = ek_arena_make((unsigned char *)memory + (EK_ALIGNMENT - (uintptr_t)memory % EK_ALIGNMENT), arena.used);
+            arena = ek_arena_make(take_memory(arena.used), arena.used);
         }
         (void)ek_index_init(&r.index, &arena, TARGETS, 4096u);
         (void)ek_icp_init(&r.icp, &arena, SOURCES, TARGETS);
@@ -472,13 +550,9 @@ static int print_stack_of_table(void)
 
 static int print_stack(void)
 {
-    ek_pipeline_parameters parameters = configured(&configurations[3]);
     state = 1u;
-    int failed = print_stack_of_pipeline(parameters);
-    parameters.frontend.map_voxel = EK_R(0.1);
-    parameters.frontend.scan_to_scan.metric = parameters.frontend.scan_to_map.metric = EK_METRIC_LINE;
-    parameters.frontend.scan_to_scan.one_to_one = parameters.frontend.scan_to_map.one_to_one = 0;
-    return failed || print_stack_of_pipeline(parameters) || print_stack_of_table();
+    return print_stack_of_pipeline(configured(find("360"))) || print_stack_of_pipeline(configured(find("360-lines-polygon"))) ||
+           print_stack_of_table();
 }
 #else
 static int print_stack(void)
@@ -495,17 +569,19 @@ int main(int argc, char **argv)
 #endif
     const char *const what = argc > 1 ? argv[1] : "";
     const int sizes = strcmp(what, "sizes") == 0 && argc == 3, log = strcmp(what, "log") == 0 && argc == 4;
-    const int silent = strcmp(what, "bound") == 0;
+    const int silent = strcmp(what, "bound") == 0, lines = argc > 2 && strcmp(argv[2], "lines") == 0;
+    const int known = lines || (argc > 2 && strcmp(argv[2], "points") == 0);
     int failed = 2;
     if (sizes || log) {
         const configuration *const chosen = find(argv[2]);
         failed = !chosen ? 1 : sizes ? print_sizes(chosen) : run_log(chosen, argv[3]);
     } else if (strcmp(what, "stack") == 0 && argc == 2) {
         failed = print_stack();
-    } else if ((silent || strcmp(what, "random") == 0) && argc == 4) {
-        failed = run_random(strtoull(argv[2], NULL, 10), strtol(argv[3], NULL, 10), silent);
+    } else if ((silent || strcmp(what, "random") == 0) && known && argc == 5) {
+        failed = run_random(lines, strtoull(argv[3], NULL, 10), strtol(argv[4], NULL, 10), silent);
     } else {
-        fprintf(stderr, "usage: count sizes CONFIGURATION | log CONFIGURATION FILE | random|bound SEED SESSIONS | stack\n");
+        fprintf(stderr, "usage: count sizes CONFIGURATION | log CONFIGURATION FILE | "
+                        "random|bound points|lines SEED SESSIONS | stack\n");
     }
     free(memory);
     return failed;

@@ -27,6 +27,22 @@ ek_frontend_parameters ek_frontend_default(void)
     return parameters;
 }
 
+ek_frontend_parameters ek_frontend_lines(void)
+{
+    ek_frontend_parameters parameters = ek_frontend_default();
+    ek_icp_parameters icp = ek_icp_default();
+    icp.metric = EK_METRIC_LINE;
+    icp.cauchy = EK_R(0.1);
+    icp.epsilon = EK_R(1e-6);
+    icp.max_correspondence = EK_R(1.0);
+    icp.one_to_one = 0;
+    parameters.scan_to_scan = parameters.scan_to_map = icp;
+    parameters.keyframe_distance = EK_R(0.3);
+    parameters.keyframe_angle = EK_R(0.17453292519943295); /* 10 deg */
+    parameters.map_voxel = EK_R(0.1);
+    return parameters;
+}
+
 static int uses_lines(const ek_frontend_parameters *parameters)
 {
     return parameters->scan_to_scan.metric == EK_METRIC_LINE || parameters->scan_to_map.metric == EK_METRIC_LINE;

@@ -769,6 +769,8 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
         }
         ek_icp_iteration now = {++match.iterations, match.inliers, EK_R(0.0), {EK_R(0.0), EK_R(0.0), EK_R(0.0)},
                                 pose, NULL, NULL};
+        EK_COUNT(EK_FITS, parameters->metric == EK_METRIC_LINE);
+        EK_COUNT(EK_FITTED, parameters->metric == EK_METRIC_LINE ? padded : 0u);
         now.step = fit_step(icp, target, padded, pose, parameters);
         if (parameters->error_before) {
             if (candidates) {

@@ -1,4 +1,5 @@
 #include "ek/normals.h"
+#include "ek/tally.h"
 #include "ek/wide.h"
 
 #include <string.h>
@@ -25,9 +26,11 @@ static inline int comes_before(const ek_index *index, const nearest_points *foun
 static inline void insert(const ek_index *index, nearest_points *found, ek_real squared, uint32_t slot)
 {
     size_t k = found->count < found->wanted ? found->count++ : found->wanted - 1u;
+    EK_COUNT(EK_RANKED, 1u);
     for (; k > 0u && comes_before(index, found, k - 1u, squared, slot); k--) {
         found->squared[k] = found->squared[k - 1u];
         found->slot[k] = found->slot[k - 1u];
+        EK_COUNT(EK_RANKED, 1u);
     }
     found->squared[k] = squared;
     found->slot[k] = slot;
@@ -45,6 +48,8 @@ static void search_box(const ek_index *index, const ek_cell_box *box, ek_real x,
     for (int32_t row = box->bottom; row <= box->top; row++) {
         const uint32_t *const start = index->start + (size_t)row * index->cells.columns;
         const uint32_t end = start[box->right + 1];
+        EK_COUNT(EK_ROWS, 1u);
+        EK_COUNT(EK_CANDIDATES, end - start[box->left]);
         for (uint32_t from = start[box->left]; from < end; from += BLOCK) {
             const uint32_t to = end - from < BLOCK ? end : from + BLOCK;
             size_t near = 0u;
@@ -163,6 +168,8 @@ static void normal_of(const ek_index *index, const nearest_points *found, ek_rea
 {
     const ek_real *const xy = index->xy, count = (ek_real)found->count;
     ek_real mean_x = EK_R(0.0), mean_y = EK_R(0.0), difference = EK_R(0.0), product = EK_R(0.0);
+    EK_COUNT(EK_NORMALS, 1u);
+    EK_COUNT(EK_RANKED, found->count);
     for (size_t k = 0; k < found->count; k++) {
         mean_x += xy[2u * found->slot[k]] - x;
         mean_y += xy[2u * found->slot[k] + 1u] - y;

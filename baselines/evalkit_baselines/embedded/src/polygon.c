@@ -1,4 +1,5 @@
 #include "ek/polygon.h"
+#include "ek/tally.h"
 
 #define WORD EK_WORD
 #define STEEP EK_R(3.0)  /* a longer beam is cut where it exceeds the shorter by this multiple of their distance ... */
@@ -50,6 +51,7 @@ static void add_edge(outline *line, ek_real x, ek_real y)
     const int32_t from = (int32_t)(low_y + EK_R(0.5)), to = (int32_t)(high_y + EK_R(0.5)); /* centres not below */
     line->x = x;
     line->y = y;
+    EK_COUNT(EK_STEPS, 1u + (uint32_t)(to > from ? to - from : 0));
     if (from >= to) {
         return;
     }
@@ -73,6 +75,7 @@ static void fill(outline *line)
     const uint32_t last = window->marks.right / WORD + 1u, words = last < window->words ? last + 1u : window->words;
     add_edge(line, EK_R(0.0), EK_R(0.0));
     for (int32_t row = line->low; row <= line->high; row++) {
+        EK_COUNT(EK_WORDS, words - window->marks.left / WORD);
         uint32_t *const edges = window->outline + (size_t)row * window->words;
         uint32_t *const across = window->across + (size_t)row * window->words, carry = 0u;
         for (uint32_t word = window->marks.left / WORD; word < words; word++) {
@@ -158,6 +161,7 @@ uint32_t ek_window_fill_outline(ek_window *window, const ek_view *view, const ek
     outline line = {window, view, find_direction(window, view, points, count), EK_R(0.0), EK_R(0.0), EK_R(0.0),
                     (int32_t)window->lines, -1};
     const ek_real narrowest = EK_COS(widest_gap);
+    EK_COUNT(EK_CORNERS, count);
     ek_marks_extend(&window->marks, (uint32_t)(int32_t)view->start_x, (uint32_t)(int32_t)view->start_y);
     beam_end first = {0}, last = {0}, next;
     uint32_t left_out = 0u;

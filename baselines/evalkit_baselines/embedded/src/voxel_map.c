@@ -1,4 +1,5 @@
 #include "ek/voxel_map.h"
+#include "ek/tally.h"
 
 #include <string.h>
 
@@ -50,12 +51,14 @@ static size_t find_entry(const ek_voxel_map *map, int32_t column, int32_t row)
     uint32_t hash = (uint32_t)column * 0x9E3779B1u ^ (uint32_t)row * 0x85EBCA77u;
     hash ^= hash >> 15;
     size_t at = hash & map->mask;
+    EK_COUNT(EK_PROBES, 1u);
     while (map->entry[at]) {
         const ek_voxel *const voxel = map->voxel + map->entry[at] - 1u;
         if (voxel->column == column && voxel->row == row) {
             break;
         }
         at = (at + 1u) & map->mask;
+        EK_COUNT(EK_PROBES, 1u);
     }
     return at;
 }
@@ -121,6 +124,7 @@ void ek_voxel_map_add(ek_voxel_map *map, const ek_real *xy, size_t count, const 
     }
     ek_se2_transform(map_from_points, xy, count, moved);
     number_cells(moved, 2u * count, map->size, cells);
+    EK_COUNT(EK_ADDED, count);
     map->cloud++;
     for (size_t first = 0, next; first < count; first = next) { /* neighbouring beams often end in one voxel */
         const int32_t *const cell = cells + 2u * first;
@@ -142,6 +146,7 @@ size_t ek_voxel_map_cloud(const ek_voxel_map *map, ek_real x, ek_real y, ek_real
                           ek_real *seen_from, size_t capacity, ek_work *work)
 {
     size_t count = 0u;
+    EK_COUNT(EK_VOXELS, map->count);
     for (size_t k = 0; k < map->count && count < capacity; k++) {
         const ek_voxel *const voxel = map->voxel + k;
         const ek_real number = (ek_real)voxel->points, u = voxel->x / number, v = voxel->y / number;

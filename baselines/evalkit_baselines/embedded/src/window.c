@@ -142,7 +142,6 @@ EK_WIDE static void mark_beam_wide(uint32_t *bits, const ek_course *beam)
             uint32_t *const line = bits + at_line;
             line[word[i]] |= low[i];
             line[last[i]] |= high[i];
-            EK_COUNT(EK_STEPS, 1u + last[i] - word[i]);
             for (uint32_t k = word[i] + 1u; k < last[i]; k++) {
                 line[k] = UINT32_MAX;
             }

@@ -583,7 +583,7 @@ static void of_calls(void)
 static void of_defaults(void)
 {
     const ek_icp_parameters match = ek_icp_default();
-    const ek_frontend_parameters front = ek_frontend_default();
+    const ek_frontend_parameters front = ek_frontend_default(), lines = ek_frontend_lines();
     const ek_pipeline_parameters pipeline = ek_pipeline_default();
     const ek_slam_parameters whole = ek_slam_default();
     const ek_grid_parameters map = ek_grid_default();
@@ -607,7 +607,10 @@ static void of_defaults(void)
         {closing.radius, 7.0},           {closing.submap, 3.0},            {closing.cell, 0.1},
         {closing.score, 0.55},           {closing.ambiguity, 0.92},        {closing.near, 0.15},
         {closing.overlap, 0.7},          {closing.degenerate, 0.13},       {closing.gate, 11.345},
-        {closing.quick_gate, 6.25}};
+        {closing.quick_gate, 6.25},      {lines.keyframe_distance, 0.3},   {lines.keyframe_angle, 10.0 * degree},
+        {lines.map_voxel, 0.1},          {lines.scan_to_scan.epsilon, 1e-6}, {lines.scan_to_map.epsilon, 1e-6},
+        {lines.scan_to_scan.cauchy, 0.1}, {lines.scan_to_map.cauchy, 0.1}, {lines.scan_to_scan.max_correspondence, 1.0},
+        {lines.scan_to_map.max_correspondence, 1.0}};
     for (size_t k = 0; k < sizeof numbers / sizeof *numbers; k++) {
         CHECK_NEAR(numbers[k].found, numbers[k].expected, 1e-7 * fabs(numbers[k].expected));
     }
@@ -615,6 +618,8 @@ static void of_defaults(void)
     CHECK(match.error == EK_ERROR_MEAN && match.metric == EK_METRIC_POINT && match.share_noise == 0);
     CHECK(front.use_scan_to_scan == 1 && front.use_scan_to_map == 1 && front.min_inliers == 10);
     CHECK(front.keyframes == 10u && front.points == 2048u && front.cells == 0u && front.neighbours == 8u);
+    CHECK(lines.scan_to_scan.metric == EK_METRIC_LINE && lines.scan_to_map.metric == EK_METRIC_LINE);
+    CHECK(lines.scan_to_scan.one_to_one == 0 && lines.scan_to_map.one_to_one == 0 && lines.neighbours == 8u);
     CHECK(front.voxels == 16384u && pipeline.deskew == 1 && pipeline.map == 1);
     CHECK(map.columns == 1024u && map.rows == 1024u && map.left == -512 && map.bottom == -512);
     CHECK(map.rolling == 0 && map.polygon == 0);

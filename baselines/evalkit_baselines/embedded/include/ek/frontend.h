@@ -58,6 +58,7 @@ typedef struct {
 } ek_frontend;
 
 #define ek_frontend_default EK_NAME(frontend_default)
+#define ek_frontend_lines EK_NAME(frontend_lines)
 #define ek_frontend_check EK_NAME(frontend_check)
 #define ek_frontend_init EK_NAME(frontend_init)
 #define ek_frontend_reset EK_NAME(frontend_reset)
@@ -66,6 +67,9 @@ typedef struct {
 /* Default parameters: both stages with ek_icp_default, 10 keyframes every 0.5 m or 20 deg, 10 inliers, 2048 points. For a
  * lasting map, once map_voxel is set: 15 m around the robot, 16384 voxels, lines through 8 neighbours. */
 ek_frontend_parameters ek_frontend_default(void);
+
+/* Parameters of embedded-pipeline-line: distances to walls, and a lasting map of voxels of 10 cm. */
+ek_frontend_parameters ek_frontend_lines(void);
 
 /* Check parameters: EK_OK, EK_NOT_FINITE or EK_OUT_OF_RANGE. */
 ek_status ek_frontend_check(const ek_frontend_parameters *parameters);

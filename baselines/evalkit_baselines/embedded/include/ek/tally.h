@@ -12,13 +12,21 @@ typedef enum {
     EK_BEAMS,      /* beams, in the loops that run once per scan */
     EK_ITERATIONS, /* of a registration */
     EK_POINTS,     /* points of an iteration, and once before the first */
+    EK_FITS,       /* iterations that fit lines */
+    EK_FITTED,     /* points of such an iteration */
     EK_SEARCHES,   /* of a nearest neighbour */
-    EK_ROWS,       /* rows of cells in searches */
-    EK_CANDIDATES, /* points compared in searches */
+    EK_ROWS,       /* rows of cells in searches of a nearest neighbour, or of those that define a line */
+    EK_CANDIDATES, /* points compared in both */
+    EK_NORMALS,    /* of lines */
+    EK_RANKED,     /* places that candidates of a line are compared with, and points of the line */
     EK_SLOTS,      /* points in loops that build or update an index */
     EK_CELLS,      /* cells in such loops */
-    EK_STEPS,      /* of beams through the window of the map: lines and words */
-    EK_WORDS,      /* of the window */
+    EK_ADDED,      /* points added to a lasting map */
+    EK_PROBES,     /* entries of its hash table looked at */
+    EK_VOXELS,     /* voxels looked at to find those around the robot */
+    EK_CORNERS,    /* beams that define an outline */
+    EK_STEPS,      /* of beams and edges of an outline through the window of the map: lines and words */
+    EK_WORDS,      /* of the window, and of outlines that are filled */
     EK_FILLED,     /* words with marks, that change 32 cells of the map */
     EK_TALLIES
 } ek_tally_kind;

@@ -7,7 +7,7 @@
 #ifndef EK_WIDE_H
 #define EK_WIDE_H
 
-#if defined(__GNUC__) && defined(__x86_64__)
+#if defined(__GNUC__) && defined(__x86_64__) && !defined(EK_TALLY)
 #define EK_LOOP static inline __attribute__((always_inline))
 #define EK_WIDE __attribute__((target("avx2")))
 #define EK_IF_WIDE(wide) (wide)
@@ -15,7 +15,7 @@
 #else
 #define EK_LOOP static inline
 #define EK_WIDE
-#define EK_IF_WIDE(wide) (0 && (wide)) /* no second copy on a board */
+#define EK_IF_WIDE(wide) (0 && (wide)) /* no second copy on a board, nor where its work is counted */
 #define ek_is_wide() 0
 #endif
 
