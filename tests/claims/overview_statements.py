@@ -107,10 +107,13 @@ def not_counted(facts: Facts, listed: str) -> Iterator[str]:
 @kind(IN_OVERVIEW, r"Each sequence was run once\. .+? up to 10 s of that run\. .+? no verdict\.")
 @kind(
     IN_OVERVIEW,
-    r"Numbers are medians over up to (?P<most>\d+) runs\. From 3 runs on, a 95 % interval is .+? \(99 % below six "
-    r"runs, else 97 %, which keeps verdicts on equal methods at 5 % when measured\) excludes zero and the difference "
-    r"is at least 5 % and, for positions, 2 mm\. .+? chance\.",
+    r"Numbers are medians over up to (?P<most>\d+) runs\. From 3 runs on, a 95 % interval is .+? \((?P<few>\d+) % "
+    r"below six runs and over perturbed runs of a recording, else (?P<many>\d+) %, which keeps verdicts on equal "
+    r"methods at 5 % when measured\) excludes zero and the difference is at least 5 % and, for positions, 2 mm\. .+? "
+    r"chance\.",
 )
-def statistics(facts: Facts, most: str = "1") -> Iterator[str]:
+def statistics(facts: Facts, most: str = "1", few: str = "99", many: str = "97") -> Iterator[str]:
+    for runs, perturbed, stated in ((5, False, few), (6, True, few), (6, False, many)):
+        yield from same("confidence", int(stated), round(100.0 * facts.confidence(runs, perturbed)))
     every = [sum(run["scans_answered"] > 0 for run in runs) for own in facts.runs.values() for runs in own.values()]
     yield from same("runs", int(most), max(every))

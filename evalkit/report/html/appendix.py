@@ -31,11 +31,13 @@ from evalkit.report.html.blocks import (
 from evalkit.report.html.method_colours import Strokes
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.ranks import NotTested
+from evalkit.stats.runs import MIN_RUNS
 
 HOW = (
-    "Each number is the median over the complete runs. The 95 % interval below it contains, in 19 of 20 cases, the "
-    "number that other stretches of the same kind would give. Metrics that do not summarise a time series have no "
-    "interval; for several runs, the lowest and the highest value are shown instead.",
+    f"Each number is the median over the complete runs. From {MIN_RUNS} runs on, the 95 % interval below it is that of "
+    "Student's t over the runs: it holds the median over all possible runs. Two runs, and the perturbed runs of a "
+    "recording, show the lowest and the highest value. A single run has an interval from stretches of up to 10 s of "
+    "it, which describes this run only; a metric without one value per scan then has none.",
     "Green: clearly better than every other method that completed every run and held the track. Shaded: no clear "
     "difference from the best value: the interval of the paired difference over runs contains zero, or the "
     "difference is below 5 % (for positions: or 2 mm), or below the accuracy of the ground truth. Single runs give no "

@@ -12,7 +12,7 @@ from evalkit.report.analysis.scores import WITH_TRUTH
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.statements.verdict import SequenceVerdict, VerdictOutcome, describe_success
 from evalkit.report.formatting import join_words
-from evalkit.stats.runs import MIN_RUNS
+from evalkit.stats.runs import FEW_CONFIDENCE, MIN_RUNS, PAIRED_CONFIDENCE
 
 MAX_LATE_SHARE = 0.01
 
@@ -160,9 +160,10 @@ def _describe_statistics(comparison: Comparison) -> str:
     return (
         f"Numbers are medians over up to {most} runs. From {MIN_RUNS} runs on, a 95 % interval is that of Student's t "
         "over the runs and contains the median over all possible runs; the interval of a single run describes this "
-        "run. A method leads only if the interval of the paired difference over runs (99 % below six runs, else 97 %, "
-        "which keeps verdicts on equal methods at 5 % when measured) excludes zero and the difference is at least 5 % "
-        "and, for positions, 2 mm. This must hold against every other method, so choosing the leader "
-        "after the fact adds no false leads. A method that is worse than the leader is tested alone: among many "
-        "methods one may be so by chance."
+        "run. A method leads only if the interval of the paired difference over runs "
+        f"({100 * FEW_CONFIDENCE:.0f} % below six runs and over perturbed runs of a recording, else "
+        f"{100 * PAIRED_CONFIDENCE:.0f} %, which keeps verdicts on equal methods at 5 % when measured) excludes zero "
+        "and the difference is at least 5 % and, for positions, 2 mm. This must hold against every other method, so "
+        "choosing the leader after the fact adds no false leads. A method that is worse than the leader is tested "
+        "alone: among many methods one may be so by chance."
     )
