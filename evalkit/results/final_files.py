@@ -12,7 +12,7 @@ import numpy as np
 from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.path_correction import PathCorrection
 from evalkit.core.pose import Pose
-from evalkit.core.se2 import Stamps
+from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import untrusted_io
 
@@ -46,11 +46,12 @@ def format_paths(corrections: Sequence[PathCorrection], stamps_ns: Stamps) -> by
 
     A row (8,) has the numbers of two steps, the one that corrected and that of the pose, and the pose before and after.
     """
-    rows = [np.zeros((0, 8))]
+    rows: list[Floats] = [np.zeros((0, 8))]
     for one in corrections:
         numbers = np.searchsorted(stamps_ns, one.stamps_ns)
         corrected = np.full(len(numbers), np.searchsorted(stamps_ns, one.stamp_ns))
-        rows.append(np.column_stack([corrected, numbers, one.before, one.after]))
+        steps = np.stack([corrected, numbers], axis=-1).astype(np.float64)
+        rows.append(np.hstack([steps, one.before, one.after]))
     body = BytesIO()
     np.save(body, np.concatenate(rows))
     return body.getvalue()

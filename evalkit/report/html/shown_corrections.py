@@ -18,7 +18,7 @@ from evalkit.report.formatting import format_length
 from evalkit.report.html.array_encoding import pack_array, quantise
 from evalkit.results.run_record import RunRecord
 
-MAX_POSES = 12_000
+MAX_POSES = 6_000
 """Poses of all corrections of a sequence on the page, at about 10 bytes each."""
 
 MAX_LISTED = 5
