@@ -71,4 +71,5 @@ class PathRecorder:
 def _choose_poses(before: Floats, after: Floats) -> Ints:
     """Return at most ``MAX_POSES`` indices, evenly spread, with the first, the last and that which moved most."""
     moved = np.linalg.norm(after[:, :2] - before[:, :2], axis=1)
-    return np.union1d(spread_indices(len(before), MAX_POSES - 1), [int(np.argmax(moved))])
+    spread = spread_indices(len(before), MAX_POSES - 1)
+    return np.array(sorted({*spread.tolist(), int(np.argmax(moved))}), dtype=np.int64)  # np.unique takes 2 MiB
