@@ -33,9 +33,7 @@ def freeze(
 
 def spread_indices(count: int, most: int) -> Ints:
     """Return at most ``most`` of the indices 0 to ``count - 1`` in order, spread evenly, first and last among them."""
-    return (
-        np.unique(np.linspace(0, count - 1, min(most, count)).astype(np.int64)) if count > 0 else np.zeros(0, np.int64)
-    )
+    return np.linspace(0, count - 1, min(most, count)).astype(np.int64) if count > 0 else np.zeros(0, np.int64)
 
 
 @cache

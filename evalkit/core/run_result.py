@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from evalkit.core.arrays import freeze
 from evalkit.core.loop_closure import LoopClosure
+from evalkit.core.path_correction import PathCorrection
 from evalkit.core.pose import Pose
 from evalkit.core.run_status import Cause, RunStatus
 from evalkit.core.se2 import Floats
@@ -107,7 +108,8 @@ class RunResult:
     ``start_from_base`` of all answered frames at the end, at the stamps of the steps, of a SLAM whose run is
     complete; ``loop_closures``: its candidates; ``final_cpu_ns``: CPU time of asking for both after the last scan.
     ``start``: where the first answer lies in the known map; None without a map. ``remarks``: what limited the answers,
-    as the back end reports it.
+    as the back end reports it. ``path_corrections``: of a SLAM that reports when it corrects, the path before and after
+    its corrections; ``paths_left_out``: why not of all.
     """
 
     steps: NDArray[np.void]
@@ -125,6 +127,8 @@ class RunResult:
     final_cpu_ns: int = 0
     start: MapStart | None = None
     remarks: tuple[str, ...] = ()
+    path_corrections: tuple[PathCorrection, ...] = ()
+    paths_left_out: str = ""
 
     def __post_init__(self) -> None:
         freeze(self, "steps", self.steps, (None,), STEP)

@@ -19,12 +19,13 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
 from evalkit.core.errors import BackendFailed, DataMissing, EvalkitError, MachineFault, NotInstalled, StoreError, plain
 from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
+from evalkit.core.path_correction import PathCorrection
 from evalkit.core.run_result import NO_STEPS, STEP, RunResult
 from evalkit.core.run_status import Cause
 from evalkit.core.scan import Frame
@@ -34,14 +35,15 @@ from evalkit.execution.parent import end_with_parent
 from evalkit.io.output_files import write_bytes, write_text
 from evalkit.odometry import frontend
 from evalkit.odometry.corrections import read_corrections, read_remarks
+from evalkit.odometry.path_corrections import PathRecorder
 from evalkit.odometry.run_odometry import run_odometry
 from evalkit.plugins import registry
 from evalkit.plugins.nuisance import perturb_parameters
 from evalkit.plugins.parameters import MAP, NUISANCE, Value
-from evalkit.plugins.protocols import Odometry, Sequence
+from evalkit.plugins.protocols import Odometry, Sequence, Slam
 from evalkit.plugins.specs import MapSpec, SlamSpec
 from evalkit.plugins.stored_frames import FramesFile, StoredFrames
-from evalkit.results.final_files import format_final
+from evalkit.results.final_files import PATHS, format_final, format_paths
 
 WARM_UP_SCANS = 5
 """Number of scans that a separate instance of the back end processes before the timed run; not part of any number."""
@@ -61,7 +63,7 @@ _STEP_FORMAT = struct.Struct(
 )
 """Packs a record of dtype ``STEP`` in a quarter of the time that NumPy takes."""
 
-NOT_IN_OUTCOME = ("steps", "provenance", "final", "loop_closures")
+NOT_IN_OUTCOME = ("steps", "provenance", "final", "loop_closures", "path_corrections")
 """Fields of a result that are no part of the outcome: they have files of their own, or the parent knows them."""
 
 
@@ -111,13 +113,13 @@ def main() -> int:
 def execute_request(request: Request, folder: Path) -> RunResult:
     """Run the back end over the sequence; append one ``STEP`` record per scan to ``steps.bin``.
 
-    Writes the corrected poses and loop closures of a SLAM. Returns how the run went, without its steps and these.
+    Writes what a SLAM corrected. Returns how the run went, without its steps and this.
     """
     notes: dict[str, int] = {}
     expected = warm = final_cpu_ns = 0
     every = 1
     cause, reason = Cause.COMPLETED, ""
-    conditions = None
+    conditions = paths = None
     remarks: tuple[str, ...] = ()
     try:
         spec = registry.backend(request.backend, request.plug_in)
@@ -146,9 +148,11 @@ def execute_request(request: Request, folder: Path) -> RunResult:
         _write_json(folder / "started.json", started | {"warm_up_scans": warm})
         waiting = WaitingMeter()
         with (folder / STEPS).open("ab", buffering=0) as file:
-            record_run(odometry, sequence, request, file)
-        if isinstance(spec, SlamSpec):
-            final_cpu_ns = record_final(odometry, folder)
+            if isinstance(spec, SlamSpec):
+                paths = PathRecorder(cast("Slam", odometry), lambda: np.fromfile(folder / STEPS, STEP))
+            record_run(odometry, sequence, request, file, paths)
+        if paths is not None:
+            final_cpu_ns = record_final(odometry, folder, paths.corrections)
         remarks = read_remarks(odometry)
         conditions = measure_own_threads(waiting.percent())
         notes = dict(sequence.notes())
@@ -156,7 +160,7 @@ def execute_request(request: Request, folder: Path) -> RunResult:
         cause, reason = cause_of(error)
     return RunResult(
         NO_STEPS, expected, cause, plain(reason), _peak_memory_bytes(), warm, notes, every, conditions=conditions,
-        final_cpu_ns=final_cpu_ns, remarks=remarks,
+        final_cpu_ns=final_cpu_ns, remarks=remarks, paths_left_out=plain(paths.left_out) if paths else "",
     )  # fmt: skip
 
 
@@ -214,10 +218,17 @@ def _warm_up(odometry: Odometry, sequence: Sequence | StoredFrames) -> int:
     return sum(1 for _ in run_odometry(odometry, islice(sequence.frames(), WARM_UP_SCANS)))
 
 
-def record_run(odometry: Odometry, sequence: Sequence | StoredFrames, request: Request, steps: BinaryIO) -> None:
+def record_run(
+    odometry: Odometry,
+    sequence: Sequence | StoredFrames,
+    request: Request,
+    steps: BinaryIO,
+    paths: PathRecorder | None = None,
+) -> None:
     """Write a ``STEP`` record for every answered scan; raises BackendFailed where too many scans have no answer.
 
-    A record's ``harness_ns`` is the time that the harness spent around the previous scan.
+    A record's ``harness_ns`` is the time that the harness spent around the previous scan. ``paths`` records each
+    correction of a SLAM; that time is part of no record.
     """
     scans = unanswered = around_ns = 0
     reason = ""
@@ -229,19 +240,25 @@ def record_run(odometry: Odometry, sequence: Sequence | StoredFrames, request: R
         else:
             _append(steps, _record_step(step.frame, step.estimate, step.timing, around_ns))
             around_ns = time.perf_counter_ns() - begun_ns - step.timing.wall_ns
+            if paths is not None and step.estimate.corrected:
+                paths.record()
         begun_ns = time.perf_counter_ns()
     if unanswered > (1.0 - MIN_ANSWERED) * scans:
         what = f"no answer for {unanswered} of {scans} scans"
         raise BackendFailed(request.backend, what, f"reason for the last one: {reason}")
 
 
-def record_final(odometry: Odometry, folder: Path) -> int:
-    """Write the corrected poses and loop closures of a SLAM beside its steps; returns the CPU time of asking in ns.
+def record_final(odometry: Odometry, folder: Path, paths: list[PathCorrection]) -> int:
+    """Write what a SLAM corrected beside its steps: poses, loop closures, paths before and after each correction.
 
-    Raises as ``read_corrections``.
+    Returns the CPU time of asking for the first two in ns. Raises as ``read_corrections``.
     """
-    found = read_corrections(odometry, np.fromfile(folder / STEPS, STEP)["stamp_ns"])
-    for name, content in format_final(found.trajectory, found.closures).items():
+    stamps_ns = np.fromfile(folder / STEPS, STEP)["stamp_ns"]
+    found = read_corrections(odometry, stamps_ns)
+    files = format_final(found.trajectory, found.closures)
+    if paths:
+        files[PATHS] = format_paths(paths, stamps_ns)
+    for name, content in files.items():
         write_bytes(folder / name, content)
     return found.cpu_ns
 

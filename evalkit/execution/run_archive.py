@@ -18,10 +18,12 @@ from evalkit.execution.run_process import OUTCOME, REQUEST, STARTED
 from evalkit.execution.subprocesses import OUTPUT
 from evalkit.io import untrusted_io
 from evalkit.io.output_files import REMEDY
-from evalkit.results.final_files import CLOSURES, FINAL
+from evalkit.results.final_files import CLOSURES, FINAL, PATHS
 from evalkit.results.store import ERRORS, FINAL_ERRORS, FIT, GRID, RESULT, SCORES, STEPS, Store
 
-FILES = (REQUEST, STARTED, OUTCOME, OUTPUT, STEPS, FINAL, CLOSURES, GRID, ERRORS, FINAL_ERRORS, FIT, SCORES, RESULT)
+FILES = (
+    REQUEST, STARTED, OUTCOME, OUTPUT, STEPS, FINAL, CLOSURES, PATHS, GRID, ERRORS, FINAL_ERRORS, FIT, SCORES, RESULT,
+)  # fmt: skip
 """Names of the files in the folder of a run that travel."""
 
 WRITTEN_LAST = (SCORES, RESULT)

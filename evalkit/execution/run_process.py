@@ -22,14 +22,14 @@ from evalkit.execution.usage import Usage
 from evalkit.io import untrusted_io
 from evalkit.io.output_files import as_store_error, write_text
 from evalkit.odometry.corrections import MAX_REMARKS
-from evalkit.results.final_files import CLOSURES, FINAL, parse_final
+from evalkit.results.final_files import CLOSURES, FINAL, PATHS, parse_final, parse_paths
 from evalkit.results.store import STEPS, count_sound, whole_records
 
 REQUEST, STARTED, OUTCOME = "request.json", "started.json", "outcome.json"
 
 KNOWN = {"cause": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
          "every": int, "reading": bool, "conditions": dict, "final_cpu_ns": int, "start": dict,
-         "remarks": list}  # fmt: skip
+         "remarks": list, "paths_left_out": str}  # fmt: skip
 """Keys and types accepted from ``STARTED`` and ``OUTCOME``, because a back end can write to the folder of its run."""
 
 COUNTS = {"expected": (0, 2**31), "peak_memory_bytes": (0, 2**50), "warm_up_scans": (0, 2**31), "every": (1, 2**31),
@@ -147,6 +147,9 @@ class _Supervision:
             try:
                 files = {name: untrusted_io.read_bytes(self._folder / name) for name in (FINAL, CLOSURES)}
                 values["final"], values["loop_closures"] = parse_final(files, steps["stamp_ns"])
+                if (self._folder / PATHS).exists():
+                    paths = untrusted_io.read_bytes(self._folder / PATHS)
+                    values["path_corrections"] = parse_paths(paths, steps["stamp_ns"])
             except (OSError, ValueError) as error:
                 cause, reason = Cause.NO_OUTCOME, f"the corrected poses cannot be read: {error}"
         return RunResult(steps, cause=cause, reason=reason, **values)

@@ -104,8 +104,9 @@ EVALKIT_EXPORT const int32_t *evalkit_pairs(void *self, size_t *count);
 EVALKIT_EXPORT int32_t evalkit_update(void *self, const evalkit_frame *frame, evalkit_pose *answer);
 
 /* Kind SLAM: write the corrected start_from_base of every frame for which evalkit_update returned 0, oldest first: `count`
- * poses, which the caller owns; the first is the identity.  Called after the last frame; evalkit validate calls it after
- * others too.  It must not change a later answer.  Return 0, or another code to end the run as failed. */
+ * poses, which the caller owns; the first is the identity.  Called after the last frame and after one that corrected
+ * poses (evalkit_corrected); evalkit validate calls it after others too.  It must not change a later answer.  Return 0, or
+ * another code: after the last frame, it ends the run as failed; before, the page shows no later correction. */
 EVALKIT_EXPORT int32_t evalkit_trajectory(void *self, evalkit_pose *poses, size_t count);
 
 /* Optional, kind SLAM: write the first `room` loop closures, rejected candidates included, in the order of stamp_ns; return

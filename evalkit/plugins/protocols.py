@@ -47,7 +47,7 @@ class Slam(Odometry, Protocol):
         """Return the corrected poses ``start_from_base`` of all frames answered so far.
 
         Stamps are those of the frames; a frame for which ``update`` raised NoAnswer has none. The first pose is the
-        identity.
+        identity. It is asked after each frame whose estimate says ``corrected``, outside its time, and after the last.
         """
         ...
 

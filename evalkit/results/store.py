@@ -2,6 +2,7 @@
 
 runs/<key>/  request.json  started.json  steps.bin  outcome.json  output.txt    written by the process of the run
              final.npy  loop_closures.json                     of a SLAM: corrected poses at the stamps of steps.bin
+             path_corrections.npy                              of a SLAM: its path before and after each correction
              result.json                                       how the run went: cause, cost, provenance
              scores.json  grid.npz  errors.npy  final_errors.npy  fit.npy  its evaluation
 trajectories/<key>.tum   maps/<key>.pgm  maps/<key>.yaml       for other tools; <key>.final.tum: corrected poses
@@ -38,7 +39,7 @@ from evalkit.core.run_status import Cause
 from evalkit.io import map_server, untrusted_io
 from evalkit.io.output_files import as_store_error, create_folder, write_bytes
 from evalkit.io.tum import format_tum
-from evalkit.results.final_files import CLOSURES, FINAL, format_final, parse_final
+from evalkit.results.final_files import CLOSURES, FINAL, PATHS, format_final, format_paths, parse_final, parse_paths
 from evalkit.results.seal import FILES, read_sealed, read_vouched, seal
 
 LOCK = ".writer.lock"
@@ -47,7 +48,7 @@ RESULT = "result.json"
 SCORES = "scores.json"
 GRID, ERRORS, FINAL_ERRORS, FIT = "grid.npz", "errors.npy", "final_errors.npy", "fit.npy"
 
-_IN_FILES = ("steps", "final", "loop_closures")
+_IN_FILES = ("steps", "final", "loop_closures", "path_corrections")
 _RESULT_FIELDS = tuple(field.name for field in fields(RunResult) if field.name not in _IN_FILES)
 
 
@@ -148,6 +149,8 @@ class Store:
             files |= format_final(result.final, result.loop_closures)
             text = format_tum(result.final, f"evalkit: {spec.method.label} on {spec.sequence.label}, corrected poses")
             self.write(self.folder / "trajectories" / f"{spec.key}.final.tum", text)
+        if result.path_corrections:
+            files[PATHS] = format_paths(result.path_corrections, result.steps["stamp_ns"])
         for name in files.keys() - {STEPS}:
             self.write(folder / name, files[name])
         record: dict[str, Any] = {
@@ -176,7 +179,7 @@ class Store:
         """
         folder = self.run_folder(key)
         record = read_sealed(folder / RESULT)
-        record = {"remarks": (), **record}  # not in results of earlier versions
+        record = {"remarks": (), "paths_left_out": "", **record}  # not in results of earlier versions
         values: dict[str, Any] = {name: record[name] for name in _RESULT_FIELDS}
         values["remarks"] = tuple(map(str, values["remarks"]))
         values["cause"] = Cause(record["cause"])
@@ -190,6 +193,8 @@ class Store:
         if FINAL in record[FILES]:
             files = {name: read_vouched(folder / name, record) for name in (FINAL, CLOSURES)}
             values["final"], values["loop_closures"] = parse_final(files, steps["stamp_ns"])
+        if PATHS in record[FILES]:
+            values["path_corrections"] = parse_paths(read_vouched(folder / PATHS, record), steps["stamp_ns"])
         return RunResult(steps, **values)
 
     def save_scores(self, key: str, scores: Scores, fingerprint: str) -> None:

@@ -54,7 +54,7 @@ def test_answers_and_corrected_poses_are_scored_stored_and_read_apart(tmp_path, 
     tum = read_tum(out / "trajectories" / f"{run['key']}.final.tum").trajectory
     np.testing.assert_allclose(tum.poses, corrected.poses, atol=1e-8)
     stored = json.loads((out / "runs" / run["key"] / "result.json").read_text())
-    assert {"steps.bin", "final.npy", "loop_closures.json"} == set(stored["files"])
+    assert {"steps.bin", "final.npy", "loop_closures.json", "path_corrections.npy"} == set(stored["files"])
     damaged = out / "runs" / run["key"] / "final.npy"
     damaged.write_bytes(damaged.read_bytes()[:-1])
     with pytest.raises(StoreError, match=r"incomplete: 0 of 12 poses \(final.npy is damaged"):

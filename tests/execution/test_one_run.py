@@ -27,7 +27,7 @@ from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.specs import OdometrySpec
 from evalkit.plugins.stored_frames import write_frames
-from evalkit.results.final_files import CLOSURES, FINAL, parse_final
+from evalkit.results.final_files import CLOSURES, FINAL, PATHS, parse_final, parse_paths
 from evalkit.results.store import read_steps, whole_records
 
 pytestmark = pytest.mark.usefixtures("strangers")
@@ -182,6 +182,9 @@ def test_a_slam_leaves_its_corrected_poses_and_loop_closures_beside_its_steps(tm
     assert final.poses[:, 1].tolist() == [0.0, *[0.01] * 11]
     assert [(one.accepted, one.reason) for one in closures] == [(False, "score 0.2 < 0.6"), (True, "score 0.9")]
     assert outcome.final_cpu_ns > 0
+    (correction,) = parse_paths((tmp_path / PATHS).read_bytes(), steps["stamp_ns"])
+    assert correction.stamp_ns == steps["stamp_ns"][7]
+    assert correction.moved_m.tolist() == [0.0, *[0.01] * 6]
 
 
 @pytest.mark.parametrize(
@@ -197,6 +200,7 @@ def test_a_slam_leaves_its_corrected_poses_and_loop_closures_beside_its_steps(tm
 def test_a_slam_with_a_wrong_end_has_failed_and_keeps_its_answers(tmp_path, fault, reason):
     outcome, steps = execute_request(tmp_path, "faulty-slam", {"fault": fault})
     assert (outcome.status, outcome.reason, len(steps)) == ("failed", reason, 12)
+    assert outcome.paths_left_out.startswith("" if fault == "stranger" else "no path after scan 8: ")
     assert not (tmp_path / FINAL).exists()
 
 

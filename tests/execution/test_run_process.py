@@ -84,16 +84,19 @@ EXPECTED = (
 """Every fault with the status it ends in and what the reason says."""
 
 
-def test_a_slam_that_hangs_at_its_end_ends_at_the_limit_and_one_that_ends_has_corrected_poses(tmp_path, strangers):
+def test_a_slam_that_hangs_when_asked_for_its_poses_ends_at_the_limit(tmp_path, strangers):
     sequence = request().dataset_parameters
     slam = Request("faulty-slam", {"fault": "hang"}, "straight", sequence)
     result = execute_run(tmp_path / "hang", slam, replace(HASTE, scan_s=2.0))
-    assert (result.status, result.reason) == ("timeout", f"no answer for 2 s after scan {SCANS}")
-    assert (len(result.steps), result.final) == (SCANS, None)
+    assert (result.status, result.reason) == ("timeout", "no answer for 2 s after scan 8")  # its eighth update corrects
+    assert (len(result.steps), result.final) == (8, None)
     result = execute_run(tmp_path / "end", replace(slam, backend_parameters={"fault": "none"}))
     assert (result.status, len(result.steps), len(result.loop_closures)) == ("complete", SCANS, 2)
     assert result.final.poses[1:, 1].tolist() == [0.01] * (SCANS - 1)
     assert result.final_cpu_ns > 0
+    (correction,) = result.path_corrections
+    assert correction.stamp_ns == result.steps["stamp_ns"][7]
+    assert (correction.before[:, 1].tolist(), correction.after[:, 1].tolist()) == ([0.0] * 7, [0.0] + [0.01] * 6)
     assert result.remarks == (f"no room after {SCANS} scans",)
 
 

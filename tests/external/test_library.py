@@ -21,7 +21,7 @@ from evalkit.external import INCLUDE, elf, library
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
 from evalkit.results import descriptions
-from evalkit.results.final_files import CLOSURES, FINAL, parse_final
+from evalkit.results.final_files import CLOSURES, FINAL, PATHS, parse_final, parse_paths
 
 EXAMPLES = INCLUDE / "examples"
 STRICT = ["-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
@@ -387,6 +387,9 @@ def test_a_library_corrects_its_poses_and_reports_its_loop_closures(build_slam, 
     assert final.poses[1:, 1] == pytest.approx(steps["y"][1:] + 0.01, abs=1e-12)
     stamps = steps["stamp_ns"].tolist()
     assert closures == (LoopClosure(stamps[5], stamps[1], Pose(0.1, 0.2, 0.3), True, "score 0.9"),)
+    (path,) = parse_paths((folder / PATHS).read_bytes(), steps["stamp_ns"])
+    assert (path.stamp_ns, path.stamps_ns.tolist()) == (stamps[5], stamps[:5])
+    assert path.moved_m == pytest.approx([0.0, *[0.01] * 4], abs=1e-12)
 
 
 @pytest.mark.parametrize("again", ["closure != 0", "closure == 0"])

@@ -22,7 +22,7 @@ from evalkit.external.program import Program
 from evalkit.metrics import runtime
 from evalkit.metrics.metric import Evidence
 from evalkit.plugins import registry
-from evalkit.results.final_files import CLOSURES, FINAL, parse_final
+from evalkit.results.final_files import CLOSURES, FINAL, PATHS, parse_final, parse_paths
 
 FOLLOWS = """
 import json, sys, time
@@ -342,13 +342,27 @@ def test_a_program_corrects_its_poses_in_parts(program, run_backend, monkeypatch
     assert final.poses[:, 1].tolist() == [0.0, *[0.01] * 39]
     assert [one.other_from_base.x for one in closures] == list(range(1, 40))
     assert sum(one.accepted for one in closures) == 19
+    (path,) = parse_paths((folder / PATHS).read_bytes(), steps["stamp_ns"])
+    assert (path.stamp_ns, path.stamps_ns.tolist()) == (steps["stamp_ns"][2], steps["stamp_ns"][:2].tolist())
+    assert path.moved_m.tolist() == [0.0, 0.01]
+
+
+def test_a_program_that_has_no_path_before_the_end_refuses_it_and_completes(program, run_backend, tmp_path):
+    early = (
+        'elif q["ask"] == "trajectory" and len(kept) < 40:\n    say(failed="not yet")\nelif q["ask"] == "trajectory":'
+    )
+    outcome, steps = run_backend(slam_program(program, SLAM.replace('elif q["ask"] == "trajectory":', early)))
+    assert (outcome.status, len(steps)) == ("complete", 40)
+    assert outcome.paths_left_out.startswith("no path after scan 3: BackendRefused: ")
+    assert "not yet" in outcome.paths_left_out
+    assert not list(tmp_path.glob(f"*/{PATHS}"))
 
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("say(poses=[", "say(poses=[0.0] + [", "120 finite numbers from pose 0 on"),
-        ("0.01 * (x", "1e999 * (x", "120 finite numbers from pose 0 on"),
+        ("say(poses=[", "say(poses=[0.0] + [", "9 finite numbers from pose 0 on"),
+        ("0.01 * (x", "1e999 * (x", "9 finite numbers from pose 0 on"),
         ('"accepted": k > 20', '"accepted": 1', "objects with stamp_ns, other_stamp_ns, pose, accepted"),
         ('"stamp_ns": kept[k][0]', '"stamp_ns": -1', "other_stamp_ns: expected a time before -1"),
         ("corrected=len(kept) == 3", "corrected=3", "the answer has 'corrected': 3, expected true or false"),

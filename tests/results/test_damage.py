@@ -10,10 +10,11 @@ import pytest
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.loop_closure import LoopClosure
+from evalkit.core.path_correction import PathCorrection
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunConditions, RunResult, Score, Scores
 from evalkit.core.trajectory import Trajectory
-from evalkit.results.final_files import CLOSURES, FINAL, format_final, parse_final
+from evalkit.results.final_files import CLOSURES, FINAL, PATHS, format_final, parse_final
 from evalkit.results.reader import load_stored_results
 from evalkit.results.seal import check_seal, seal
 from evalkit.results.store import ERRORS, GRID, RESULT, SCORES, STEPS, Store
@@ -32,7 +33,11 @@ def stored(tmp_path):
     final = Trajectory(steps["stamp_ns"], np.random.default_rng(1).normal(size=(20, 3)), "start", "base")
     closures = (LoopClosure(1_900_000_000, 100_000_000, Pose(0.1, 0.2, 0.3), True, "score 0.8"),)
     conditions = RunConditions(load=0.5)
-    result = RunResult(steps, 20, notes={"gaps": 2}, conditions=conditions, final=final, loop_closures=closures)
+    path = PathCorrection(int(steps["stamp_ns"][9]), steps["stamp_ns"][:9], final.poses[:9], final.poses[1:10])
+    result = RunResult(
+        steps, 20, notes={"gaps": 2}, conditions=conditions, final=final, loop_closures=closures,
+        path_corrections=(path,),
+    )  # fmt: skip
     log_odds = np.random.default_rng(0).normal(size=(12, 10)).astype(np.float32)
     grid = OccupancyGrid(log_odds, log_odds > 0.0, 0.05, -1.0, 2.0)
     scores = Scores({"ate": Score(1.0 / 3.0, 20)}, Pose(0.1, 0.2, 0.3), "first pose", grid, np.linspace(0.0, 0.1, 20))
@@ -42,12 +47,16 @@ def stored(tmp_path):
     return store
 
 
+FILES = (RESULT, STEPS, FINAL, CLOSURES, PATHS, SCORES, GRID, ERRORS)
+
+
 def content_of(store):
     """Return everything that is read of a run, None for a part that is not."""
     result, scores = store.load_result(KEY), store.load_scores(KEY, "code")
     return (
         result and (result.steps.tobytes(), result.status, result.expected, result.notes, result.conditions,
-                   result.final.poses.tobytes(), result.final.stamps_ns.tobytes(), result.loop_closures),
+                   result.final.poses.tobytes(), result.final.stamps_ns.tobytes(), result.loop_closures,
+                   [one.before.tobytes() + one.after.tobytes() for one in result.path_corrections]),
         scores and (scores.by_metric, scores.world_from_start, scores.grid.log_odds.tobytes(),
                     scores.grid.observed.tobytes(), scores.grid.origin_x, scores.errors_m.tobytes()),
         store.load_score_values(KEY) or None,
@@ -76,7 +85,7 @@ def test_no_random_damage_changes_a_value_that_is_read(stored):
     chance, whole = random.Random(15), content_of(stored)
     assert None not in whole
     folder = stored.run_folder(KEY)
-    files = {name: (folder / name).read_bytes() for name in (RESULT, STEPS, FINAL, CLOSURES, SCORES, GRID, ERRORS)}
+    files = {name: (folder / name).read_bytes() for name in FILES}
     noticed = 0
     for _ in range(DAMAGES):
         name = chance.choice(list(files))
@@ -89,10 +98,11 @@ def test_no_random_damage_changes_a_value_that_is_read(stored):
     assert noticed > 0.8 * DAMAGES  # the rest are spaces in a text, and damages that change nothing
 
 
-@pytest.mark.parametrize("name", [FINAL, CLOSURES])
+@pytest.mark.parametrize("name", [FINAL, CLOSURES, PATHS])
 def test_a_damaged_file_of_corrected_poses_is_named(stored, name):
     path = stored.run_folder(KEY) / name
-    path.write_bytes(path.read_bytes()[:-1] + b"?")
+    raw = path.read_bytes()
+    path.write_bytes(raw[:-1] + bytes([raw[-1] ^ 1]))
     assert stored.load_result(KEY) is None
     with pytest.raises(ValueError, match=f"{name} is damaged: its content does not agree with its checksum"):
         stored.read_result(KEY)

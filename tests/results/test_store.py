@@ -13,6 +13,7 @@ from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.loop_closure import LoopClosure
+from evalkit.core.path_correction import PathCorrection
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, LostTrack, RunResult, Score, Scores
 from evalkit.core.run_status import Cause
@@ -87,9 +88,11 @@ def test_a_stored_result_is_loaded_to_the_bit(store, ended):
     path = store.run_folder(KEY) / "result.json"
     record = json.loads(path.read_text())
     assert (record["method"], record["sequence"], record["status"]) == ("icp", "room <1>", kept.status)
-    earlier = {key: value for key, value in record.items() if key not in ("remarks", "sha256", "files")}
+    later = ("remarks", "paths_left_out", "sha256", "files")
+    earlier = {key: value for key, value in record.items() if key not in later}
     path.write_text(seal(earlier, {"steps.bin": kept.steps.tobytes()}))
-    assert Store(store.folder).load_result(KEY).remarks == ()
+    again = Store(store.folder).load_result(KEY)
+    assert (again.remarks, again.path_corrections, again.paths_left_out) == ((), (), "")
 
 
 @pytest.mark.parametrize("found_again", [None, False, True])
@@ -100,10 +103,17 @@ def test_corrected_poses_and_loop_closures_are_loaded_to_the_bit(store, found_ag
         int(kept.steps["stamp_ns"][4]), int(kept.steps["stamp_ns"][0]), Pose(0.1, 1 / 3), False, "far", found_again
     )
     final = Trajectory(kept.steps["stamp_ns"], poses, "start", "base")
-    store.save_result(SPEC, replace(kept, final=final, loop_closures=(closure,), final_cpu_ns=7))
+    stamps = kept.steps["stamp_ns"]
+    path = PathCorrection(int(stamps[3]), stamps[[0, 2]], poses[:2], poses[2:4])
+    ended = {"final": final, "loop_closures": (closure,), "path_corrections": (path,), "paths_left_out": "too many"}
+    store.save_result(SPEC, replace(kept, **ended, final_cpu_ns=7))
     again = Store(store.folder).load_result(KEY)
     assert again.final.poses.tobytes() == poses.tobytes()
     assert (again.loop_closures, again.final_cpu_ns) == ((closure,), 7)
+    (found,) = again.path_corrections
+    assert (found.stamp_ns, found.stamps_ns.tolist()) == (stamps[3], stamps[[0, 2]].tolist())
+    assert again.paths_left_out == "too many"
+    assert np.concatenate([found.before, found.after]).tobytes() == poses[:4].tobytes()
     assert again.with_final_answers.estimate.poses.tobytes() == poses.tobytes()
     assert again.with_final_answers.steps["cpu_ns"].tolist() == kept.steps["cpu_ns"].tolist()
     assert np.allclose(read_tum(store.folder / "trajectories" / f"{KEY}.final.tum").trajectory.poses, poses, atol=1e-8)

@@ -223,7 +223,8 @@ def _experiment_of_recording(
 def _run(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -> None:
     with _scheduler(experiment, store, how) as scheduler:
         runs = scheduler.run(experiment, _executor(experiment, how))
-        none: dict[str, Any] = {"steps": NO_STEPS, "final": None, "loop_closures": ()}  # there may be thousands of runs
+        # there may be thousands of runs
+        none: dict[str, Any] = {"steps": NO_STEPS, "final": None, "loop_closures": (), "path_corrections": ()}
         results = {spec.key: replace(result, **none) for spec, result in runs}
     run_summary.print_summary(
         [(spec, results[spec.key]) for spec in experiment.runs()], experiment.title, store, None, as_json

@@ -32,7 +32,7 @@ def with_corrected(records: Sequence[RunRecord]) -> list[RunRecord]:
         )  # fmt: skip
         steps = corrected.steps.copy()
         steps["s2s_error"] = steps["s2m_error"] = np.nan  # residuals belong to the answers
-        result = replace(corrected, steps=steps, final=None, loop_closures=())
+        result = replace(corrected, steps=steps, final=None, loop_closures=(), path_corrections=())
         shown.append(replace(record, spec=replace(record.spec, method=method), result=result, scores=scores))
     return shown
 

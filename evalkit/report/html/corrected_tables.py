@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from urllib.parse import quote
 
@@ -27,6 +27,7 @@ from evalkit.report.html.report_tables import (
     runs_anchor,
     score_cell,
 )
+from evalkit.report.html.shown_corrections import attribute_closures, name_correction
 from evalkit.results.run_record import RunRecord
 
 COUNTS = (
@@ -80,7 +81,8 @@ MAX_EXAMPLES, MAX_REASONS = 3, 20
 def list_closures(records: Sequence[RunRecord], anchor: str) -> list[Block]:
     """Return a closed list of the loop closures of each run: the accepted ones, then the rejected ones by reason.
 
-    A time opens the player there. It places the scan by the answer and by the corrected pose: before and after.
+    A time opens the player there: of a closure with the scan placed by the answer and by the corrected pose at the end,
+    of a correction with the path before and after it.
     """
     answered = [record.result.steps["stamp_ns"] for record in records if len(record.result.steps)]
     stamps = np.unique(np.concatenate(answered)) if answered else np.zeros(0, dtype=np.int64)
@@ -108,16 +110,30 @@ def list_closures(records: Sequence[RunRecord], anchor: str) -> list[Block]:
     return folds
 
 
+CORRECTED = (
+    Column("Corrected at", "s", True,
+           "the first correction of the path after it, before another closure was accepted; a dash where the method "
+           "reported none: no earlier pose moved by more than 1 cm or 0.5 deg"),
+    Column("Robot moved", "", True, "by this correction, one scan before it"),
+)  # fmt: skip
+
+
 def _tabulate_accepted(
     record: RunRecord, stamps: Stamps, accepted: Sequence[tuple[LoopClosure, float]], anchor: str
 ) -> Table:
     """Return the accepted closures in order of time, each with the distance of its motion from the true one."""
+    corrections = _cells_of_corrections(record, stamps, anchor)
+    unknown = (DASH, DASH) if corrections else ()
     rows: list[list[Cell | str]] = [
-        [*_cells_of_times(record, stamps, one, anchor), one.reason, _cell_of_error(error)]
+        [
+            *_cells_of_times(record, stamps, one, anchor), one.reason, *corrections.get(one.stamp_ns, unknown),
+            _cell_of_error(error),
+        ]
         for one, error in accepted[:MAX_ACCEPTED]
-    ]
+    ]  # fmt: skip
     columns = [
         Column("Accepted at", "s", True), Column("Back to", "s", True), Column("Reason"),
+        *(CORRECTED if corrections else ()),
         Column("From the true motion", "", True, "the motion that was measured, against the truth"),
     ]  # fmt: skip
     more = f"The first {MAX_ACCEPTED} of {len(accepted)} accepted closures" if len(accepted) > MAX_ACCEPTED else ""
@@ -174,12 +190,29 @@ def _describe_values(reasons: Sequence[str]) -> str:
     return f" ({values.min():.3g}, {np.median(values):.3g}, {values.max():.3g})"
 
 
+def _cells_of_corrections(record: RunRecord, stamps: Stamps, anchor: str) -> dict[int, tuple[Cell, Cell]]:
+    """Return when each correction was and how far the robot moved, by the stamp of the last closure before it."""
+    start = int(record.result.steps["stamp_ns"][0])
+    cells = {}
+    for number, (one, closures) in enumerate(attribute_closures(record.result)[0], start=1):
+        if closures:
+            words = {"correction": name_correction(record.method, number)}
+            at, moved = (one.stamp_ns - start) * 1e-9, float(one.moved_m[-1])
+            link = _link_to_player(record, stamps, one.stamp_ns, anchor, words)
+            cells[closures[-1].stamp_ns] = (Cell(f"{at:.1f}", at, link=link), Cell(format_length(moved), moved))
+    return cells
+
+
+def _link_to_player(record: RunRecord, stamps: Stamps, stamp_ns: int, anchor: str, more: Mapping[str, str]) -> str:
+    """Return a link that opens the player at a scan, placed by the answer on its own map."""
+    words = {"by": record.method, **more, "on": "own", "scan": str(int(np.searchsorted(stamps, stamp_ns)) + 1)}
+    return f"#{anchor}-player?{'&'.join(f'{key}={quote(value)}' for key, value in words.items())}"
+
+
 def _cells_of_times(record: RunRecord, stamps: Stamps, one: LoopClosure, anchor: str) -> tuple[Cell, Cell]:
     """Return the times of both frames in s since the first answer; the later one opens the player there."""
     start = int(record.result.steps["stamp_ns"][0])
-    scan = int(np.searchsorted(stamps, one.stamp_ns)) + 1
-    words = {"by": record.method, "and": f"{record.method}{SUFFIX}", "on": "own", "scan": str(scan)}
-    link = f"#{anchor}-player?{'&'.join(f'{key}={quote(value)}' for key, value in words.items())}"
+    link = _link_to_player(record, stamps, one.stamp_ns, anchor, {"and": f"{record.method}{SUFFIX}"})
     later, earlier = (one.stamp_ns - start) * 1e-9, (one.other_stamp_ns - start) * 1e-9
     return Cell(f"{later:.1f}", later, link=link), Cell(f"{earlier:.1f}", earlier)
 

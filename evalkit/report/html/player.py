@@ -25,6 +25,7 @@ from evalkit.report.html.array_encoding import NONE, Steps, dequantise, pack_arr
 from evalkit.report.html.corrected_runs import SUFFIX
 from evalkit.report.html.maps import MapWindow, pixel_m
 from evalkit.report.html.method_colours import Stroke
+from evalkit.report.html.shown_corrections import ShownCorrection, describe_corrections, list_corrections
 from evalkit.results.run_record import RunRecord
 
 METRE, RADIAN, RESIDUAL, MILLISECOND = 1e-3, 1e-5, 1e-4, 1_000_000
@@ -61,7 +62,7 @@ class Player:
     """A sequence as the page's player reads it: JSON, methods, quantities, and remarks for the caption.
 
     ``quantities``: pairs of name in the JSON and label. ``preferred``, ``rival``: the methods shown first. ``maps``:
-    methods that consist of a map without a path.
+    methods that consist of a map without a path. ``corrections``: lists of the corrections of each SLAM by its label.
     """
 
     content: str
@@ -73,6 +74,7 @@ class Player:
     preferred: str
     rival: str
     maps: tuple[str, ...]
+    corrections: Mapping[str, Several[ShownCorrection]]
 
 
 def build_player(
@@ -97,6 +99,7 @@ def build_player(
     kept = stamps[rows]
     beams, why = _beams_of(scans, kept, most_ranges)
     alone = [record for record in records if not len(record.result.steps) and record.scores.grid is not None]
+    corrections = list_corrections(answered, stamps)
     true = next((t.truth.trajectory for t in answered if t.truth.trajectory is not None), None)
     content: dict[str, Any] = {
         "times": pack_array(quantise((kept - kept[0]) / MILLISECOND, 1.0)),
@@ -108,6 +111,7 @@ def build_player(
         "maps": [{"label": record.method} | _map(record) for record in alone],
         "window": None if shown is None else [shown.x_min, shown.x_max, shown.y_min, shown.y_max],
         "pixels": _pixels(records, shown),
+        "corrections": [one.content for one in corrections],
     }
     labels = tuple(record.method for record in answered)
     first, second = _two(content["runs"], preferred, rival)
@@ -117,10 +121,16 @@ def build_player(
         quantities=tuple((key, name) for key, name in QUANTITIES if any(run[key] for run in content["runs"])),
         has_truth=true is not None,
         has_true_map="" in content["pixels"],
-        remarks=_describe_omissions(len(stamps), len(kept), beams, why, [record.method for record in alone]),
+        remarks=" ".join(
+            [
+                *_describe_omissions(len(stamps), len(kept), beams, why, [record.method for record in alone]),
+                *describe_corrections(answered),
+            ]
+        ),
         preferred=first,
         rival=second,
         maps=tuple(record.method for record in alone),
+        corrections={method: tuple(own) for method, own in itertools.groupby(corrections, key=lambda one: one.method)},
     )
 
 
@@ -346,7 +356,7 @@ def _two(runs: Several[Mapping[str, Any]], preferred: str, rival: str) -> tuple[
     return first, next(iter(others), first)
 
 
-def _describe_omissions(answered: int, kept: int, beams: Beams | None, why: str, alone: Several[str]) -> str:
+def _describe_omissions(answered: int, kept: int, beams: Beams | None, why: str, alone: Several[str]) -> list[str]:
     """Return sentences on what is left out."""
     sentences = []
     if kept < answered:
@@ -359,4 +369,4 @@ def _describe_omissions(answered: int, kept: int, beams: Beams | None, why: str,
         sentences.append(f"One beam in {beams.every} is shown.")
     if alone:
         sentences.append(f"Maps without a path: {', '.join(alone)}.")
-    return " ".join(sentences)
+    return sentences

@@ -15,15 +15,16 @@ from bounds import check_call, folder
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.loop_closure import LoopClosure
+from evalkit.core.path_correction import PathCorrection
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunResult, Score, Scores
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import untrusted_io
-from evalkit.results.final_files import CLOSURES, FINAL
+from evalkit.results.final_files import CLOSURES, FINAL, PATHS
 from evalkit.results.seal import seal
 from evalkit.results.store import RESULT, SCORES, STEPS, Store
 
-FILES = (RESULT, STEPS, SCORES, "grid.npz", "errors.npy", FINAL, CLOSURES)
+FILES = (RESULT, STEPS, SCORES, "grid.npz", "errors.npy", FINAL, CLOSURES, PATHS)
 """The files; the first byte of an input selects the one it replaces, the others are valid."""
 
 
@@ -36,7 +37,8 @@ def _sound() -> dict[str, bytes]:
         Trajectory(steps["stamp_ns"], np.zeros((2, 3)), "start", "base"),
         LoopClosure(1, 0, Pose(), True, "near"),
     )
-    run = RunResult(steps, 2, remarks=("full",), final=final, loop_closures=(loop,))
+    path = PathCorrection(1, steps["stamp_ns"][:1], np.zeros((1, 3)), np.ones((1, 3)))
+    run = RunResult(steps, 2, remarks=("full",), final=final, loop_closures=(loop,), path_corrections=(path,))
     cells = np.zeros((3, 2), dtype=np.float32)
     grid = OccupancyGrid(cells, cells > 0, 0.05, 0.0, 0.0)
     scores = Scores({"ate": Score(1.0, 2)}, grid=grid, errors_m=np.zeros(2))

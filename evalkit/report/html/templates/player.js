@@ -58,6 +58,7 @@ class Player {
     this.root.addEventListener("change", (event) => {
       this.wanted.delete(event.target);
       this.choose();
+      if (event.target.dataset.picks === "correction" && this.state.correction) this.seek(this.state.correction.at);
     });
     document.addEventListener("theme", () => this.resize());
     this.find(".stage").addEventListener("keydown", (event) => this.key(event, does));
@@ -115,6 +116,7 @@ class Player {
     const own = { own: this.recording.runs.find((run) => run.label === placer)?.map ?? placer, true: "" }[picked.map] ?? this.find("select[data-picks=map]").selectedOptions[0].dataset.map;
     const runs = this.recording.runs.filter((run) => ticked.has(run.label));
     Object.assign(this.state, { layers, runs, map: own, first: picked.first, second: picked.second, quantity: picked.quantity });
+    this.correct(picked);
     const names = JSON.stringify([...runs.map((run) => run.label), ...this.all(".worst select").map((select) => select.value)]);
     if (names !== this.names) {
       for (const trace of this.traces) trace.prepare(runs);
@@ -124,11 +126,23 @@ class Player {
     this.draw();
   }
 
+  // The correction that is shown, and what it moved in words.
+  correct(picked) {
+    this.state.correction = this.recording.corrections.find((one) => one.name === picked.correction);
+    this.state.side = picked.side;
+    const words = this.find(".correction");
+    if (words) words.textContent = this.state.correction?.words ?? "";
+  }
+
   // A filtered method neither places a scan nor is compared or drawn.
   offer() {
     for (const option of this.all("option[data-map]")) {
       option.hidden = !isShown(option.dataset.map);
       if (option.hidden && option.selected) option.parentElement.value = "own";
+    }
+    for (const option of this.all("option[data-run]")) {
+      option.hidden = !isShown(option.dataset.run);
+      if (option.hidden && option.selected) option.closest("select").value = "";
     }
     for (const select of this.all("select[data-picks=first], select[data-picks=second], select[data-worst=a], select[data-worst=b]")) {
       const named = [...select.options].filter((option) => this.recording.runs.some((run) => run.label === option.value));

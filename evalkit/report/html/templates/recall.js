@@ -1,5 +1,5 @@
 // The state of a player as lists of texts by word, for links, and its restoration from a link.
-const PICKS = { by: "first", and: "second", on: "map", colour: "quantity" };
+const PICKS = { by: "first", and: "second", on: "map", colour: "quantity", correction: "correction", side: "side" };
 const WORST = ["a", "b", "by"];
 
 function playerState(player) {

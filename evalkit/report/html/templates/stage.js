@@ -3,6 +3,7 @@ const RAMP = ["#f0d21f", "#f89540", "#cc4778", "#7e03a8", "#0d0887"]; // plasma,
 const FAR_M = 0.3;
 const GHOST = "#e69f00";
 const VIOLATION = "#8b1fa9";
+const SIDES = { after: { colour: "#3d1fd1", dash: [] }, before: { colour: "#c8102e", dash: [7, 5] } }; // colours of no method
 
 const ramp = (share) => RAMP[Math.min(Math.floor(Math.max(share, 0) * RAMP.length), RAMP.length - 1)];
 
@@ -44,7 +45,9 @@ class Stage {
     if (state.layers.violations && chosen) this.crosses(brush, view, chosen);
     const { truth } = this.recording;
     if (state.layers.truth && truth) this.path(brush, view, truth, state.scan, 2.6);
-    if (state.layers.estimates) for (const run of state.runs) this.path(brush, view, run, state.scan, 1.5);
+    const strong = state.correction ? 0.35 : 1; // other paths step back
+    if (state.layers.estimates) for (const run of state.runs) this.path(brush, view, run, state.scan, 1.5, strong);
+    if (state.correction) this.correction(brush, view, state.correction, state.side);
     if (state.layers.residuals && chosen) this.residuals(brush, view, chosen, state.quantity);
     const placers = [state.second, state.first].map((label) => (label === "truth" ? truth : this.recording.runs.find((run) => run.label === label)));
     placers.forEach((run, i) => run && this.scan(brush, view, run, state, placers[1] && i === 0));
@@ -90,7 +93,7 @@ class Stage {
   }
 
   // The path up to the current scan is opaque, the rest faint.
-  path(brush, view, run, scan, width) {
+  path(brush, view, run, scan, width, strong = 1) {
     const line = (from, to) => {
       brush.beginPath();
       for (let i = from, pen = false; i <= to; i++) {
@@ -103,11 +106,43 @@ class Stage {
     brush.strokeStyle = paint(run.colour);
     brush.lineWidth = width;
     brush.setLineDash(run.dash.map((length) => 1.4 * length));
-    brush.globalAlpha = 0.28;
+    brush.globalAlpha = 0.28 * strong;
     line(scan, this.recording.count - 1);
-    brush.globalAlpha = 1;
+    brush.globalAlpha = strong;
     line(0, scan);
+    brush.globalAlpha = 1;
     brush.setLineDash([]);
+  }
+
+  // The path just before or after a correction, or both, with the edges of its closures and where the robot was.
+  // Of both, the dashes of that before lie on that after: where they agree, both are visible.
+  correction(brush, view, one, side) {
+    for (const [name, { colour, dash }] of Object.entries(SIDES)) {
+      if (side !== name && side !== "both") continue;
+      const path = one[name];
+      const drawn = [Array.from({ length: path.length / 2 }, (_, i) => path.subarray(2 * i, 2 * i + 2)), ...one.edges[name].map((edge) => [edge.slice(0, 2), edge.slice(2)])];
+      drawn.forEach((points, i) => {
+        brush.beginPath();
+        for (const point of points) brush.lineTo(...view.toScreen(...point));
+        const casing = name === "before" && side === "both" ? [] : [["#fff", 4.6]];
+        for (const [ink, width] of [...casing, [colour, i === 1 ? 3 : i ? 1.5 : 2.2]]) {
+          brush.setLineDash(i || ink === "#fff" ? [] : dash);
+          brush.strokeStyle = ink;
+          brush.lineWidth = width;
+          brush.stroke();
+        }
+      });
+      brush.setLineDash([]);
+      for (const point of [drawn[0].at(-1), ...drawn.slice(1).flat()]) {
+        brush.beginPath();
+        brush.arc(...view.toScreen(...point), 4.5, 0, 7);
+        brush.fillStyle = colour;
+        brush.fill();
+        brush.strokeStyle = "#fff";
+        brush.lineWidth = 1.2;
+        brush.stroke();
+      }
+    }
   }
 
   residuals(brush, view, run, quantity) {

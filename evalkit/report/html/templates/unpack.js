@@ -21,6 +21,12 @@ const poses = async (text) => inUnits(await unpack(text, 3), 1e-3, 1e-3, 1e-5);
 const series = async (text) => (text === null ? null : inUnits(await unpack(text), 1e-4));
 const cells = async (text) => (text === null ? null : inUnits(await unpack(text, 2), 1e-3));
 
+// The paths before and after a correction (x, y, x, y, in m) from rows of x, y before and what was added, in mm.
+function sides(steps) {
+  const of = (value) => Float64Array.from({ length: steps.length / 2 }, (_, i) => 1e-3 * value(4 * (i >> 1) + (i & 1)));
+  return { before: of((at) => steps[at]), after: of((at) => steps[at] + steps[at + 2]) };
+}
+
 async function readRecording(text) {
   const raw = JSON.parse(text);
   const runs = await Promise.all(raw.runs.map(async (run) => ({
@@ -41,7 +47,8 @@ async function readRecording(text) {
   };
   const times = await unpack(raw.times);
   const truth = raw.truth && { label: "", colour: "var(--ink)", dash: [], poses: await poses(raw.truth) };
-  return { ...raw, runs, beams, times, truth, numbers: await unpack(raw.numbers), count: times.length };
+  const corrections = await Promise.all(raw.corrections.map(async (one) => ({ ...one, ...sides(await unpack(one.path, 4)) })));
+  return { ...raw, runs, corrections, beams, times, truth, numbers: await unpack(raw.numbers), count: times.length };
 }
 
 // The hits of scan i in the world for one trajectory, as x, y, x, y (m), NaN without a hit; as place_hits() of player.py.
