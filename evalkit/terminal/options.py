@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 import textwrap
 from collections.abc import Callable, Iterable
@@ -226,12 +225,6 @@ def settings(items: list[str], option: str = "--set") -> dict[str, str]:
         if "=" not in item:
             raise typer.BadParameter(f"{option}: found '{item}', expected NAME=VALUE")
     return dict(item.split("=", 1) for item in items)
-
-
-def split_sequence(text: str) -> tuple[str, dict[str, str]]:
-    """Return the data set and the parameters of "NAME laps=0.3". Raises typer.BadParameter for an item without "="."""
-    name, *items = shlex.split(text) or [""]
-    return name, settings(items, f"--on {name}")
 
 
 def table_width(console: Console) -> int:

@@ -16,7 +16,7 @@ from evalkit.execution.task_runner import run_tasks
 from evalkit.execution.task_store import TaskStore
 from evalkit.odometry import frontend
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.parameter_parsing import from_text, parse_dataset
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, err, out
@@ -66,7 +66,7 @@ def realtime(
         "factors": _parse_factors(factors), "policies": [_parse_policy(policy)], "repetitions": repetitions,
         "bridged": odometry,
     }  # fmt: skip
-    dataset, given_on = options.split_sequence(on or defaults.find_simulated_dataset())
+    dataset, given_on = parse_dataset(on or defaults.find_simulated_dataset())
     task = _make_task(backend, dataset, options.settings(setting or []), given_on, devices)
     store = TaskStore(folder or RESULTS / "realtime")
     with progress.show_tasks(err, 1, 1) as done:
@@ -79,7 +79,7 @@ def realtime(
 
 
 def _make_task(
-    backend: str, on: str, given: dict[str, str], given_on: dict[str, str], devices: dict[str, Any]
+    backend: str, on: str, given: dict[str, str], given_on: dict[str, Value], devices: dict[str, Any]
 ) -> Task[RealtimeResult]:
     """Make the task that measures and simulates; ``devices``: the other arguments of ``simulate_realtime``."""
     from evalkit.commands.realtime.simulation import ProfiledMethod, simulate_realtime  # noqa: PLC0415 - loads scipy
@@ -87,7 +87,7 @@ def _make_task(
     parameters = from_text(backend, frontend.settable_parameters(registry.backend(backend)), given)
     ProfiledMethod.load(backend, parameters)
     spec = registry.dataset(on)
-    of_sequence: dict[str, Value] = resolve_parameters(on, spec.parameters, from_text(on, spec.parameters, given_on))
+    of_sequence = resolve_parameters(on, spec.parameters, given_on)
     if why := spec.missing(**of_sequence):
         raise DataMissing(on, "is not available", why)
     return make_task(
