@@ -37,7 +37,8 @@ def study(
     Finished points are kept: repeat the command to continue an interrupted study.
     """
     from evalkit.commands.study.config import load_study  # noqa: PLC0415 - as above
-    from evalkit.commands.study.result import StudyResult  # noqa: PLC0415 - loads scipy
+    from evalkit.commands.study.formatting import describe_missing_effects  # noqa: PLC0415 - loads scipy
+    from evalkit.commands.study.result import StudyResult  # noqa: PLC0415 - as above
     from evalkit.design.run_points import run_points  # noqa: PLC0415 - as above
 
     options.add_working_directory()
@@ -63,6 +64,9 @@ def study(
     else:
         counts = f"{len(plan.points):,} points, {len(tasks):,} runs, {lost} lost"
         out.print(counts)
+        for response in plan.responses:
+            for design, reason in outcome.missing_fits(response):
+                out.print(describe_missing_effects(response, design, reason))
         out.print(str(page.resolve()))
 
 

@@ -37,6 +37,11 @@ def describe_interactions(response: Response, fit: ModelFit, most: int = 4) -> s
     return f"Significant interactions, adjusted for {len(fit.interactions())} pairs: {join_words(words)}{more}."
 
 
+def describe_missing_effects(response: Response, design: Design, reason: str) -> str:
+    """A sentence on why a design has no effects on a response."""
+    return f"{design.name}: the effects on {response.metric.label} cannot be computed: {reason}."
+
+
 def describe_limit(choice: EnvelopeChoice) -> str:
     """The limit of an envelope as the beginning of a sentence."""
     metric = choice.response.metric
