@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 import typer
 
 from evalkit.config.experiment import RESULTS
-from evalkit.core.errors import BadParameter, NotInstalled
+from evalkit.core.errors import BadData, BadParameter, NotInstalled, brief
 from evalkit.execution import environment
+from evalkit.io.input_files import read_text
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.specs import DatasetSpec
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 SEED_FILE = "seed.txt"
 """In the results folder: the seed of its drawn questions."""
+
+SEED = re.compile(r"[0-9]{1,4000}")
 
 CheckGroup = Literal["rules", "registrations", "lockstep", "determinism"]
 ONLY: tuple[CheckGroup, ...] = get_args(CheckGroup)
@@ -261,9 +264,16 @@ def _default_peers(quick: bool) -> list[str]:
 
 def _choose_seed(given: int | None, folder: Path, fresh: bool) -> int:
     """The seed given, that of the folder so that its results count, or a new one."""
+    if given is not None:
+        return given
     file = folder / SEED_FILE
-    known = None if fresh or not file.exists() else file.read_text(encoding="utf-8").strip()
-    return given if given is not None else int(known) if known and known.isdecimal() else secrets.randbelow(1_000_000)
+    if fresh or not file.exists():
+        return secrets.randbelow(1_000_000)
+    expected = "a file with one whole number, --seed or --fresh"
+    text = read_text(file, expected).strip()
+    if not SEED.fullmatch(text):
+        raise BadData(str(file), "", f"found {brief(text)}", f"give {expected}")
+    return int(text)
 
 
 def _keep_seed(folder: Path, seed: int) -> None:
