@@ -134,13 +134,11 @@ def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -
         return
     collector.store.create()
     os.environ.update(environment.SINGLE_THREAD)  # inherited by the processes
-    cores = environment.core_of_each(workers)
     own_processes = all(task.own_process for task in tasks)
-    with WorkerPool(() if own_processes else cores) as pool, ThreadPoolExecutor(workers) as threads:
+    cores = () if own_processes else environment.core_of_each(workers)
+    with WorkerPool(cores) as pool, ThreadPoolExecutor(workers) as threads:
         if own_processes:
-            idle: SimpleQueue[int | None] = SimpleQueue()
-            for core in cores:
-                idle.put(core)
+            idle = environment.queue_cores(workers)
             futures = {threads.submit(_run_on_core, idle, task): task for task in tasks}
         else:
             futures = {threads.submit(_run_in_pool, pool, task, collector.store.note(task)): task for task in tasks}
