@@ -46,7 +46,7 @@ def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | 
         if report.why_reference:
             out.print(f"reference {report.reference}: {report.why_reference}")
         if (seed := report.settings.get("seed")) is not None:
-            out.print(f"{report.asked} checks, questions drawn with --seed {seed}")
+            out.print(f"{report.check_count} checks, questions drawn with --seed {seed}")
         out.print(str((folder / "index.html").resolve()))
         if report.next_step:
             out.print(f"next: {report.next_step}")
