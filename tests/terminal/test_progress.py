@@ -13,7 +13,7 @@ from evalkit.config.experiment import Method, SequenceSpec, experiment_from_tabl
 from evalkit.core.run_result import NO_STEPS, RunResult
 from evalkit.core.run_status import BROKEN, Cause, RunStatus
 from evalkit.terminal import options
-from evalkit.terminal.options import WordConsole
+from evalkit.terminal.console import WordConsole
 from evalkit.terminal.progress import TaskLines, TimeLeft, format_unavailable, print_table, show_runs, show_tasks
 
 

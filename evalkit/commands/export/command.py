@@ -12,7 +12,8 @@ from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.io.map_server import write_map
 from evalkit.io.output_files import as_store_error, create_folder, write_bytes
 from evalkit.terminal import options
-from evalkit.terminal.options import Json, err, out
+from evalkit.terminal.console import err, out, print_json
+from evalkit.terminal.options import Json
 
 if TYPE_CHECKING:
     from evalkit.commands.export.latex import Width
@@ -73,7 +74,7 @@ def export(
         err.print(remark)
     written = [path for name in wanted for path in _write_format(name, writers, selection, folder, "all" in formats)]
     if as_json:
-        options.print_json({"written": [str(path) for path in written], "remarks": list(selection.remarks)})
+        print_json({"written": [str(path) for path in written], "remarks": list(selection.remarks)})
     else:
         out.print(f"{len(written)} file{'s' * (len(written) != 1)} in {folder.resolve()}")
     if not written:

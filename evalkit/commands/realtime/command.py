@@ -19,7 +19,8 @@ from evalkit.plugins import defaults, registry
 from evalkit.plugins.parameter_parsing import from_text, parse_dataset
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Json, err, out
+from evalkit.terminal.console import err, out, print_json, table_width
+from evalkit.terminal.options import Json
 
 if TYPE_CHECKING:
     from evalkit.commands.realtime.simulation import RealtimeResult
@@ -73,7 +74,7 @@ def realtime(
         result = run_tasks(store, [task], 1, done)[task.name]
     content = _as_json(backend, dataset, result)
     if as_json:
-        options.print_json(content)
+        print_json(content)
     else:
         _print(content)
 
@@ -148,7 +149,7 @@ def _print(content: dict[str, Any]) -> None:
         out.print(text)
     out.print()
     head = "device: error of the newest pose, dropped scans, age of an answer (95 %)"
-    for line in format_rows(head, _make_rows(content), options.table_width(out), cost=""):
+    for line in format_rows(head, _make_rows(content), table_width(out), cost=""):
         out.print(line)
     words = shlex.join(["evalkit", "tune", content["backend"], "--on", content["sequence"]])
     out.print(f"\nnext: {words} (cheaper or better parameters)", soft_wrap=True)

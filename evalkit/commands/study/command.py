@@ -15,7 +15,8 @@ from evalkit.execution import environment
 from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Json, Out, SchedulerAddress, err, out
+from evalkit.terminal.console import err, out, print_json
+from evalkit.terminal.options import Json, Out, SchedulerAddress
 
 if TYPE_CHECKING:
     from evalkit.commands.study.plan import Study
@@ -60,7 +61,7 @@ def study(
     page = _write(outcome, folder, ran_on)
     lost = sum(bool(outcome.lost(key, seed)) for key in plan.points for seed in plan.seeds(key))
     if as_json:
-        options.print_json({"title": plan.title, "page": str(page), "points": len(plan.points), "lost": lost})
+        print_json({"title": plan.title, "page": str(page), "points": len(plan.points), "lost": lost})
     else:
         counts = f"{len(plan.points):,} points, {len(tasks):,} runs, {lost} lost"
         out.print(counts)
@@ -81,7 +82,7 @@ def _run_point(plan: Study, key: str, as_json: bool) -> None:
         task = plan.task(plan.points[key], seed)
         results[task.name], _ = task.run()
     if as_json:
-        options.print_json(results)
+        print_json(results)
         return
     out.print(plan.points[key].label)
     for name, result in results.items():

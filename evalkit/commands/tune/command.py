@@ -18,7 +18,8 @@ from evalkit.io.output_files import write_texts
 from evalkit.results import descriptions
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Collect, Jobs, Json, Out, err, out
+from evalkit.terminal.console import err, out, print_json
+from evalkit.terminal.options import Collect, Jobs, Json, Out
 
 if TYPE_CHECKING:
     from evalkit.commands.tune.plan import Tuning
@@ -158,7 +159,7 @@ def _write_results(result: TuningResult, folder: Path, as_json: bool) -> None:
     page = folder / "index.html"
     skipped = sum(record.result.status == RunStatus.SKIPPED for record in result.comparison.records)
     if as_json:
-        options.print_json(content | {"page": str(page)})
+        print_json(content | {"page": str(page)})
     else:
         for one in result.searched:
             out.print(result.sentence(one))

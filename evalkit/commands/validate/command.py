@@ -23,7 +23,8 @@ from evalkit.plugins import defaults, registry
 from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.specs import DatasetSpec
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Jobs, Json, Out, err
+from evalkit.terminal.console import err
+from evalkit.terminal.options import Jobs, Json, Out
 
 if TYPE_CHECKING:
     from evalkit.commands.validate.acceptance import AcceptanceReport, Claim

@@ -14,8 +14,8 @@ from evalkit.commands.validate.acceptance import AcceptanceReport, Check, CheckO
 from evalkit.commands.validate.level_answers import NOT_JUDGED
 from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
-from evalkit.terminal import options, progress
-from evalkit.terminal.options import out
+from evalkit.terminal import progress
+from evalkit.terminal.console import out, print_json
 
 HIDDEN: tuple[CheckOutcome, ...] = ("passed", "not applicable")
 """Outcomes whose checks are not printed where others failed; the page shows all."""
@@ -37,7 +37,7 @@ def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | 
     if junit is not None:
         write_texts(junit.parent, {junit.name: as_junit(report)})
     if as_json:
-        options.print_json(content)
+        print_json(content)
     else:
         progress.print_table(out, format_table(report))
         if hidden := _count_hidden(report):
