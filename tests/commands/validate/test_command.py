@@ -190,6 +190,13 @@ def test_a_crash_is_a_failed_check(misfits):
     assert "SIGSEGV; it was in: room, seed 0, pair 1 (pair)" in check.observed
 
 
+def test_a_back_end_that_does_not_start_is_asked_nothing_else(misfits, tmp_path):
+    found = report(make_plan("faulty_backends:RAISES", reference="paper"), tmp_path)
+    assert [(level.name, level.outcome("equal")) for level in found.levels] == [("rules", "failed")]
+    assert "rule starts" in [check.name for check in found.levels[0].failed("equal")]
+    assert [path.name.partition("-")[0] for path in (tmp_path / "tasks").glob("*.npz")] == ["rules"]
+
+
 def test_the_reference_is_the_first_back_end_with_that_role_and_gets_the_same_settings():
     assert make_plan("paper-tight").reference == "paper"
     validation = make_plan(

@@ -336,14 +336,3 @@ def test_where_a_check_failed_those_that_passed_are_only_counted(outcomes, print
     text = capsys.readouterr().out
     assert [one for line in text.splitlines() if "check " in line for one in outcomes if f" {one} " in line] == printed
     assert ("not shown here: 2 passed, 1 not applicable" in text) == ("failed" in outcomes)
-
-
-def test_fatal_rules_end_a_validation_before_anything_else_runs(monkeypatch):
-    plan = SimpleNamespace(request=SimpleNamespace(only="", waivers={}), rules_task=lambda: None, backend="mine")
-    started = run.ValidationRun(plan, None, 1, None)
-    rule = {"rule": run.FATAL_RULES[0].removeprefix("rule "), "sentence": "It starts.",
-            "outcome": "failed", "observed": "raises OSError"}  # fmt: skip
-    monkeypatch.setattr(run.ValidationRun, "_compute", lambda *_, **__: {"rules": {"rules": [rule]}})
-    monkeypatch.setattr(run.ValidationRun, "_report", lambda _self, margin, _text, levels: (margin, levels))
-    margin, (rules,) = started.report()
-    assert (margin, rules.outcome("equal")) == ("exact", "failed")
