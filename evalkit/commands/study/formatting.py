@@ -11,8 +11,11 @@ from evalkit.design.responses import Response
 from evalkit.report.formatting import join_words
 from evalkit.stats.intervals import Interval
 
+MAX_EFFECTS = 3
+"""Most main effects that a sentence names."""
 
-def describe_main_effects(response: Response, design: Design, fit: ModelFit, most: int = 3) -> str:
+
+def describe_main_effects(response: Response, design: Design, fit: ModelFit) -> str:
     """A sentence with the largest significant effects."""
     ranked = sorted(fit.effects, key=lambda effect: -effect.largest.value.value)
     significant = [effect for effect in ranked if effect.largest.value.excludes(0.0)]
@@ -20,7 +23,7 @@ def describe_main_effects(response: Response, design: Design, fit: ModelFit, mos
         return f"No factor has a significant effect on {response.metric.label}."
     words = [
         f"{describe_largest(design, effect)} ({format_effect(response, effect.largest.value)})"
-        for effect in significant[:most]
+        for effect in significant[:MAX_EFFECTS]
     ]
     return f"{response.metric.label} depends most on {join_words(words)}."
 
