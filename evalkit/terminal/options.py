@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -15,7 +15,7 @@ from evalkit.plugins import registry
 if TYPE_CHECKING:
     from evalkit.execution.dask_cluster import Cluster
 
-ENGINES = ("local", "dask")
+EngineName = Literal["local", "dask"]
 EXECUTION = "Execution"
 """The panel of the options that say how runs are executed."""
 
@@ -101,10 +101,9 @@ Collect = Annotated[
     bool, typer.Option("--collect", help="Run nothing; report what is finished and missing.", rich_help_panel=EXECUTION)
 ]
 Engine = Annotated[
-    str,
+    EngineName,
     typer.Option(
-        help="local: run on this machine; dask: run on the workers of a Dask cluster.", rich_help_panel=EXECUTION,
-        autocompletion=lambda: list(ENGINES),
+        help="local: run on this machine; dask: run on the workers of a Dask cluster.", rich_help_panel=EXECUTION
     ),
 ]  # fmt: skip
 SchedulerAddress = Annotated[
@@ -148,11 +147,11 @@ class RunOptions:
         resume: bool,
         rerun: list[str] | None,
         collect: bool,
-        engine: str = "local",
+        engine: EngineName = "local",
         scheduler: str = "",
         insecure: bool = False,
     ) -> RunOptions:
-        """Return the checked options. Raises typer.BadParameter for an unknown status or engine."""
+        """Return the checked options. Raises typer.BadParameter for an unknown status."""
         from evalkit.core.run_result import DISTURBED  # noqa: PLC0415 - loads numpy
         from evalkit.core.run_status import BROKEN, RunStatus  # noqa: PLC0415 - loads numpy
         from evalkit.execution.environment import physical_cores  # noqa: PLC0415 - loads psutil
@@ -169,12 +168,10 @@ class RunOptions:
         )
 
 
-def cluster(engine: str, scheduler: str, jobs: int, insecure: bool = False) -> Cluster | None:
+def cluster(engine: EngineName, scheduler: str, jobs: int, insecure: bool = False) -> Cluster | None:
     """Return the requested cluster, None for this machine. Raises typer.BadParameter if the options contradict."""
     from evalkit.execution.dask_cluster import Cluster  # noqa: PLC0415 - rarely used
 
-    if engine not in ENGINES:
-        raise typer.BadParameter(f"--engine: found '{engine}', expected one of: {', '.join(ENGINES)}")
     if engine == "local" and scheduler:
         raise typer.BadParameter("--scheduler: needs --engine dask")
     return Cluster(scheduler, jobs, insecure=insecure) if engine == "dask" else None

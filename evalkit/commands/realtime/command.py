@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evalkit.commands.realtime.virtual_clock import POLICIES, BreakingRule, Policy, find_breaking_factor
+from evalkit.commands.realtime.virtual_clock import BreakingRule, Policy, find_breaking_factor
 from evalkit.config.experiment import RESULTS
 from evalkit.core.errors import DataMissing
 from evalkit.execution.task import Task, make_task
@@ -48,11 +48,8 @@ def realtime(
         ),
     ] = "1,2,5,10,20,50,100,200,500,1000",
     policy: Annotated[
-        str,
-        typer.Option(
-            help=f"What happens to a scan that arrives early: {' or '.join(POLICIES)}.",
-            autocompletion=lambda: list(POLICIES),
-        ),
+        Policy,
+        typer.Option(metavar="<policy>", help="What happens to a scan that arrives early: drop or queue-of-one."),
     ] = "queue-of-one",
     odometry: Annotated[bool, typer.Option(help="Use wheel odometry between estimates.")] = True,
     repetitions: Annotated[int, typer.Option(min=1, help="Time measurements per scan; the median counts.")] = 3,
@@ -64,7 +61,7 @@ def realtime(
     The time per scan is measured once on this machine and stored: the same command again drops the same scans.
     """
     devices = {
-        "factors": _parse_factors(factors), "policies": [_parse_policy(policy)], "repetitions": repetitions,
+        "factors": _parse_factors(factors), "policies": [policy], "repetitions": repetitions,
         "bridged": odometry,
     }  # fmt: skip
     dataset, given_on = parse_dataset(on or defaults.find_simulated_dataset())
@@ -105,13 +102,6 @@ def _parse_factors(text: str) -> list[float]:
     if not all(0.0 < factor < math.inf for factor in factors):
         raise typer.BadParameter(f"--factors: found '{text}', expected positive numbers: 1,5,10")
     return sorted(factors)
-
-
-def _parse_policy(text: str) -> Policy:
-    for policy in POLICIES:
-        if text == policy:
-            return policy
-    raise typer.BadParameter(f"--policy: found '{text}', expected one of: {', '.join(POLICIES)}")
 
 
 def _as_json(backend: str, on: str, result: RealtimeResult) -> dict[str, Any]:

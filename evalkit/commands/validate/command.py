@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -27,7 +27,7 @@ from evalkit.terminal.console import err
 from evalkit.terminal.options import Jobs, Json, Out
 
 if TYPE_CHECKING:
-    from evalkit.commands.validate.acceptance import AcceptanceReport, Claim
+    from evalkit.commands.validate.acceptance import AcceptanceReport
     from evalkit.commands.validate.plan import Only, ValidationRequest
     from evalkit.commands.validate.run import ProgressDisplay
     from evalkit.config.experiment import Experiment
@@ -39,7 +39,6 @@ SEED_FILE = "seed.txt"
 SEED = re.compile(r"[0-9]{1,4000}")
 
 CheckGroup = Literal["rules", "registrations", "lockstep", "determinism"]
-ONLY: tuple[CheckGroup, ...] = get_args(CheckGroup)
 
 Subject = Literal["back end", "mapper", "data set"]
 
@@ -58,13 +57,13 @@ def validate(
         ),
     ] = None,
     only: Annotated[
-        str,
+        CheckGroup | None,
         typer.Option(
-            help=f"Only these checks: {', '.join(ONLY)}.",
+            metavar="<checks>",
+            help="Only these checks: rules, registrations, lockstep, determinism.",
             show_default="levels 0 to 5",
-            autocompletion=lambda: list(ONLY),
         ),
-    ] = "",
+    ] = None,
     reference: Annotated[
         str,
         typer.Option(
@@ -85,7 +84,9 @@ def validate(
     seeds: Annotated[
         int | None, typer.Option(min=1, help="Seeds of simulated sequences.", show_default="3, quick: 1")
     ] = None,
-    claim: Annotated[str, typer.Option(help="equal: the answers of the reference; as-good: no worse.")] = "equal",
+    claim: Annotated[
+        Literal["equal", "as-good"], typer.Option(help="equal: the answers of the reference; as-good: no worse.")
+    ] = "equal",
     margin: Annotated[
         str,
         typer.Option(help="auto, exact (1e-9), float32 (computed), or metres, radians, log-odds: 0.01,0.002,0.1."),
@@ -146,7 +147,7 @@ def validate(
     from evalkit.commands.validate import plan, printing, run  # noqa: PLC0415 - imports scipy and matplotlib
 
     _add_module_path(*(backends or []), reference, *(peer or []))
-    group = "rules" if rule else _parse_only(only)
+    group: Only = "rules" if rule else only or ""
     names = backends or []
     name = _single_name(names, group)
     effort = plan.QUICK if quick else plan.FULL
@@ -157,7 +158,7 @@ def validate(
         given_reference=options.settings(set_reference or [], "--set-reference"),
         peers=tuple(filter(None, _default_peers(quick) if peer is None else peer)),
         on=tuple(on or _default_sequences(quick=quick or group == "determinism", simulated=group == "determinism")),
-        seeds=seeds or (1 if quick else 3), claim=_parse_claim(claim), margin=_parse_margin(margin), noise_share=share,
+        seeds=seeds or (1 if quick else 3), claim=claim, margin=_parse_margin(margin), noise_share=share,
         mapper=mapper, effort=replace(effort, scans=scans or effort.scans), only=group, disturbed=disturb,
         seed=_choose_seed(seed, out_folder, fresh), waivers=excepted,
     )  # fmt: skip
@@ -293,22 +294,6 @@ def _parse_waivers(texts: list[str]) -> dict[str, str]:
             raise BadParameter("validate", "except", text, "NAME=REASON, such as order='it samples its points'")
         waivers[name.strip()] = reason.strip()
     return waivers
-
-
-def _parse_only(text: str) -> Only:
-    for name in ONLY:
-        if text == name:
-            return name
-    if text:
-        raise BadParameter("validate", "only", text, f"one of {', '.join(ONLY)}")
-    return ""
-
-
-def _parse_claim(text: str) -> Claim:
-    known: dict[str, Claim] = {"equal": "equal", "as-good": "as-good"}
-    if text not in known:
-        raise BadParameter("validate", "claim", text, "equal or as-good")
-    return known[text]
 
 
 def _parse_margin(text: str) -> str:

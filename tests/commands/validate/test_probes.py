@@ -33,10 +33,6 @@ def test_options_that_cannot_be_are_refused_with_what_is_expected():
     with pytest.raises(BadParameter, match=r"NAME=REASON, such as order='it samples its points'"):
         command._parse_waivers(["order="])
     assert command._parse_waivers([" order = it samples "]) == {"order": "it samples"}
-    with pytest.raises(BadParameter, match="one of rules, registrations, lockstep, determinism"):
-        command._parse_only("rule")
-    with pytest.raises(BadParameter, match="equal or as-good"):
-        command._parse_claim("better")
     with pytest.raises(typer.BadParameter, match="found 2 names, expected one"):
         command._single_name(["a", "b"], "")
     assert (command._single_name(["a"], "rules"), command._single_name([], "determinism")) == ("a", "")
