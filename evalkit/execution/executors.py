@@ -192,7 +192,7 @@ class _Cancelled(threading.Event):
 
 
 def _require_same_code(spec: RunSpec, settings: RunSettings, code: str) -> None:
-    """Raises StoreError if the code of the run or of the scoring is not the same on this worker."""
+    """Raise StoreError if the code of the run or of the scoring is not the same on this worker."""
     own = registry.hash_run_code(spec.method.backend, spec.sequence.dataset)
     if own != code or not settings.scoring_code.startswith(registry.hash_scoring_code(settings.mapper.name)):
         what = f"the code of '{spec.method.backend}', '{spec.sequence.dataset}' or evalkit differs here"

@@ -172,7 +172,7 @@ def _run_in_pool(pool: WorkerPool, task: Task[R], note: Path) -> tuple[R, float]
 
 
 def _run_on_cluster(tasks: list[Task[R]], cluster: Cluster, collector: _Collector[R]) -> None:
-    """Runs tasks on a cluster's workers; the cluster itself repeats a task that lost its worker."""
+    """Run tasks on a cluster's workers; the cluster itself repeats a task that lost its worker."""
     by_key = {task.key: task for task in tasks}
     calls = (Call(key, on_worker, (task, key)) for key, task in by_key.items())
     with closing(cluster.answers(calls)) as answers:
@@ -180,7 +180,7 @@ def _run_on_cluster(tasks: list[Task[R]], cluster: Cluster, collector: _Collecto
 
 
 def on_worker(task: Task[R], key: str, _slot: Slot) -> tuple[R, float]:
-    """Runs a task on a cluster's worker; its time limit ends the worker.
+    """Run a task on a cluster's worker; its time limit ends the worker.
 
     Raises NoCluster if the code on the worker differs from the code that computed ``key``.
     """

@@ -90,7 +90,7 @@ def _run(methods: list[Any], trials: list[Any], folder: Path, workers: int) -> l
 
 
 def _finish(result: BasinResult, folder: Path, as_json: bool) -> None:
-    """Writes page and JSON file and prints the result; exit code 1 if a back end raised or ended its process."""
+    """Write page and JSON file and print the result; exit code 1 if a back end raised or ended its process."""
     from evalkit.commands.basin import page  # noqa: PLC0415 - imports matplotlib
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 

@@ -72,7 +72,7 @@ def study(
 
 
 def _run_point(plan: Study, key: str, as_json: bool) -> None:
-    """Computes one point, prints its scores, and prints the experiment that runs it."""
+    """Compute one point, and print its scores and the experiment that runs it."""
     from evalkit.config.experiment_toml import format_experiment  # noqa: PLC0415 - loaded only to print a point
 
     if key not in plan.points:
@@ -95,7 +95,7 @@ def _run_point(plan: Study, key: str, as_json: bool) -> None:
 
 
 def _write(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path:
-    """Writes index.html, study.json, points.csv and effects.csv; the path of index.html."""
+    """Write index.html, study.json, points.csv and effects.csv; return the path of index.html."""
     from evalkit.commands.study import page, results_json  # noqa: PLC0415 - as above
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads matplotlib
 

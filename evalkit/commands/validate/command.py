@@ -279,7 +279,7 @@ def _choose_seed(given: int | None, folder: Path, fresh: bool) -> int:
 
 
 def _keep_seed(folder: Path, seed: int) -> None:
-    """Writes the seed to the folder, which it creates: once all names are known."""
+    """Write the seed to the folder, which it creates: once all names are known."""
     from evalkit.io.output_files import write_texts  # noqa: PLC0415 - as above
 
     write_texts(folder, {SEED_FILE: f"{seed}\n"})
@@ -309,7 +309,7 @@ def _parse_margin(text: str) -> str:
 
 
 def _add_module_path(*names: str) -> None:
-    """Makes modules in the working directory importable in this process and in those it starts."""
+    """Make modules in the working directory importable in this process and in those it starts."""
     options.add_working_directory()
     if any(":" in name and name.partition(":")[0] not in registry.names("schemes") for name in names):
         path = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]

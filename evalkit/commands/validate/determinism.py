@@ -48,7 +48,7 @@ def measure_determinism(
     threads: Iterable[int] = (1, 2),
     repetitions: int = 2,
 ) -> Determinism:
-    """Runs a back end over a sequence ``repetitions`` times with each number of threads, each in a new process."""
+    """Run a back end over a sequence ``repetitions`` times with each number of threads, each in a new process."""
     spec = registry.backend(backend)
     sequence = registry.dataset(dataset)
     settings = from_text(backend, frontend.settable_parameters(spec), given)

@@ -25,7 +25,7 @@ MAX_LINES = 4
 
 
 def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | None) -> None:
-    """Writes the page and the JSON file, prints the report, and exits with code 1 if the claim does not hold."""
+    """Write the page and the JSON file, print the report, and exit with code 1 if the claim does not hold."""
     from evalkit.commands.validate import page  # noqa: PLC0415 - imports matplotlib
 
     content = report.as_json()
