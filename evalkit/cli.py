@@ -17,8 +17,8 @@ from evalkit import __version__
 from evalkit.core.errors import NotInstalled
 from evalkit.plugins import registry
 from evalkit.terminal.command_spec import CommandSpec
+from evalkit.terminal.console import out
 from evalkit.terminal.entry_point import run
-from evalkit.terminal.options import out
 
 START, VALIDATE, QUESTIONS, RESULTS, REFERENCE = "Start", "My implementation", "Questions", "Results", "Reference"
 OTHER = "Other commands"

@@ -41,7 +41,7 @@ class RulesBroken(AssertionError):
 
 
 def check_backend(backend: str | BackendSpec, /, **parameters: object) -> RuleReport:
-    """Checks all rules of a back end: a registered name, "module:SPEC", or a spec that has a name in a module.
+    """Check all rules of a back end: a registered name, "module:SPEC", or a spec that has a name in a module.
 
     Raises RulesBroken with every broken rule, NotInstalled if the back end cannot run here.
     """
@@ -55,7 +55,7 @@ def backend_rules(backend: str | BackendSpec, /) -> tuple[str, ...]:
 
 
 def check_rule(backend: str | BackendSpec, rule: str, /, **parameters: object) -> RuleResult:
-    """Checks one rule of a back end; the first call for a back end checks all of them, the others read the results.
+    """Check one rule of a back end; the first call for a back end checks all of them, the others read the results.
 
     Raises RulesBroken if this rule is broken, UnknownName if there is no rule of this name.
     """
@@ -83,7 +83,7 @@ def _find_report(backend: str | BackendSpec, parameters: dict[str, object]) -> R
 
 
 def check_dataset(dataset: str | DatasetSpec, /, frames: int = 50, **parameters: object) -> RuleReport:
-    """Checks all rules on the first ``frames`` frames of a data set; see ``check_backend``.
+    """Check all rules on the first ``frames`` frames of a data set; see ``check_backend``.
 
     Raises RulesBroken with every broken rule, DataMissing if its files are not here.
     """

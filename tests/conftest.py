@@ -38,7 +38,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.specs import DatasetSpec, Published
 from evalkit.report import Comparison, MethodCard, SequenceCard, Setting
 from evalkit.results.run_record import RunRecord
-from evalkit.results.store import read_steps
+from evalkit.results.store import whole_records
 
 Build = Callable[..., Comparison]
 
@@ -357,7 +357,7 @@ def run_backend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         with monkeypatch.context() as patched:
             patched.setattr(registry, "dataset", lambda _name: room)
             outcome = execute_request(Request(name, complete, "square", {}), folder)
-        return outcome, read_steps(folder / "steps.bin")
+        return outcome, whole_records((folder / "steps.bin").read_bytes())
 
     follow.truth, follow.drift_m = SquareRoom.truth, SquareRoom.drift_m  # type: ignore[attr-defined]
     return follow

@@ -293,6 +293,7 @@ def complete_words(monkeypatch, evalkit, line):
         ("evalkit export --format mc", {"mcap"}),
         ("evalkit export --metric ate_rm", {"ate_rmse_m"}),
         ("evalkit compare --engine da", {"dask"}),
+        ("evalkit validate paper --only lo", {"lockstep"}),
     ],
 )
 def test_the_shell_completes_names(monkeypatch, evalkit, line, expected):
@@ -651,6 +652,24 @@ def test_a_ros_bag_is_compared_by_one_command(evalkit, carmen, tmp_path):
     trial = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]
     assert (trial["scans_answered"], trial["dataset_parameters"]["every"]) == (12, 2)
     assert trial["scores"]["ate_rmse_m"]["value"] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ("validate", "paper", "--only", "rule"),
+            "'rule' is not one of 'rules', 'registrations', 'lockstep', 'determinism'",
+        ),
+        (("validate", "paper", "--claim", "better"), "'better' is not one of 'equal', 'as-good'"),
+        (("realtime", "paper", "--policy", "wait"), "'wait' is not one of 'drop', 'queue-of-one'"),
+        (("compare", "exp.toml", "--engine", "ray"), "'ray' is not one of 'local', 'dask'"),
+        (("export", "results", "--format", "csv", "--width", "page"), "'page' is not one of 'column', 'text'"),
+    ],
+)
+def test_an_option_with_a_fixed_choice_names_what_it_takes(evalkit, words, message):
+    code, _, err = evalkit(*words)
+    assert (code, message in " ".join(err.replace("│", "").split())) == (2, True), err
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -95,7 +94,7 @@ def run(
     """
     if not isinstance(experiment, Experiment):
         experiment = load_experiment(Path(experiment))
-    folder = Path(out) if out is not None else RESULTS / re.sub(r"[^\w.-]", "-", experiment.name)
+    folder = Path(out) if out is not None else RESULTS / experiment.name
     scheduler = Scheduler(Store(folder), _Silent(), describe(jobs=jobs), resume)
     with _importable_by_children():
         run_and_report(scheduler, experiment, LocalExecutor(jobs))

@@ -53,7 +53,7 @@ class TomlTable:
 
     @contextmanager
     def errors(self) -> Iterator[None]:
-        """Turns UnknownName and BadParameter within the block into errors of this table."""
+        """Turn UnknownName and BadParameter within the block into errors of this table."""
         try:
             yield
         except (UnknownName, BadParameter) as error:

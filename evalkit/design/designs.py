@@ -219,13 +219,13 @@ class _Exchange:
         self.paired = np.array([len(term) == 2 for term in model.terms])
 
     def renew(self) -> None:
-        """Computes the inverse from scratch, because rounding errors of updates add up."""
+        """Compute the inverse from scratch, because rounding errors of updates add up."""
         size = self.columns.shape[1]
         information = self.columns.T @ self.columns + RIDGE * np.eye(size)
         self.inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
 
     def improve(self, row: int, factor: int) -> bool:
-        """Sets one coordinate to the level with the largest determinant; whether it changed.
+        """Set one coordinate to the level with the largest determinant; return whether it changed.
 
         det(X'X - x x' + y y') / det(X'X) = (1 + y'Dy)(1 - x'Dx) + (x'Dy)^2 with D = inv(X'X).
         """

@@ -66,7 +66,7 @@ def evaluate(
     metrics: Sequence[str],
     code: str,  # noqa: ARG001 - part of the task's key
 ) -> RunScores:
-    """Runs a back end on a sequence with complete parameters and computes the named scores.
+    """Run a back end on a sequence with complete parameters and compute the named scores.
 
     ``scans``: scans per map; ``code``: a digest of the plug-ins' sources. A failure of the back end is a result.
     """
@@ -87,7 +87,7 @@ def evaluate(
 
 
 def prepare_sequence(dataset: str, sequence: Mapping[str, Value]) -> None:
-    """Simulates a sequence, so that the first run on it is not charged with that time."""
+    """Simulate a sequence, so that the first run on it is not charged with that time."""
     driven = _load_sequence(dataset, json.dumps(dict(sequence), sort_keys=True))
     with suppress(Exception):  # the run raises and reports it again
         next(iter(driven.frames()), None)
@@ -99,7 +99,7 @@ def _load_sequence(dataset: str, parameters: str) -> protocols.Sequence:
 
 
 def _run(request: Request, sequence: protocols.Sequence) -> RunResult:
-    """Runs the back end on the sequence; an exception ends the run and is its cause."""
+    """Run the back end on the sequence; an exception ends the run and is its cause."""
     steps, corrections = io.BytesIO(), None
     cause, reason = Cause.COMPLETED, ""
     try:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from evalkit.core.run_result import RunConditions
+from evalkit.execution.usage import read_waited_ns
 
 SAMPLE_S = 0.5
 """Interval between two readings of the counters of the system."""
@@ -94,21 +95,14 @@ class WaitingMeter:
     """Measures how long the main thread of this process is ready but not running, from its construction on."""
 
     def __init__(self) -> None:
-        self._begun_ns, self._waited_ns = time.perf_counter_ns(), _read_waited_ns()
+        self._begun_ns, self._waited_ns = time.perf_counter_ns(), read_waited_ns(os.getpid())
 
     def percent(self) -> float | None:
         """The share of the wall time; None where the system does not count it."""
-        waited_ns = _read_waited_ns()
+        waited_ns = read_waited_ns(os.getpid())
         if waited_ns is None or self._waited_ns is None:
             return None
         return 100.0 * (waited_ns - self._waited_ns) / (time.perf_counter_ns() - self._begun_ns)
-
-
-def _read_waited_ns() -> int | None:
-    try:
-        return int(Path("/proc/self/schedstat").read_text(encoding="ascii").split()[1])
-    except (OSError, ValueError, IndexError):
-        return None
 
 
 def _describe_pools() -> str:

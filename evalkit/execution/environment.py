@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import psutil
@@ -144,6 +145,14 @@ def core_of_each(processes: int) -> list[int | None]:
     """One core per process to pin to, in turns; None if the system cannot pin."""
     known = cores() or [None]
     return [known[process % len(known)] for process in range(processes)]
+
+
+def queue_cores(processes: int) -> SimpleQueue[int | None]:
+    """The cores of ``core_of_each`` in a queue, from which a process takes one while it runs."""
+    queue: SimpleQueue[int | None] = SimpleQueue()
+    for core in core_of_each(processes):
+        queue.put(core)
+    return queue
 
 
 def physical_cores() -> int:

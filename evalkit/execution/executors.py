@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from multiprocessing import current_process, util
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any, Protocol
 
 from filelock import FileLock, Timeout
@@ -75,7 +74,7 @@ class LocalExecutor:
     ) -> FinishedRuns:
         """See Executor."""
         os.environ.update(environment.SINGLE_THREAD)  # inherited by the scoring processes, as by the runs
-        cores, stop = _cores(self.jobs), threading.Event()
+        cores, stop = environment.queue_cores(self.jobs), threading.Event()
 
         def execute(run: PendingRun) -> tuple[RunSpec, RunResult]:
             """Execute one run; an exception stops all other runs at once."""
@@ -193,7 +192,7 @@ class _Cancelled(threading.Event):
 
 
 def _require_same_code(spec: RunSpec, settings: RunSettings, code: str) -> None:
-    """Raises StoreError if the code of the run or of the scoring is not the same on this worker."""
+    """Raise StoreError if the code of the run or of the scoring is not the same on this worker."""
     own = registry.hash_run_code(spec.method.backend, spec.sequence.dataset)
     if own != code or not settings.scoring_code.startswith(registry.hash_scoring_code(settings.mapper.name)):
         what = f"the code of '{spec.method.backend}', '{spec.sequence.dataset}' or evalkit differs here"
@@ -237,11 +236,3 @@ def _require_own(folder: Path) -> None:
     if not stat.S_ISDIR(state.st_mode) or state.st_uid != owner or state.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         what = "it is a link, or another user's, or others can write to it"
         raise StoreError(str(folder), what, "remove it, or set TMPDIR to a folder of your own")
-
-
-def _cores(jobs: int) -> SimpleQueue[int | None]:
-    """One core per job to pin to; None if the system cannot pin."""
-    cores: SimpleQueue[int | None] = SimpleQueue()
-    for core in environment.core_of_each(jobs):
-        cores.put(core)
-    return cores

@@ -54,7 +54,7 @@ MIN_ANSWERED = 0.95
 MACHINE_FAULT_CODE = 75
 """Exit code (EX_TEMPFAIL) of a run that could not write its outcome because the machine failed."""
 
-STEPS = "steps.bin"
+REQUEST, STARTED, OUTCOME, STEPS = "request.json", "started.json", "outcome.json", "steps.bin"
 NOT_REPORTED = -1
 """Value of ``accepted``, ``converged`` and ``corrected`` in a ``STEP`` record where the odometry does not report it."""
 
@@ -96,15 +96,15 @@ def main() -> int:
     """Execute the request in the folder named on the command line; write the outcome to ``outcome.json``."""
     end_with_parent()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
-    request = Request.of(json.loads((folder / "request.json").read_text(encoding="utf-8")))
+    request = Request.of(json.loads((folder / REQUEST).read_text(encoding="utf-8")))
     if request.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {request.core})
     result = execute_request(request, folder)
     outcome = {name: value for name, value in asdict(result).items() if name not in NOT_IN_OUTCOME}
     try:
-        _write_json(folder / "outcome.json", outcome)
+        _write_json(folder / OUTCOME, outcome)
     except StoreError as error:
-        if MachineFault.of("outcome.json", error) is None:
+        if MachineFault.of(OUTCOME, error) is None:
             raise
         return MACHINE_FAULT_CODE
     return 0
@@ -125,7 +125,7 @@ def execute_request(request: Request, folder: Path) -> RunResult:
         spec = registry.backend(request.backend, request.plug_in)
         if why := spec.missing():
             raise NotInstalled(request.backend, "not installed", why)
-        _write_json(folder / "started.json", {"reading": True})
+        _write_json(folder / STARTED, {"reading": True})
         sequence, every = _open_data(request)
         if isinstance(spec, MapSpec):
             spec.make(**request.backend_parameters)  # raises if the file cannot be read
@@ -140,12 +140,12 @@ def execute_request(request: Request, folder: Path) -> RunResult:
             localised = localise(spec, values, request.dataset_parameters, sequence, folder)
             if localised is not None:
                 make, sequence, started["start"] = localised.make, localised.sequence, localised.start.as_dict()
-        _write_json(folder / "started.json", started)  # in case the back end kills this process in its warm-up
+        _write_json(folder / STARTED, started)  # in case the back end kills this process in its warm-up
         rehearsal = make()
         _collect_garbage()
         warm = _warm_up(rehearsal, sequence)
         odometry = make()
-        _write_json(folder / "started.json", started | {"warm_up_scans": warm})
+        _write_json(folder / STARTED, started | {"warm_up_scans": warm})
         waiting = WaitingMeter()
         with (folder / STEPS).open("ab", buffering=0) as file:
             if isinstance(spec, SlamSpec):
@@ -268,9 +268,9 @@ def _append(steps: BinaryIO, record: bytes) -> None:
     try:
         written = steps.write(record)
     except OSError as error:
-        raise MachineFault.of("steps.bin", error) or error from None
+        raise MachineFault.of(STEPS, error) or error from None
     if written != len(record):
-        raise MachineFault("steps.bin", "the disk is full", MachineFault.REMEDY)
+        raise MachineFault(STEPS, "the disk is full", MachineFault.REMEDY)
 
 
 def _record_step(frame: Frame, estimate: OdometryEstimate, timing: CallTiming, around_ns: int) -> bytes:

@@ -14,7 +14,7 @@ from pathlib import Path
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 
 from evalkit.core.errors import StoreError
-from evalkit.execution.run_process import OUTCOME, REQUEST, STARTED
+from evalkit.execution.one_run import OUTCOME, REQUEST, STARTED
 from evalkit.execution.subprocesses import OUTPUT
 from evalkit.io import untrusted_io
 from evalkit.io.output_files import REMEDY

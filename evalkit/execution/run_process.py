@@ -16,7 +16,7 @@ from evalkit.core.map_start import MapStart
 from evalkit.core.run_result import NO_STEPS, STEP, RunResult
 from evalkit.core.run_status import Cause
 from evalkit.execution.conditions import ConditionsMeter
-from evalkit.execution.one_run import MACHINE_FAULT_CODE, Request
+from evalkit.execution.one_run import MACHINE_FAULT_CODE, OUTCOME, REQUEST, STARTED, Request
 from evalkit.execution.subprocesses import OUTPUT, ChildProcess
 from evalkit.execution.usage import Usage
 from evalkit.io import untrusted_io
@@ -24,8 +24,6 @@ from evalkit.io.output_files import as_store_error, write_text
 from evalkit.odometry.corrections import MAX_REMARKS
 from evalkit.results.final_files import CLOSURES, FINAL, PATHS, parse_final, parse_paths
 from evalkit.results.store import STEPS, count_sound, whole_records
-
-REQUEST, STARTED, OUTCOME = "request.json", "started.json", "outcome.json"
 
 KNOWN = {"cause": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
          "every": int, "reading": bool, "conditions": dict, "final_cpu_ns": int, "start": dict,

@@ -64,13 +64,13 @@ def run(function: Callable[..., Result], arguments: Mapping[str, Any], limit_s: 
 
 
 def note_place(place: str) -> None:
-    """Writes down what the sandboxed code does next, in case the process ends there; nothing outside a sandbox."""
+    """Write down what the sandboxed code does next, in case the process ends there; nothing outside a sandbox."""
     if PLACE_VARIABLE in os.environ:
         Path(os.environ[PLACE_VARIABLE]).write_text(place, encoding="utf-8")
 
 
 def main() -> int:
-    """Runs the task in the folder named on the command line."""
+    """Run the task in the folder named on the command line."""
     end_with_parent()
     gc.enable()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory

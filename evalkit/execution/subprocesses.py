@@ -33,7 +33,7 @@ from evalkit.execution import supervisor
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.execution.parent import poll_parent
 from evalkit.execution.supervisor import PARENT
-from evalkit.execution.usage import Usage, count_starts, read_waited_s
+from evalkit.execution.usage import Usage, count_starts, read_waited_ns
 from evalkit.plugins.registry import MARK
 
 Parameters = ParamSpec("Parameters")
@@ -122,7 +122,7 @@ class ChildProcess:
                 memory += int(member.memory_info().rss)
                 times = member.cpu_times()
                 cpu_s += times.user + times.system + times.children_user + times.children_system
-                waited_s = max(waited_s, read_waited_s(member.pid))
+                waited_s = max(waited_s, (read_waited_ns(member.pid) or 0) * 1e-9)
         self._cpu_s = max(self._cpu_s, cpu_s)  # an ended child is not counted until its parent has waited for it
         self._waited_s = max(self._waited_s, waited_s)
         return Usage(time.monotonic() - self._started_at, self._cpu_s, memory, self._waited_s)

@@ -64,7 +64,7 @@ class Task(Generic[R_co]):
         return replace(self, limit_s=limit_s)
 
     def run(self) -> tuple[R_co, float]:
-        """Computes the result in this process; the result and the seconds it took.
+        """Compute the result in this process; return the result and the seconds it took.
 
         An exception of the function carries its traceback as a note, which survives the way between processes.
         """

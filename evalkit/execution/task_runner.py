@@ -134,13 +134,11 @@ def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -
         return
     collector.store.create()
     os.environ.update(environment.SINGLE_THREAD)  # inherited by the processes
-    cores = environment.core_of_each(workers)
     own_processes = all(task.own_process for task in tasks)
-    with WorkerPool(() if own_processes else cores) as pool, ThreadPoolExecutor(workers) as threads:
+    cores = () if own_processes else environment.core_of_each(workers)
+    with WorkerPool(cores) as pool, ThreadPoolExecutor(workers) as threads:
         if own_processes:
-            idle: SimpleQueue[int | None] = SimpleQueue()
-            for core in cores:
-                idle.put(core)
+            idle = environment.queue_cores(workers)
             futures = {threads.submit(_run_on_core, idle, task): task for task in tasks}
         else:
             futures = {threads.submit(_run_in_pool, pool, task, collector.store.note(task)): task for task in tasks}
@@ -174,7 +172,7 @@ def _run_in_pool(pool: WorkerPool, task: Task[R], note: Path) -> tuple[R, float]
 
 
 def _run_on_cluster(tasks: list[Task[R]], cluster: Cluster, collector: _Collector[R]) -> None:
-    """Runs tasks on a cluster's workers; the cluster itself repeats a task that lost its worker."""
+    """Run tasks on a cluster's workers; the cluster itself repeats a task that lost its worker."""
     by_key = {task.key: task for task in tasks}
     calls = (Call(key, on_worker, (task, key)) for key, task in by_key.items())
     with closing(cluster.answers(calls)) as answers:
@@ -182,7 +180,7 @@ def _run_on_cluster(tasks: list[Task[R]], cluster: Cluster, collector: _Collecto
 
 
 def on_worker(task: Task[R], key: str, _slot: Slot) -> tuple[R, float]:
-    """Runs a task on a cluster's worker; its time limit ends the worker.
+    """Run a task on a cluster's worker; its time limit ends the worker.
 
     Raises NoCluster if the code on the worker differs from the code that computed ``key``.
     """

@@ -23,7 +23,7 @@ class TaskStore:
     folder: Path
 
     def create(self) -> None:
-        """Creates the folder. Raises StoreError if it cannot be written."""
+        """Create the folder. Raises StoreError if it cannot be written."""
         create_folder(self.folder, self.folder)
 
     def load(self, task: Task[R]) -> R | None:
@@ -39,7 +39,7 @@ class TaskStore:
         return self.folder / f"{task.key}.{os.getpid()}.running"
 
     def save(self, task: Task[R], result: R) -> None:
-        """Writes the result of a task. Raises StoreError if the folder cannot be written."""
+        """Write the result of a task. Raises StoreError if the folder cannot be written."""
         write_result(self.path(task), result, self.folder)
 
 

@@ -46,12 +46,12 @@ class Usage:
         return wall_s > (BUSY * limit_s if starved else limit_s)
 
 
-def read_waited_s(pid: int) -> float:
-    """How long the main thread of a process was ready and not running; 0 where the system does not say."""
+def read_waited_ns(pid: int) -> int | None:
+    """How long the main thread of a process was ready and not running; None where the system does not say."""
     try:
-        return int(Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[1]) * 1e-9
+        return int(Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[1])
     except (OSError, ValueError, IndexError):
-        return 0.0
+        return None
 
 
 def count_starts() -> int | None:

@@ -74,7 +74,7 @@ def scheme(rest: str) -> BackendSpec:
         declared = read_declaration(name, description, own)
     except BackendFailed as error:
         return broken_spec(name, "; ".join(error.args[1:]), digest)
-    make = partial(_MADE[declared.spec_type], name, file)
+    make = partial(_CLASS_OF_SPEC[declared.spec_type], name, file)
     return make_spec(declared, override_defaults(name, (*declared.parameters, *own), words), make, digest)
 
 
@@ -181,7 +181,7 @@ class LibrarySlam(LibraryOdometry):
         )
 
 
-_MADE: dict[type[BackendSpec], Callable[..., LibraryRegistration | LibraryOdometry]] = {
+_CLASS_OF_SPEC: dict[type[BackendSpec], Callable[..., LibraryRegistration | LibraryOdometry]] = {
     RegistrationSpec: LibraryRegistration,
     OdometrySpec: LibraryOdometry,
     SlamSpec: LibrarySlam,

@@ -284,7 +284,7 @@ class ProgramSession:
         return Pose.of(found)
 
 
-_MADE: dict[type[BackendSpec], Callable[[ProgramSession], ProgramRegistration | ProgramOdometry]] = {
+_CLASS_OF_SPEC: dict[type[BackendSpec], Callable[[ProgramSession], ProgramRegistration | ProgramOdometry]] = {
     RegistrationSpec: ProgramRegistration,
     OdometrySpec: ProgramOdometry,
     SlamSpec: ProgramSlam,
@@ -295,7 +295,7 @@ def _make(
     name: str, argv: list[str], declared: Declaration, /, *, answer_timeout_s: float, **parameters: Value
 ) -> ProgramRegistration | ProgramOdometry:
     session = ProgramSession(name, argv, declared, answer_timeout_s, parameters)
-    return _MADE[declared.spec_type](session)
+    return _CLASS_OF_SPEC[declared.spec_type](session)
 
 
 def _is_finite(value: object) -> bool:

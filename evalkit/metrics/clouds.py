@@ -53,14 +53,14 @@ def average_entropies(around: Neighbourhoods) -> tuple[float, int, float]:
     return (float(values[enough].mean()) if enough.any() else 0.0), int(enough.sum()), float(enough.mean())
 
 
-def joint_minus_separate(first: Floats, second: Floats, radius_m: float = PATCH_M) -> tuple[float, int]:
+def joint_minus_separate(first: Floats, second: Floats) -> tuple[float, int]:
     """Return the mean excess (nat) of the joint entropy of two clouds (N, 2), (M, 2) over their separate entropies.
 
     With the number of places. CorAl (Adolfsson et al., ECMR 2021) with one radius: the entropy of the scene itself
-    cancels. Only places where both clouds have five points within the radius count.
+    cancels. Only places where both clouds have five points within 0.5 m count.
     """
     first, second = thin_evenly(first, MAX_HITS // 2), thin_evenly(second, MAX_HITS // 2)
-    one, two, both = (sort_into_cells(hits, radius_m) for hits in (first, second, np.concatenate([first, second])))
+    one, two, both = (sort_into_cells(hits) for hits in (first, second, np.concatenate([first, second])))
     added, places = 0.0, 0
     for hits, own, other in ((first, one, two), (second, two, one)):
         middles = thin_evenly(hits, MAX_PLACES // 2)

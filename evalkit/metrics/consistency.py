@@ -30,7 +30,6 @@ from evalkit.metrics.metric import (
     with_grid,
 )
 from evalkit.metrics.neighbourhoods import (
-    PATCH_M,
     Neighbourhoods,
     PointCells,
     compute_neighbourhoods,
@@ -82,10 +81,10 @@ def wall_thicknesses(hits: Floats) -> tuple[Floats, float]:
     return _measure_thicknesses(sample_neighbourhoods(hits))
 
 
-def sample_neighbourhoods(hits: Floats, radius_m: float = PATCH_M) -> Neighbourhoods:
+def sample_neighbourhoods(hits: Floats) -> Neighbourhoods:
     """Return the neighbourhoods of at most 20,000 of the hits (N, 2), N > 0, around at most 1,000 of them."""
     points = thin_evenly(hits, MAX_HITS)
-    return compute_neighbourhoods(points, thin_evenly(points, MAX_PLACES), radius_m)
+    return compute_neighbourhoods(points, thin_evenly(points, MAX_PLACES))
 
 
 def _measure_thicknesses(places: Neighbourhoods) -> tuple[Floats, float]:

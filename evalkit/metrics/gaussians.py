@@ -31,7 +31,7 @@ class Voxels:
     covariances: Floats
 
 
-def fit_voxels(points: Floats, size_m: float = VOXEL_M, at_least: int = MIN_CELLS) -> Voxels:
+def fit_voxels(points: Floats, size_m: float = VOXEL_M) -> Voxels:
     """Return the Gaussians of points (N, 2) in squares of ``size_m``; one square has a corner at the origin."""
     squares_of = np.floor(points / size_m).astype(np.int64)
     flat = _number_squares(squares_of)
@@ -44,7 +44,7 @@ def fit_voxels(points: Floats, size_m: float = VOXEL_M, at_least: int = MIN_CELL
     squares = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
     rows = (keys_of_squares + _FAR // 2) % _FAR - _FAR // 2
     keys = np.stack([(keys_of_squares - rows) // _FAR, rows], axis=1)
-    kept = counts >= at_least
+    kept = counts >= MIN_CELLS
     return Voxels(keys[kept], means[kept], squares[kept] / counts[kept][:, None, None])
 
 
@@ -67,9 +67,9 @@ def wasserstein_distances(means: Floats, covariances: Floats, others: Floats, ot
     return np.asarray(np.sqrt(np.maximum(apart + traces - 2.0 * root, 0.0)))
 
 
-def voxel_distances(mapped: Floats, true: Floats, size_m: float = VOXEL_M) -> tuple[Ints, Floats]:
+def voxel_distances(mapped: Floats, true: Floats) -> tuple[Ints, Floats]:
     """Return column and row (K, 2) of the voxels with a Gaussian in both clouds, and their distances (K,)."""
-    ours, theirs = fit_voxels(mapped, size_m), fit_voxels(true, size_m)
+    ours, theirs = fit_voxels(mapped), fit_voxels(true)
     _, one, other = np.intersect1d(_number_squares(ours.at), _number_squares(theirs.at), True, return_indices=True)
     apart = wasserstein_distances(
         ours.means[one], ours.covariances[one], theirs.means[other], theirs.covariances[other]

@@ -48,11 +48,11 @@ def ospa(one: ArrayLike, other: ArrayLike, cutoff_m: float = CUTOFF_M, order: fl
     return float(((paired + cutoff_m**order * (larger - smaller)) / larger) ** (1.0 / order))
 
 
-def signed_offsets(mapped: PlacedScans, true: OccupancyGrid, within_m: float = BESIDE_M) -> Floats:
+def signed_offsets(mapped: PlacedScans, true: OccupancyGrid) -> Floats:
     """Return the distance (K,) of each hit behind the nearest true wall cell, as seen from the sensor (m; negative:
     before).
 
-    Hits without a wall within ``within_m`` are omitted.
+    Hits without a wall within ``BESIDE_M`` are omitted.
     """
     walls, thin = true.centres(find_occupied(true)), max(sum(int(scan.hits.sum()) for scan, _ in mapped) // MAX_HITS, 1)
     if not len(walls) or not mapped:
@@ -60,7 +60,7 @@ def signed_offsets(mapped: PlacedScans, true: OccupancyGrid, within_m: float = B
     scans = [place_hits(placed)[::thin] for placed in mapped]
     points = np.concatenate(scans)
     sensors = np.repeat([world_from_sensor[:2] for _, world_from_sensor in mapped], list(map(len, scans)), axis=0)
-    apart, nearest = map(np.asarray, build_wall_tree(true).query(points, distance_upper_bound=within_m))
+    apart, nearest = map(np.asarray, build_wall_tree(true).query(points, distance_upper_bound=BESIDE_M))
     near = np.isfinite(apart)
     from_wall, beams = points[near] - walls[nearest[near]], points[near] - sensors[near]
     return np.asarray(np.copysign(apart[near], np.sum(from_wall * beams, axis=1)))

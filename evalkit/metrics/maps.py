@@ -65,9 +65,9 @@ def compare_walls(mapped: OccupancyGrid, true: OccupancyGrid) -> WallDistances:
     return WallDistances(mapped.centres(ours), true.centres(theirs), to_true, to_mapped, coarser)
 
 
-def precision(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
+def precision(walls: WallDistances) -> float:
     """Return the share of mapped cells within the tolerance of a true cell."""
-    return float(np.mean(walls.to_true <= tolerance_m + _SLACK_M))
+    return float(np.mean(walls.to_true <= TOLERANCE_M + _SLACK_M))
 
 
 def recall(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
@@ -75,9 +75,9 @@ def recall(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
     return float(np.mean(walls.to_mapped <= tolerance_m + _SLACK_M))
 
 
-def f1(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
+def f1(walls: WallDistances) -> float:
     """Return the harmonic mean of precision and recall; 0 if both are 0."""
-    p, r = precision(walls, tolerance_m), recall(walls, tolerance_m)
+    p, r = precision(walls), recall(walls)
     return 2.0 * p * r / (p + r) if p + r > 0.0 else 0.0
 
 
@@ -92,13 +92,13 @@ def iou(walls: WallDistances) -> float:
     return (sum(map(_count_cells, walls.cells)) - either) / either
 
 
-def iou_within(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
+def iou_within(walls: WallDistances) -> float:
     """Return the share of cells with a wall in either map that lie within the tolerance of a wall in the other map.
 
     On the coarser lattice.
     """
     cells, near = np.concatenate(walls.cells), np.concatenate([walls.to_true, walls.to_mapped])
-    return _count_cells(cells[near <= tolerance_m + _SLACK_M]) / _count_cells(cells)
+    return _count_cells(cells[near <= TOLERANCE_M + _SLACK_M]) / _count_cells(cells)
 
 
 def accuracy(walls: WallDistances, inlier_m: float = INLIER_M) -> float:

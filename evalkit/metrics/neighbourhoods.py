@@ -96,14 +96,14 @@ def compute_neighbourhoods(points: Floats | PointCells, middles: Floats, radius_
     return _describe_moments(_sum_moments(points, middles, radius_m))
 
 
-def compute_neighbourhoods_each(clouds: Iterable[tuple[Floats, Floats]], radius_m: float = PATCH_M) -> Neighbourhoods:
+def compute_neighbourhoods_each(clouds: Iterable[tuple[Floats, Floats]]) -> Neighbourhoods:
     """Return the neighbourhoods of several clouds, one after the other: points (N, 2), N > 0, around middles (K, 2).
 
     For few middles in each: all points are examined.
     """
     found, count = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))], 0
     for points, middles in clouds:
-        at, dx, dy = _find_offsets(points, middles, radius_m)
+        at, dx, dy = _find_offsets(points, middles, PATCH_M)
         found.append((at + count, dx, dy))
         count += len(middles)
     at, dx, dy = (np.concatenate(one) for one in zip(*found, strict=True))

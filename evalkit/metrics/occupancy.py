@@ -41,13 +41,13 @@ def log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
     return float(np.mean((find_surprises(mapped) + wrong)[known])), int(np.count_nonzero(known))
 
 
-def wall_width_m(mapped: OccupancyGrid, threshold: float = 0.65) -> float:
+def wall_width_m(mapped: OccupancyGrid) -> float:
     """Return the mean width of the walls in a map (m), over places where its occupied cells lie along a line.
 
     n adjacent cells of size r have a variance of r^2 (n^2 - 1) / 12 across the wall, so a variance s^2 is a width of
     sqrt(12 s^2 + r^2). nan if no occupied cells lie along a line.
     """
-    centres = mapped.centres(mapped.occupied(threshold))
+    centres = mapped.centres(mapped.occupied())
     if len(centres) == 0:
         return float("nan")
     spread, _ = wall_thicknesses(centres)

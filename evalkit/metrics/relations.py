@@ -58,12 +58,10 @@ def cartographer_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
     return se2.compose(estimated, se2.inverse(measured))
 
 
-def compute_estimated_motions(
-    estimate: Trajectory, relations: Relations, max_gap_s: float = MAX_GAP_S
-) -> tuple[Floats, Bools]:
+def compute_estimated_motions(estimate: Trajectory, relations: Relations) -> tuple[Floats, Bools]:
     """Return the estimate's ``first_from_second`` (K, 3), and which relations (M,) the estimate covers."""
-    covered = can_interpolate(estimate.stamps_ns, relations.first_ns, max_gap_s) & can_interpolate(
-        estimate.stamps_ns, relations.second_ns, max_gap_s
+    covered = can_interpolate(estimate.stamps_ns, relations.first_ns, MAX_GAP_S) & can_interpolate(
+        estimate.stamps_ns, relations.second_ns, MAX_GAP_S
     )
     world_from_first = estimate.at(relations.first_ns[covered])
     return se2.between(world_from_first, estimate.at(relations.second_ns[covered])), covered

@@ -12,6 +12,9 @@ from evalkit.core.run_result import RunResult, Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.metric import NO_POSES, Evidence, make_metrics, make_score
 
+COST = "cpu_median_ms"
+"""The metric of the cost of a scan."""
+
 NOT_MEASURED = {
     "cpu_ns": "not measured on this machine: no CPU time",
     "wall_ns": "the poses were computed elsewhere",

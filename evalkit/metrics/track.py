@@ -101,7 +101,7 @@ def _find_supported(differences: list[_Difference], frames: Callable[[], Iterabl
     """The first difference, of the first ``MAX_JUDGED``, that the scans do not decide in favour of the estimate."""
     judged = sorted(differences, key=lambda one: one.lost.at_s)[:MAX_JUDGED]
     fits = _measure_fits(judged, frames)
-    return next(([one.lost] for one, own, reference in fits if own < max(MIN_FIT, reference + MIN_BETTER)), [])
+    return next(([one.lost] for one, own, reference in fits if not _is_better(own, reference)), [])
 
 
 def _measure_fits(
@@ -112,6 +112,10 @@ def _measure_fits(
     for one in differences:
         target, source = (points.get(stamp, NO_POINTS) for stamp in (one.first_ns, one.last_ns))
         yield one, _fit(target, source, one.own), _fit(target, source, one.reference)
+
+
+def _is_better(fit: float, other: float) -> bool:
+    return fit >= max(MIN_FIT, other + MIN_BETTER)
 
 
 IndexWindow = tuple[int, int]
@@ -239,7 +243,7 @@ def _find_contradicted_by_scans(
     name = f"{'the motion before' if odometry is None else 'the wheel odometry'}, which fits the scans better"
     judged = [_compare(estimate, tracks, *window, name) for window in islice(found, MAX_JUDGED)]
     fits = _measure_fits(judged, frames)
-    return next(([one.lost] for one, own, other in fits if other >= max(MIN_FIT, own + MIN_BETTER)), [])
+    return next(([one.lost] for one, own, other in fits if _is_better(other, own)), [])
 
 
 def _without_jumps(estimate: Trajectory) -> Trajectory:

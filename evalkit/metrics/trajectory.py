@@ -94,12 +94,12 @@ def align_rigidly(source: ArrayLike, target: ArrayLike) -> Floats:
     return np.array([*(q.mean(axis=0) - turned), se2.wrap(theta)])
 
 
-def compute_errors_m(estimate: Trajectory, truth: Trajectory, max_gap_s: float = MAX_GAP_S) -> Floats:
+def compute_errors_m(estimate: Trajectory, truth: Trajectory) -> Floats:
     """Return the distance (N,) of each pose of an aligned estimate to the ground truth; nan where it is unknown.
 
-    The ground truth is interpolated between poses at most ``max_gap_s`` apart.
+    The ground truth is interpolated between poses at most ``MAX_GAP_S`` apart.
     """
-    known = can_interpolate(truth.stamps_ns, estimate.stamps_ns, max_gap_s)
+    known = can_interpolate(truth.stamps_ns, estimate.stamps_ns, MAX_GAP_S)
     errors = np.full(len(estimate), np.nan)
     errors[known] = _compute_distances(estimate.poses[known], truth.at(estimate.stamps_ns[known]))
     return errors
@@ -115,11 +115,11 @@ def heading_errors(matched: MatchedPoses) -> Floats:
     return se2.wrap(matched.estimate[:, 2] - matched.truth[:, 2])
 
 
-def covered_share(estimate: Trajectory, truth: Trajectory, max_gap_s: float = MAX_GAP_S) -> float:
-    """Return the share of the ground truth's time span between estimated poses at most ``max_gap_s`` apart."""
+def covered_share(estimate: Trajectory, truth: Trajectory) -> float:
+    """Return the share of the ground truth's time span between estimated poses at most ``MAX_GAP_S`` apart."""
     stamps = estimate.stamps_ns[_mark_within(estimate, truth)]
     gaps = np.diff(stamps) * 1e-9
-    return float(gaps[gaps <= max_gap_s].sum() / truth.duration_s)
+    return float(gaps[gaps <= MAX_GAP_S].sum() / truth.duration_s)
 
 
 def rms(values: Floats) -> float:

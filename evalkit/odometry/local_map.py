@@ -1,13 +1,15 @@
-"""Local maps: the last scans or keyframes, one lasting map of voxels, or an occupancy grid."""
+"""Local maps: the last scans or keyframes, a lasting map of voxels, an occupancy grid, or the walls of a known map."""
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
 
 from evalkit.core.arrays import Ints
 from evalkit.core.errors import BadParameter
+from evalkit.core.known_map import KnownMap
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Scan
 from evalkit.core.se2 import Floats
@@ -132,6 +134,27 @@ class GridMap:
             inside = np.hypot(centres[:, 0] - near.x, centres[:, 1] - near.y) <= self._radius_m
             self._cloud = Cloud(centres[inside], "start")
         return self._cloud
+
+
+class WallsAround:
+    """A LocalMap that never grows: the walls of a known map around the robot, in the front end's start frame."""
+
+    def __init__(self, known: KnownMap, map_from_start: Pose, radius_m: float) -> None:
+        self._walls = map_from_start.inverse().transform(known.walls)
+        self._radius_m = radius_m
+        self._near = Cloud(np.empty((0, 2)), "start")
+        self._centre: Pose | None = None
+
+    def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
+        """Add nothing: the map is known."""
+
+    def cloud(self, near: Pose) -> Cloud:
+        """Return the walls around a pose; the same cloud until the robot has moved by a tenth of the radius."""
+        moved = math.inf if self._centre is None else math.hypot(near.x - self._centre.x, near.y - self._centre.y)
+        if moved > 0.1 * self._radius_m:
+            inside = np.hypot(*(self._walls - [near.x, near.y]).T) <= self._radius_m
+            self._near, self._centre = Cloud(self._walls[inside], "start"), near
+        return self._near
 
 
 def _directions(vectors: Floats) -> Floats:

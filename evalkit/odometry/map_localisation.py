@@ -28,8 +28,8 @@ from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.io.map_server import write_map
 from evalkit.odometry import frontend
-from evalkit.odometry.known_map import MapSearch, Place, WallsAround
-from evalkit.odometry.local_map import voxel_means
+from evalkit.odometry.local_map import WallsAround, voxel_means
+from evalkit.odometry.map_search import MapSearch, Place
 from evalkit.plugins.changed_sequence import ChangedSequence
 from evalkit.plugins.known_map import load_known_map, parse_start
 from evalkit.plugins.parameters import MAP, MAP_START, TRUE_MAP, Value

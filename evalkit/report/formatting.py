@@ -57,6 +57,11 @@ def _format_alike(metric: Metric, values: Sequence[float], more: int = 0) -> tup
     if metric.unit != "m":
         decimals = more + choose_decimals(metric.unit, metric.digits, *values)
         return [format_number(value, decimals) for value in values], metric.unit
+    return _format_lengths(values, more)
+
+
+def _format_lengths(values: Sequence[float], more: int = 0) -> tuple[list[str], str]:
+    """Return metres with the same decimals and their common unit."""
     largest = max(abs(value) for value in values)
     if largest >= 1.0:
         return [format_number(value, more + (2 if largest < 100.0 else 0)) for value in values], "m"
@@ -65,9 +70,8 @@ def _format_alike(metric: Metric, values: Sequence[float], more: int = 0) -> tup
 
 def format_length(value: float) -> str:
     """Format metres; below 1 m in millimetres: "8.4 mm", "376 mm", "6.77 m"."""
-    if abs(value) >= 1.0:
-        return f"{format_number(value, 2 if abs(value) < 100.0 else 0)}\u00a0m"
-    return f"{format_number(1000.0 * value, 1 if abs(value) < 0.00995 else 0)}\u00a0mm"
+    (text,), unit = _format_lengths([value])
+    return f"{text}\u00a0{unit}"
 
 
 def format_tick(value: float) -> str:

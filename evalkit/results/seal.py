@@ -31,7 +31,7 @@ def read_sealed(path: Path) -> dict[str, Any]:
 
 
 def check_seal(content: dict[str, Any]) -> None:
-    """Raises ValueError if the values of an object are not those that were sealed."""
+    """Raise ValueError if the values of an object are not those that were sealed."""
     own = {name: value for name, value in content.items() if name != SHA256}
     if content.get(SHA256) != _digest(own) or not isinstance(content.get(FILES), dict):
         raise ValueError("damaged: its values do not agree with its checksum")

@@ -274,13 +274,6 @@ class Store:
             (self.run_folder(key) / SCORES).unlink(missing_ok=True)
 
 
-def read_steps(path: Path) -> NDArray[np.void]:
-    """The complete records of a steps file (N,), without a last record that the end of the process cut short."""
-    if not path.exists():
-        return np.zeros(0, dtype=STEP)
-    return whole_records(path.read_bytes())
-
-
 def whole_records(content: bytes) -> NDArray[np.void]:
     """The complete records in the bytes written so far (N,), without a last one that is cut short."""
     return np.frombuffer(content[: len(content) // STEP.itemsize * STEP.itemsize], dtype=STEP)

@@ -16,6 +16,9 @@ from evalkit.stats.ranks import rank_values
 MAX_EXACT, MAX_EXACT_TIED = 50, 13
 """Largest number of differences of which a p value is exact: all of different sizes, or some of the same size."""
 
+POWER = 0.8
+"""Probability with which a difference that is called detectable is detected."""
+
 
 @dataclass(frozen=True, slots=True)
 class SignedRankTest:
@@ -61,7 +64,7 @@ def vargha_delaney_a12(a: ArrayLike, b: ArrayLike) -> float:
     return float(np.mean(larger + 0.5 * (first[:, None] == second[None, :])))
 
 
-def smallest_detectable_difference(differences: ArrayLike, power: float = 0.8, alpha: float = 0.05) -> float:
+def smallest_detectable_difference(differences: ArrayLike) -> float:
     """Return the mean difference that a paired design with these differences detects with 80 % power at 5 %.
 
     By the two-sided paired t test, from the standard deviation and the number of the differences. Infinite for fewer
@@ -71,11 +74,11 @@ def smallest_detectable_difference(differences: ArrayLike, power: float = 0.8, a
     if len(series) < 2 or not np.isfinite(series).all():
         return math.inf
     error = float(series.std(ddof=1)) / math.sqrt(len(series))
-    return error * detectable_standard_errors(len(series) - 1, power, alpha)
+    return error * detectable_standard_errors(len(series) - 1)
 
 
 @cache
-def detectable_standard_errors(freedom: float, power: float = 0.8, alpha: float = 0.05) -> float:
+def detectable_standard_errors(freedom: float, power: float = POWER, alpha: float = 0.05) -> float:
     """Return the smallest difference, in standard errors, that a two-sided t test detects with probability ``power``.
 
     ``freedom``: degrees of freedom of the standard error.

@@ -17,6 +17,9 @@ MIN_SEQUENCES = 8
 
 MIN_METHODS = 3
 
+ALPHA = 0.05
+"""Share of equal methods that the critical difference of ranks would tell apart."""
+
 
 @dataclass(frozen=True, slots=True)
 class FriedmanTest:
@@ -62,7 +65,7 @@ def rank_values(values: ArrayLike) -> Floats:
     return ranks
 
 
-def friedman_test(errors: ArrayLike, alpha: float = 0.05) -> FriedmanTest | NotTested:
+def friedman_test(errors: ArrayLike) -> FriedmanTest | NotTested:
     """Apply Friedman's test to errors of K methods over N sequences (N, K); lower is better.
 
     With Nemenyi's critical difference q sqrt(K (K + 1) / 6 N) (Demsar, JMLR 7, 2006). An infinite error is a failure
@@ -78,7 +81,7 @@ def friedman_test(errors: ArrayLike, alpha: float = 0.05) -> FriedmanTest | NotT
 
     ranks = compute_ranks(table)
     statistic, p = (0.0, 1.0) if (ranks == ranks[:, :1]).all() else stats.friedmanchisquare(*ranks.T)
-    q = stats.studentized_range.ppf(1.0 - alpha, methods, np.inf) / math.sqrt(2.0)
+    q = stats.studentized_range.ppf(1.0 - ALPHA, methods, np.inf) / math.sqrt(2.0)
     critical = float(q) * math.sqrt(methods * (methods + 1) / (6.0 * sequences))
     return FriedmanTest(tuple(ranks.mean(axis=0).tolist()), float(statistic), float(p), critical, sequences)
 

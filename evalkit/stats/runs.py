@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from evalkit.core.se2 import Floats
 from evalkit.stats.intervals import CONFIDENCE, Interval, student_quantile
-from evalkit.stats.paired_tests import compute_power, detectable_standard_errors
+from evalkit.stats.paired_tests import POWER, compute_power, detectable_standard_errors
 
 MIN_RUNS = 3
 """Fewer runs have no interval of their median: that of two runs is 25 times as wide as their difference."""
@@ -51,7 +51,7 @@ class PairedRuns:
         alpha = 1.0 - self.interval.confidence
         return self._in_unit(self.error * detectable_standard_errors(self.interval.support - 1, alpha=alpha))
 
-    def runs_needed(self, power: float = 0.8) -> int | None:
+    def runs_needed(self) -> int | None:
         """Return how many runs of each method show a difference of this size with 80 % power; None above 200."""
         sd = self.error * math.sqrt(self.interval.support)
         if sd == 0.0 or self.mean == 0.0:
@@ -59,7 +59,7 @@ class PairedRuns:
 
         def detects(runs: int) -> bool:
             alpha = 1.0 - paired_confidence(runs, self.perturbed)
-            return compute_power(abs(self.mean) / sd * math.sqrt(runs), runs - 1, alpha) >= power
+            return compute_power(abs(self.mean) / sd * math.sqrt(runs), runs - 1, alpha) >= POWER
 
         least = FEW_RUNS if self.perturbed else 2
         found = bisect_left(range(least, MAX_RUNS + 1), True, key=detects) + least
@@ -69,7 +69,7 @@ class PairedRuns:
         return size if math.isnan(self.scale) else self.scale * math.expm1(min(size, 50.0))
 
 
-def runs_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval | None:
+def runs_interval(values: ArrayLike) -> Interval | None:
     """Return the median of runs (N,) with the interval of Student's t over them; None for fewer than three runs.
 
     On logarithms where all values are positive: run-to-run differences of errors are factors. The interval is that of
@@ -80,10 +80,10 @@ def runs_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval
         return None
     positive = bool((series > 0.0).all())
     mean, error = _mean_and_error(np.log(series) if positive else series)
-    half = student_quantile(len(series) - 1, confidence) * error
+    half = student_quantile(len(series) - 1, CONFIDENCE) * error
     low, high = (math.exp(bound) if positive else bound for bound in (mean - half, mean + half))
     middle = float(np.median(series))
-    return Interval(middle, min(low, middle), max(high, middle), len(series), confidence)
+    return Interval(middle, min(low, middle), max(high, middle), len(series), CONFIDENCE)
 
 
 def paired_confidence(runs: int, perturbed: bool) -> float:

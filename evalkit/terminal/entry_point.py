@@ -10,7 +10,7 @@ from io import TextIOWrapper
 from typing import Any, NoReturn
 
 from evalkit.core.errors import BadParameter, EvalkitError, MachineFault, plain
-from evalkit.terminal.options import err
+from evalkit.terminal.console import err
 
 
 def run(app: Callable[[], Any]) -> None:

@@ -1,61 +1,21 @@
-"""Options that several commands share, their shell completion, the consoles, and JSON output."""
+"""Options that several commands share, and their shell completion."""
 
 from __future__ import annotations
 
-import shlex
 import sys
-import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.console import Console, ConsoleOptions, RenderableType
-from rich.segment import Segment
 
-from evalkit.core.errors import show_controls
-from evalkit.io.json_values import indent_json
 from evalkit.plugins import registry
 
 if TYPE_CHECKING:
     from evalkit.execution.dask_cluster import Cluster
 
-
-class WordConsole(Console):
-    """A console that wraps at words on a terminal, and nowhere else.
-
-    Text may come from untrusted files: it is no mark-up, control characters are printed escaped, and ":x:" stays ":x:".
-    """
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(emoji=False, markup=False, highlight=False, **options)
-
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render as ``Console.render``, with the control characters of texts escaped."""
-        for segment in super().render(renderable, options):
-            yield segment if segment.control else segment._replace(text=show_controls(segment.text))
-
-    def print(self, *objects: Any, **options: Any) -> None:
-        """Print as ``Console.print``; in a text, a word longer than a line stays whole."""
-        if self.is_terminal and "soft_wrap" not in options and all(isinstance(one, str) for one in objects):
-            objects = tuple(_wrap(one, self.width) for one in objects)
-            options["soft_wrap"] = True
-        super().print(*objects, **{"soft_wrap": not self.is_terminal, **options})
-
-
-def _wrap(text: str, width: int) -> str:
-    lines = (textwrap.wrap(line, width, break_long_words=False, break_on_hyphens=False) for line in text.split("\n"))
-    return "\n".join("\n".join(line) for line in lines)
-
-
-out = WordConsole()
-err = WordConsole(stderr=True)
-
-MAX_TABLE = 80
-"""Most columns of a table that does not wrap; less where a terminal or COLUMNS is narrower."""
-
-ENGINES = ("local", "dask")
+EngineName = Literal["local", "dask"]
 EXECUTION = "Execution"
 """The panel of the options that say how runs are executed."""
 
@@ -141,10 +101,9 @@ Collect = Annotated[
     bool, typer.Option("--collect", help="Run nothing; report what is finished and missing.", rich_help_panel=EXECUTION)
 ]
 Engine = Annotated[
-    str,
+    EngineName,
     typer.Option(
-        help="local: run on this machine; dask: run on the workers of a Dask cluster.", rich_help_panel=EXECUTION,
-        autocompletion=lambda: list(ENGINES),
+        help="local: run on this machine; dask: run on the workers of a Dask cluster.", rich_help_panel=EXECUTION
     ),
 ]  # fmt: skip
 SchedulerAddress = Annotated[
@@ -188,11 +147,11 @@ class RunOptions:
         resume: bool,
         rerun: list[str] | None,
         collect: bool,
-        engine: str = "local",
+        engine: EngineName = "local",
         scheduler: str = "",
         insecure: bool = False,
     ) -> RunOptions:
-        """Return the checked options. Raises typer.BadParameter for an unknown status or engine."""
+        """Return the checked options. Raises typer.BadParameter for an unknown status."""
         from evalkit.core.run_result import DISTURBED  # noqa: PLC0415 - loads numpy
         from evalkit.core.run_status import BROKEN, RunStatus  # noqa: PLC0415 - loads numpy
         from evalkit.execution.environment import physical_cores  # noqa: PLC0415 - loads psutil
@@ -209,12 +168,10 @@ class RunOptions:
         )
 
 
-def cluster(engine: str, scheduler: str, jobs: int, insecure: bool = False) -> Cluster | None:
+def cluster(engine: EngineName, scheduler: str, jobs: int, insecure: bool = False) -> Cluster | None:
     """Return the requested cluster, None for this machine. Raises typer.BadParameter if the options contradict."""
     from evalkit.execution.dask_cluster import Cluster  # noqa: PLC0415 - rarely used
 
-    if engine not in ENGINES:
-        raise typer.BadParameter(f"--engine: found '{engine}', expected one of: {', '.join(ENGINES)}")
     if engine == "local" and scheduler:
         raise typer.BadParameter("--scheduler: needs --engine dask")
     return Cluster(scheduler, jobs, insecure=insecure) if engine == "dask" else None
@@ -226,22 +183,6 @@ def settings(items: list[str], option: str = "--set") -> dict[str, str]:
         if "=" not in item:
             raise typer.BadParameter(f"{option}: found '{item}', expected NAME=VALUE")
     return dict(item.split("=", 1) for item in items)
-
-
-def split_sequence(text: str) -> tuple[str, dict[str, str]]:
-    """Return the data set and the parameters of "NAME laps=0.3". Raises typer.BadParameter for an item without "="."""
-    name, *items = shlex.split(text) or [""]
-    return name, settings(items, f"--on {name}")
-
-
-def table_width(console: Console) -> int:
-    """Return the width of a table: that of a terminal or COLUMNS, at most 80 columns."""
-    return min(console.width, MAX_TABLE)
-
-
-def print_json(content: object) -> None:
-    """Write JSON to standard output, without markup or wrapping."""
-    sys.stdout.write(indent_json(content))
 
 
 def add_working_directory() -> None:

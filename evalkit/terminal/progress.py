@@ -18,7 +18,7 @@ from evalkit.core.run_result import RunResult
 from evalkit.core.run_status import RunStatus
 from evalkit.plugins import registry
 from evalkit.results import descriptions
-from evalkit.terminal.options import WordConsole
+from evalkit.terminal.console import WordConsole
 
 WIDE = 10_000
 """Width of a table that is piped, in columns: one line per row."""

@@ -17,9 +17,9 @@ from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.standings import find_cost, select_counted
 from evalkit.report.analysis.statements.warnings import list_remarks
 from evalkit.report.formatting import format_amount, format_milliseconds
+from evalkit.terminal.console import table_width
 from evalkit.terminal.map_fit import describe_map_fit
 from evalkit.terminal.method_names import cut_middle, shorten_names
-from evalkit.terminal.options import table_width
 
 MAX_LINES = 10
 """Lines of the table, a head of one line included."""

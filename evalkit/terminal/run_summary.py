@@ -13,8 +13,7 @@ from evalkit.config.experiment import RunSpec
 from evalkit.core.run_result import RunResult
 from evalkit.core.run_status import BROKEN, NOT_EXECUTED, RunStatus
 from evalkit.results.store import Store
-from evalkit.terminal import options
-from evalkit.terminal.options import out
+from evalkit.terminal.console import out, print_json
 
 MAX_NAMED = 4
 """Maximum number of missing runs that are listed by name."""
@@ -32,7 +31,7 @@ def print_summary(
     skipped = [(spec, result) for spec, result in runs if result.status in (RunStatus.SKIPPED, RunStatus.INTERRUPTED)]
     if as_json:
         rows = [_run_as_json(spec, result, store) for spec, result in runs]
-        options.print_json({"title": title, "page": str(page) if page else None, "runs": rows})
+        print_json({"title": title, "page": str(page) if page else None, "runs": rows})
     else:
         _print_counts(runs, skipped)
         if page is not None:

@@ -10,7 +10,7 @@ from evalkit.execution.task import R, Task
 from evalkit.execution.task_runner import run_tasks
 from evalkit.execution.task_store import TaskStore
 from evalkit.terminal import progress
-from evalkit.terminal.options import err
+from evalkit.terminal.console import err
 
 
 def run_shown_tasks(tasks: Sequence[Task[R]], folder: Path, workers: int | None, what: str) -> dict[str, R]:

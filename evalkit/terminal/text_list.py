@@ -11,12 +11,12 @@ from rich.text import Text
 INDENT = 2
 
 
-def print_list(console: Console, title: str, rows: Iterable[tuple[str, str]], style: str = "bold") -> None:
+def print_list(console: Console, title: str, rows: Iterable[tuple[str, str]]) -> None:
     """Print a title and lines of name and text; on a terminal wrapped beside the names, one line a row elsewhere."""
     pairs = list(rows)
     column = max((len(name) for name, _ in pairs), default=0) + 2 * INDENT
     width = console.width if console.is_terminal else 0
-    console.print(Text(title, style=style))
+    console.print(Text(title, style="bold"))
     for name, text in pairs:
         console.print(Text(format_row(name, text, column, width)), soft_wrap=True)
 

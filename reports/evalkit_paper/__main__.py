@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from evalkit.terminal.console import out
 from evalkit.terminal.entry_point import run
-from evalkit.terminal.options import out
 
 
 def paper(

@@ -13,7 +13,7 @@ from evalkit.execution import environment
 from evalkit.execution.task import AnyTask
 from evalkit.io.output_files import write_texts
 from evalkit.report.html.blocks import Cell, Column, Command, Fold, Section, Table, Text, render
-from evalkit.terminal.options import err
+from evalkit.terminal.console import err
 from evalkit.terminal.shown_tasks import run_shown_tasks
 from evalkit_paper import (
     claims_chapter,

@@ -8,8 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import evalkit
+from evalkit.cli import app
 from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.errors import BadParameter, NotInstalled, StoreError, UnknownName
 from evalkit.plugins import registry
@@ -201,6 +203,18 @@ def test_a_script_needs_no_main_guard(tmp_path, results):
     once, runs = ended.stdout.splitlines()
     assert once == "once"
     assert json.loads(runs) == [["my_icp:Keep", "complete"], ["mine", "complete"]]
+
+
+def test_python_and_the_command_line_use_the_same_results_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "my exp.toml"
+    file.write_text(
+        'method = [{ use = "wheel-odometry" }]\nsequence = [{ use = "room", laps = 0.02 }]\nmapper.scans = 10\n'
+    )
+    ended = CliRunner().invoke(app, ["compare", file.name, "--jobs", "1"])
+    assert ended.exit_code == 0, ended.output
+    assert evalkit.compare(file.name).scores()["status"].tolist() == ["complete"]
+    assert [path.name for path in (tmp_path / "evalkit-results").iterdir()] == ["my exp"]
 
 
 def carmen_log():

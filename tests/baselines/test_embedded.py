@@ -2,6 +2,7 @@
 
 import math
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,9 @@ from evalkit_baselines.embedded import compiled
 from evalkit_baselines.embedded.normals import MAX_NEIGHBOURS
 from evalkit_baselines.paper.grid import LogOddsGrid
 from evalkit_baselines.paper.icp import Icp, line_normals
+
+sys.path.append(str(Path(__file__).parent))
+from l_shaped_room import room
 
 needs_core = pytest.mark.skipif(bool(why := compiled.compiled_missing()), reason=why or "the core is here")
 
@@ -49,15 +53,6 @@ def make_plugin(spec, **parameters):
     return spec.make(**resolve_parameters("embedded", spec.parameters, parameters))
 
 
-def room(n, rng, noise_m=0.02):
-    """Return points on the walls of an L-shaped room."""
-    corners = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.0, 1.0], [0.0, 4.0], [-4.0, 4.0]])
-    sides = np.roll(corners, -1, axis=0) - corners
-    lengths = np.linalg.norm(sides, axis=1)
-    side = rng.choice(len(sides), n, p=lengths / lengths.sum())
-    return corners[side] + rng.uniform(size=(n, 1)) * sides[side] + rng.normal(0.0, noise_m, (n, 2))
-
-
 def scans(seed):
     """Return a local map, a scan of it, and a guess that is some centimetres and degrees off.
 
@@ -65,8 +60,8 @@ def scans(seed):
     """
     rng = np.random.default_rng(seed)
     truth = Pose(*rng.normal(0.0, [0.5, 0.5, 0.5]))
-    source = truth.inverse().transform(room(900, rng))
-    points, origin = room(3000, rng), np.array([-0.3, 0.2])
+    source = truth.inverse().transform(room(900, 0.02, rng))
+    points, origin = room(3000, 0.02, rng), np.array([-0.3, 0.2])
     inwards = truth.transform(origin[None]) - points
     inwards *= np.random.default_rng(seed + 100).choice([1.0, -1.0], (3000, 1), p=[0.8, 0.2]) / np.linalg.norm(
         inwards, axis=1, keepdims=True
@@ -184,7 +179,7 @@ def test_a_coordinate_beyond_the_limit_raises_with_the_message_of_the_core():
 @needs_core
 @pytest.mark.parametrize("k", [2, 5, 8, 20])
 def test_compiled_normals_equal_those_of_numpy_and_scipy(k):
-    points = room(1500, np.random.default_rng(k))
+    points = room(1500, 0.02, k)
     expected = line_normals(cKDTree(points), k)
     found = embedded.normals_2d(points, k)
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, rtol=0.0, atol=1e-15)
@@ -198,7 +193,7 @@ def test_compiled_normals_equal_those_of_numpy_and_scipy(k):
 @needs_core
 @pytest.mark.parametrize(("k", "radius_m"), [(20, 0.5), (8, 0.2), (5, 0.05)])
 def test_compiled_normals_within_a_radius_equal_those_of_the_harness(k, radius_m):
-    points = room(1500, np.random.default_rng(k))
+    points = room(1500, 0.02, k)
     points = np.vstack([points, [[30.0, 30.0], [30.1, 30.0]]])  # two points far from all
     expected, found = planar3d.normals(points, k, radius_m), embedded.normals_2d(points, k, radius_m)
     np.testing.assert_array_equal(found.any(axis=1), expected.any(axis=1))

@@ -1,6 +1,7 @@
 """small_gicp on planar clouds: both methods recover a known motion because flat points are turned into walls."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from evalkit.odometry import planar3d
 from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import small_gicp
 
+sys.path.append(str(Path(__file__).parent))
+from l_shaped_room import TRUTH, compute_error_m, room
+
 METHODS = {"point-to-point": small_gicp.POINT_TO_POINT, "point-to-plane": small_gicp.POINT_TO_PLANE}
-TRUTH = Pose(0.06, -0.04, np.radians(2.0))
 
 needs_small_gicp = pytest.mark.skipif(bool(why := small_gicp.small_gicp_missing()), reason=why or "small_gicp is here")
 
@@ -21,21 +24,6 @@ needs_small_gicp = pytest.mark.skipif(bool(why := small_gicp.small_gicp_missing(
 def backend(method, **parameters):
     spec = METHODS[method]
     return spec.make(**resolve_parameters(method, spec.parameters, parameters))
-
-
-def room(n=1200, noise_m=0.0, seed=0):
-    """Return points on the walls of an L-shaped room."""
-    rng = np.random.default_rng(seed)
-    corners = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.0, 1.0], [0.0, 4.0], [-4.0, 4.0]])
-    sides = np.roll(corners, -1, axis=0) - corners
-    lengths = np.linalg.norm(sides, axis=1)
-    side = rng.choice(len(sides), n, p=lengths / lengths.sum())
-    return corners[side] + rng.uniform(size=(n, 1)) * sides[side] + rng.normal(0.0, noise_m, (n, 2))
-
-
-def compute_error_m(match):
-    left = TRUTH.inverse() @ match.target_from_source
-    return np.hypot(left.x, left.y) + 4.0 * abs(left.theta)  # error in metres at the far end of the room
 
 
 @needs_small_gicp

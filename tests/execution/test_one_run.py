@@ -28,7 +28,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.specs import OdometrySpec
 from evalkit.plugins.stored_frames import write_frames
 from evalkit.results.final_files import CLOSURES, FINAL, PATHS, parse_final, parse_paths
-from evalkit.results.store import read_steps, whole_records
+from evalkit.results.store import whole_records
 
 pytestmark = pytest.mark.usefixtures("strangers")
 
@@ -39,7 +39,8 @@ def execute_request(folder, backend="wheel-odometry", parameters=None, dataset="
     if dataset == "straight":
         sequence = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0, **(sequence or {})}
     request = Request(backend, parameters or {}, dataset, sequence or {})
-    return one_run.execute_request(request, folder), read_steps(folder / "steps.bin")
+    result, steps = one_run.execute_request(request, folder), folder / "steps.bin"
+    return result, whole_records(steps.read_bytes() if steps.exists() else b"")
 
 
 def test_the_warm_up_is_another_instance_so_the_first_answer_is_the_identity(tmp_path):

@@ -13,7 +13,6 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from queue import SimpleQueue
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ from evalkit.config.experiment import experiment_from_tables
 from evalkit.config.limits import Limits
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import RunConditions
-from evalkit.execution import environment, executors, run_process, run_task, subprocesses
+from evalkit.execution import environment, run_process, run_task, subprocesses
 from evalkit.execution.executors import LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.plugins import registry
@@ -236,9 +235,7 @@ def test_a_run_is_scored_on_its_core_before_the_core_is_released(tmp_path, monke
     monkeypatch.setattr(subprocesses, "start_process", lambda core: ThreadPoolExecutor(1))
     monkeypatch.setattr(run_task, "score_and_save", score)
     only = environment.cores()[0]
-    one = SimpleQueue()
-    one.put(only)
-    monkeypatch.setattr(executors, "_cores", lambda jobs: one)
+    monkeypatch.setattr(environment, "core_of_each", lambda jobs: [only])
     run(plan("none", "far"), tmp_path, 2, Told())
     assert told == ["started none", f"scored on {only}", "started far", f"scored on {only}"]
 

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from evalkit.config.experiment import experiment_from_tables
@@ -17,7 +18,7 @@ from evalkit.execution.scheduler import Scheduler
 from evalkit.execution.shared_frames import FOLDER, SharedFrames
 from evalkit.execution.subprocesses import WorkerPool
 from evalkit.plugins.stored_frames import StoredFrames
-from evalkit.results.store import STEPS, Store, read_steps
+from evalkit.results.store import STEPS, Store
 
 pytestmark = pytest.mark.usefixtures("strangers")
 
@@ -73,7 +74,7 @@ def test_all_methods_read_one_file_and_answer_as_without_it(tmp_path, monkeypatc
             (result.expected, result.notes, result.every) == (again.expected, again.notes, again.every) == (12, {}, 1)
         )
         for name in set(STEP.names) - set(TIMES):
-            assert steps[name].tobytes() == read_steps(folder / STEPS)[name].tobytes(), name
+            assert steps[name].tobytes() == np.fromfile(folder / STEPS, STEP)[name].tobytes(), name
 
 
 def test_a_run_refuses_frames_that_a_back_end_has_changed(tmp_path, monkeypatch):

@@ -97,13 +97,16 @@ def test_at_most_a_thousand_places_are_measured() -> None:
 
 
 @pytest.mark.parametrize(("share", "enough"), [(0.05, True), (0.049, False)])
-def test_a_thickness_needs_a_twentieth_of_the_hits_along_walls(monkeypatch, share: float, enough: bool) -> None:
-    values = np.linspace(0.0, 1.0, 101)
-    monkeypatch.setattr(consistency, "_compute_thicknesses", lambda _: (values, share))
-    found = scores(None, mapped=(wall_scan(2.5),))
-    expected = (pytest.approx(0.5), pytest.approx(0.95)) if enough else (None, None)
+def test_a_thickness_needs_a_twentieth_of_the_hits_along_walls(share: float, enough: bool) -> None:
+    """Of 1,000 hits up to 50 lie on five walls, of thickness 0 to 4 cm; the others are 2 m apart."""
+    rows = [[10.0 * wall + 0.05 * k, 0.01 * wall * (1, -1, -1, 1)[k % 4]] for wall in range(5) for k in range(10)]
+    alone = [[100.0 + 2.0 * (k % 50), 100.0 + 2.0 * (k // 50)] for k in range(1000)]
+    count = round(1000 * share)
+    x, y = np.array(rows[-count:] + alone[count:]).T
+    found = scores(None, mapped=((Scan(0, np.hypot(x, y), np.arctan2(y, x), 0.0, 400.0), np.zeros(3)),))
+    expected = (pytest.approx(0.02, abs=1e-3), pytest.approx(0.04, abs=1e-3)) if enough else (None, None)
     assert (found["wall_thickness_m"].value, found["wall_thickness_p95_m"].value) == expected
-    assert found["wall_thickness_m"].support == 101
+    assert found["wall_thickness_m"].support == count
 
 
 def test_scattered_hits_are_not_a_wall() -> None:

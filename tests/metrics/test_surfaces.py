@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, RunResult, Score
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import surfaces
 from evalkit.metrics.metric import Evidence
@@ -180,18 +180,30 @@ def test_profiles_across_walls_are_those_of_a_plain_count() -> None:
     np.testing.assert_allclose(profiles, smooth, atol=1e-12)
 
 
+def short_walls(*counts, turned=False):
+    """Return hits 5 cm apart on short walls along x, or ``turned`` along y, 4 m from each other."""
+    walls = [[4.0 * wall + 0.05 * hit, 3.0] for wall, count in enumerate(counts) for hit in range(count)]
+    return np.array(walls)[:, ::-1] if turned else np.array(walls)
+
+
+@pytest.mark.parametrize(("last", "enough"), [((5, 5), True), ((9,), False)])
+def test_twenty_places_are_enough_for_a_variance(last: tuple[int, ...], enough: bool) -> None:
+    """20 or 19 hits are a place with five hits around it; at right angles to them are 20."""
+    along, turned = short_walls(5, 5, *last), short_walls(5, 5, 5, 5, turned=True)
+    for name, hits, places in (
+        ("mpv_cm2", along, len(along)),
+        ("mom_cm2", np.concatenate([along, turned]), len(along)),
+    ):
+        found = scores((make_scan(hits),))[name]
+        assert (found.value, found.support) == (pytest.approx(0.0, abs=1e-9) if enough else None, places)
+
+
 @pytest.mark.parametrize(("count", "enough"), [(20, True), (19, False)])
-def test_twenty_places_and_stretches_of_wall_are_enough(monkeypatch, count: int, enough: bool) -> None:
-    copies = np.where(np.arange(count) < 5, 0.2, np.nan)
-    monkeypatch.setattr(surfaces, "_find_copies", lambda _: copies)
-    monkeypatch.setattr(surfaces, "mean_variance", lambda *_: (0.0004, count))
-    monkeypatch.setattr(surfaces, "orthogonal_variance", lambda *_: (0.0009, count))
-    found = scores((make_scan(along_x(1.0, 3.0)),))
-    assert found["mpv_cm2"].value == (pytest.approx(4.0) if enough else None)
-    assert found["mom_cm2"].value == (pytest.approx(9.0) if enough else None)
-    assert found["ghost_wall_percent"].value == (25.0 if enough else None)
-    assert found["ghost_wall_m"] == Score(0.2, 5) if enough else found["ghost_wall_m"].value is None
-    assert {found[name].support for name in ("mpv_cm2", "mom_cm2", "ghost_wall_percent")} == {count}
+def test_twenty_stretches_of_wall_are_enough_for_a_share_of_copies(count: int, enough: bool) -> None:
+    found = scores((make_scan(short_walls(*[5] * count)),))
+    assert (found["ghost_wall_percent"].value, found["ghost_wall_percent"].support) == (0.0 if enough else None, count)
+    reason = "no wall has a second copy" if enough else "single scans contain only 19 stretches of wall"
+    assert found["ghost_wall_m"].reason == reason
 
 
 def test_pieces_represent_a_stretch_of_25_cm_along_50_cm_across_and_10_degrees() -> None:

@@ -280,16 +280,25 @@ def test_a_relation_is_wrong_by_the_limits_of_a_window_or_over_ten_seconds_by_it
     assert [(one.first_ns, one.last_ns, one.lost.at_s) for one in found] == [(*ends.tolist(), 3.0 + seconds)] * wrong
 
 
+def frames_that_fit(first_ns, last_ns, shares, motions):
+    """Return two frames: each motion moves its share of the second one's 100 points onto points of the first one."""
+    source = np.column_stack([np.full(100, 5.0), 0.4 * np.arange(100)])
+    moved = (se2.transform(motion, source[: round(100 * share)]) for share, motion in zip(shares, motions, strict=True))
+    clouds = {first_ns: np.concatenate([[[-500.0, 0.0]], *moved]), last_ns: source}
+    return [Frame(Scan(stamp, np.hypot(x, y), np.arctan2(y, x), 0.0, 1e3), Pose(), None)
+            for stamp, (x, y) in ((stamp, points.T) for stamp, points in clouds.items())]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("own", "reference", "lost"),
     [(0.29, 0.0, True), (0.31, 0.1, False), (0.55, 0.5, True), (0.65, 0.5, False), (0.0, 0.0, True)],
 )
 def test_a_difference_counts_unless_the_scans_fit_the_estimate_better_by_a_tenth_and_at_least_by_0_3(
-    monkeypatch, own, reference, lost
+    own, reference, lost
 ):
-    one = track._Difference(0, 1, np.zeros(3), np.zeros(3), LostTrack(1.0, "planted"))
-    monkeypatch.setattr(track, "_measure_fits", lambda *_: iter([(one, own, reference)]))
-    assert track._find_supported([one], lambda: ()) == [one.lost] * lost
+    one = track._Difference(0, 1, np.zeros(3), np.array([0.0, 0.0, 2.0]), LostTrack(1.0, "planted"))
+    seen = frames_that_fit(0, 1, (own, reference), (one.own, one.reference))
+    assert track._find_supported([one], lambda: seen) == [one.lost] * lost
 
 
 @pytest.mark.parametrize(
@@ -297,12 +306,13 @@ def test_a_difference_counts_unless_the_scans_fit_the_estimate_better_by_a_tenth
     [(0.0, 0.29, False), (0.0, 0.31, True), (0.5, 0.59, False), (0.5, 0.61, True), (0.9, 0.5, False)],
 )
 def test_a_long_step_counts_where_the_scans_fit_the_motion_before_better_by_a_tenth_and_at_least_by_0_3(
-    monkeypatch, own, other, lost
+    own, other, lost
 ):
-    poses = with_jump(walk(), 70)
-    monkeypatch.setattr(track, "_measure_fits", lambda judged, _: ((one, own, other) for one in judged))
+    poses = with_jump(walk(), 70, [3.0, 0.0, 0.0])
     estimate = Trajectory(np.arange(len(poses)) * 100_000_000, poses)
-    found = track._find_contradicted_by_scans(estimate, None, lambda: ())
+    motions = [3.05, 0.0, 0.008], [0.05, 0.0, 0.008]  # the step, and the one before
+    seen = frames_that_fit(6_900_000_000, 7_000_000_000, (own, other), motions)
+    found = track._find_contradicted_by_scans(estimate, None, lambda: seen)
     assert [one.at_s for one in found] == [pytest.approx(7.0)] * lost
 
 

@@ -19,8 +19,9 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.io.map_server import read_rotated_map, write_map
 from evalkit.odometry import map_localisation
 from evalkit.odometry.frontend import complete_parameters
-from evalkit.odometry.known_map import SEARCH_POINTS, MapSearch, Place, WallsAround, thin_evenly
+from evalkit.odometry.local_map import WallsAround
 from evalkit.odometry.map_localisation import MapTracker, PlaceSearch, find_start, localise
+from evalkit.odometry.map_search import SEARCH_POINTS, MapSearch, Place, thin_evenly
 from evalkit.odometry.run_odometry import estimate_poses
 from evalkit.plugins import registry
 from evalkit.plugins.known_map import load_known_map, parse_start

@@ -13,7 +13,7 @@ from evalkit.config.experiment import Method, SequenceSpec, experiment_from_tabl
 from evalkit.core.run_result import NO_STEPS, RunResult
 from evalkit.core.run_status import BROKEN, Cause, RunStatus
 from evalkit.terminal import options
-from evalkit.terminal.options import WordConsole
+from evalkit.terminal.console import WordConsole
 from evalkit.terminal.progress import TaskLines, TimeLeft, format_unavailable, print_table, show_runs, show_tasks
 
 
@@ -154,8 +154,6 @@ def test_options_of_execution_that_contradict_are_refused():
     given = {"jobs": 1, "resume": False, "collect": False}
     with pytest.raises(typer.BadParameter, match="--rerun: found 'lost', expected one of: complete, failed"):
         options.RunOptions.of(rerun=["lost"], **given)
-    with pytest.raises(typer.BadParameter, match="--engine: found 'ray', expected one of: local, dask"):
-        options.RunOptions.of(rerun=[], engine="ray", **given)
     with pytest.raises(typer.BadParameter, match="--scheduler: needs --engine dask"):
         options.RunOptions.of(rerun=[], scheduler="tcp://a:1", **given)
     found = options.RunOptions.of(rerun=["failed", "skipped"], **given)

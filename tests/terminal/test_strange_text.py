@@ -9,8 +9,8 @@ from rich.progress import Progress, TextColumn
 from rich.table import Table
 from rich.text import Text
 
+from evalkit.terminal.console import WordConsole
 from evalkit.terminal.entry_point import run
-from evalkit.terminal.options import WordConsole
 from evalkit.terminal.progress import TaskLines, print_table
 
 STRANGE = "a:x:b \x1b[31mred\x1b[2J \u202eevil\u00a05 m"

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from evalkit.terminal.options import WordConsole
+from evalkit.terminal.console import WordConsole
 from evalkit.terminal.text_list import format_row, print_hanging, print_list
 
 

@@ -22,13 +22,13 @@ MAX_BEAMS_AT = 8
 """Byte of the header where the number of beams of the largest scan is."""
 
 
-def encode_record(frame: Frame, dtype: str = "<f4") -> bytes:
-    """Encode one scan; ranges and angles in the given number type."""
+def encode_record(frame: Frame) -> bytes:
+    """Encode one scan; ranges and angles as 32-bit floats."""
     scan, odometry, motion = frame.scan, frame.odom_from_base, frame.start_from_end
     flags = HAS_ODOMETRY * (odometry is not None) + HAS_MOTION * (motion is not None)
     head = struct.pack("<2q2I", scan.stamp_ns, scan.time_increment_ns, len(scan.ranges), flags)
     poses = b"".join(pose.row.astype("<f8").tobytes() for pose in (odometry, motion) if pose is not None)
-    return head + poses + scan.ranges.astype(dtype).tobytes() + scan.angles.astype(dtype).tobytes()
+    return head + poses + scan.ranges.astype("<f4").tobytes() + scan.angles.astype("<f4").tobytes()
 
 
 def write_scan_log(path: Path, frames: Iterable[Frame]) -> int:

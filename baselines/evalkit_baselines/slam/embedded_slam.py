@@ -28,21 +28,14 @@ from evalkit_baselines.embedded.registration import make_icp
 from evalkit_baselines.slam.loop_closure import LoopSettings, describe_low_score
 from evalkit_baselines.slam.paper_slam import SPEC as REFERENCE
 from evalkit_baselines.slam.second_try import FINE_CORRESPONDENCE_M
+from evalkit_baselines.slam.settings import SharedSettings
 
 
 @dataclass(frozen=True)
-class EmbeddedSlamSettings(LoopSettings):
+class EmbeddedSlamSettings(SharedSettings):
     """Parameters of ``embedded-slam``: those of ``paper-slam``, the work of a scan, and the memory."""
 
     precision: str = parameter("double", "", "floating-point precision of the core", choices=("double", "float"))
-    prior: str = parameter("odometry", "", "source of the first guess", choices=("odometry", "constant-velocity"))
-    map_voxel_m: float = parameter(0.1, "m", "side of the voxels of the lasting map", low=0.01)
-    map_radius_m: float = parameter(30.0, "m", "scans are matched with the map within this of the base", low=1.0)
-    map_reach_m: float = parameter(20.0, "m", "keyframes farther apart through the graph leave the map", low=1.0)
-    keyframe_distance_m: float = parameter(0.3, "m", "a new keyframe after this distance", low=0.01)
-    keyframe_angle_deg: float = parameter(10.0, "deg", "or after this turn", low=0.1)
-    drift_m: float = parameter(0.02, "m", "1 sigma of the matched position after one metre", low=1e-4)
-    drift_deg: float = parameter(0.3, "deg", "1 sigma of the matched heading after one metre", low=1e-3)
     work: int = parameter(
         200_000,
         "",
@@ -64,7 +57,7 @@ class EmbeddedSlamSettings(LoopSettings):
 
 PARAMETERS = declared_parameters(EmbeddedSlamSettings)
 
-_MEMORY = (
+_LIMITS = (
     "work", "beams", "keyframes", "keyframe_points", "loops", "records", "voxels", "map_points", "loop_points",
     "score_cells",
 )  # fmt: skip
@@ -102,7 +95,7 @@ class EmbeddedSlam:
             "drift": settings.drift_m,
             "drift_angle": math.radians(settings.drift_deg),
         }
-        number = {name: getattr(settings, name) for name in _MEMORY}
+        number = {name: getattr(settings, name) for name in _LIMITS}
         number["use_odometry"] = int(settings.prior == "odometry")
         self._slam = self._core.Slam(make_icp(self._core, matcher), real, number)
         self._stamps_ns: list[int] = []

@@ -77,8 +77,10 @@ class LoopSettings:
     loop_near_m: float = parameter(0.15, "m", "a point within this distance lies on the other map", low=0.01)
     loop_overlap: float = parameter(0.7, "", "smallest share of points on the other map", low=0.0, high=1.0)
     loop_degenerate_m: float = parameter(0.13, "m", "largest 1-sigma error of the matched position", low=0.0)
-    loop_gate: float = parameter(11.345, "", "largest chi-square of a confirmed closure", low=0.0)
-    loop_quick_gate: float = parameter(6.25, "", "largest chi-square of a closure without confirmation", low=0.0)
+    loop_gate: float = parameter(pose_graph.SLOW_GATE, "", "largest chi-square of a confirmed closure", low=0.0)
+    loop_quick_gate: float = parameter(
+        pose_graph.QUICK_GATE, "", "largest chi-square of a closure without confirmation", low=0.0
+    )
 
 
 class Candidate(NamedTuple):

@@ -31,7 +31,7 @@ from evalkit_baselines.slam.companions import Companions
 from evalkit_baselines.slam.continuity import SOON_NS, Continuity
 from evalkit_baselines.slam.keyframes import DOUBTED_M, DriftModel, Edge, Keyframes, Step
 from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
-from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder, LoopSettings
+from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder
 from evalkit_baselines.slam.match_doubt import MatchDoubt
 from evalkit_baselines.slam.observability import AS_MANY, ObservableIcp
 from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate
@@ -46,6 +46,7 @@ from evalkit_baselines.slam.second_try import (
     CoarseToFine,
     SecondTry,
 )
+from evalkit_baselines.slam.settings import SharedSettings
 from evalkit_baselines.slam.speckles import Speckles
 from evalkit_baselines.slam.uneven_turns import UnevenTurns
 
@@ -62,18 +63,10 @@ people around the robot. Without it no prediction holds so long."""
 
 
 @dataclass(frozen=True)
-class SlamSettings(LoopSettings):
+class SlamSettings(SharedSettings):
     """Parameters of ``paper-slam``."""
 
     matcher: str = parameter("embedded", "", "the paper's ICP in C99 or in NumPy", choices=("embedded", "paper"))
-    prior: str = parameter("odometry", "", "source of the first guess", choices=("odometry", "constant-velocity"))
-    map_voxel_m: float = parameter(0.1, "m", "side of the voxels of the lasting map", low=0.01)
-    map_radius_m: float = parameter(30.0, "m", "scans are matched with the map within this of the base", low=1.0)
-    map_reach_m: float = parameter(20.0, "m", "keyframes farther apart through the graph leave the map", low=1.0)
-    keyframe_distance_m: float = parameter(0.3, "m", "a new keyframe after this distance", low=0.01)
-    keyframe_angle_deg: float = parameter(10.0, "deg", "or after this turn", low=0.1)
-    drift_m: float = parameter(0.02, "m", "1 sigma of the matched position after one metre", low=1e-4)
-    drift_deg: float = parameter(0.3, "deg", "1 sigma of the matched heading after one metre", low=1e-3)
 
 
 PARAMETERS = declared_parameters(SlamSettings)

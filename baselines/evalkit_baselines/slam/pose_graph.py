@@ -30,7 +30,7 @@ QUICK_GATE, SLOW_GATE = 6.25, 11.345
 """90 % and 99 % quantiles of chi-square with three degrees of freedom."""
 
 _GNC_STEP = 1.4
-_GNC_ROUNDS = 60
+_GNC_ROUNDS, _GNC_ITERATIONS = 60, 3
 _LOOP_GROUPS = 30
 MAX_POSE_STEPS = 4_000_000
 """Poses times Gauss-Newton steps of ``optimise_truncated``: 40 steps of 100,000 poses, 1 s each."""
@@ -89,19 +89,18 @@ def optimise(
     return Solution(current, float(share @ current.chi_squares()), max_iterations, False, share)
 
 
-def start_from_linear_angles(graph: PoseGraph, weights: Floats | None = None) -> PoseGraph:
+def start_from_linear_angles(graph: PoseGraph) -> PoseGraph:
     """Return the graph with poses from two linear problems (LAGO): all headings, then the positions for these headings.
 
     The headings start along a spanning tree of the earliest edges. Then loops are added, short ones first, in up to
     ``_LOOP_GROUPS`` groups: each is assumed to close with the number of full turns that is nearest to the headings of
     the groups before, because those of a long chain may be more than half a turn off.
     """
-    given = np.ones(len(graph.first)) if weights is None else weights
     free = _free_nodes(graph)
     if not len(free):
         return graph
     start = _chain_along_tree(graph)
-    heading, stiffness = start[:, 2].copy(), given * graph.information[:, 2, 2]
+    heading, stiffness = start[:, 2].copy(), graph.information[:, 2, 2]
     unwrapped, gap = graph.first_from_second[:, 2].copy(), np.abs(graph.second - graph.first)
     steps, loops = np.flatnonzero(gap <= 1), np.flatnonzero(gap > 1)
     ordered = loops[np.argsort(gap[loops], kind="stable")]
@@ -112,7 +111,7 @@ def start_from_linear_angles(graph: PoseGraph, weights: Floats | None = None) ->
         used[added] = 1.0
         heading[free] = _solve_headings(graph, unwrapped, used * stiffness, free, heading)
     poses = np.column_stack([start[:, :2], se2.wrap(heading)])
-    return graph.moved(poses + _solve(graph.moved(poses), given, free, positions_only=True))
+    return graph.moved(poses + _solve(graph.moved(poses), np.ones(len(gap)), free, positions_only=True))
 
 
 def dcs_kernel(phi: float, trusted: Bools) -> Kernel:
@@ -124,41 +123,40 @@ def dcs_kernel(phi: float, trusted: Bools) -> Kernel:
     return weigh
 
 
-def optimise_truncated(graph: PoseGraph, trusted: Bools, limit: float = SLOW_GATE, max_iterations: int = 3) -> Solution:
+def optimise_truncated(graph: PoseGraph, trusted: Bools) -> Solution:
     """Return the graph after graduated non-convexity with truncated least squares.
 
-    ``trusted`` (M,): edges that are never doubted. Others end with weight 1 or 0: within ``limit`` (chi-square) or not.
-    ``max_iterations``: of Gauss-Newton in each round; there are at most 60 rounds. Graphs of more than 14,000 poses
-    have fewer and larger rounds of one iteration: all steps together are at most ``MAX_POSE_STEPS``.
+    ``trusted`` (M,): edges that are never doubted. Others end with weight 1 or 0: within ``SLOW_GATE`` or not. There
+    are at most 60 rounds of three iterations of Gauss-Newton. Graphs of more than 14,000 poses have fewer and larger
+    rounds of one iteration: all steps together are at most ``MAX_POSE_STEPS``.
     """
     steps = max(MAX_POSE_STEPS // max(len(graph), 1), 8)
-    is_large = steps < 100 + _GNC_ROUNDS * max_iterations
+    is_large = steps < 100 + _GNC_ROUNDS * _GNC_ITERATIONS
     ends, rounds = (max(steps // 4, 2), steps // 2) if is_large else (50, _GNC_ROUNDS)
     solution = optimise(graph, max_iterations=ends)
     largest = float(solution.graph.chi_squares()[~trusted].max(initial=0.0))
-    mu = limit / max(2.0 * largest - limit, 1e-12)
+    mu = SLOW_GATE / max(2.0 * largest - SLOW_GATE, 1e-12)
     iterations, growth = solution.iterations, max(_GNC_STEP, (1e4 / mu) ** (1.0 / rounds))
     for _ in range(rounds):
         chi = solution.graph.chi_squares()
-        weights = np.where(trusted, 1.0, _truncated_weights(chi, mu, limit))
-        solution = optimise(solution.graph, weights, max_iterations=1 if is_large else max_iterations)
+        weights = np.where(trusted, 1.0, _truncated_weights(chi, mu))
+        solution = optimise(solution.graph, weights, max_iterations=1 if is_large else _GNC_ITERATIONS)
         iterations += solution.iterations
         if mu > 1e4 or not ((weights > 0.0) & (weights < 1.0)).any():  # small weights are not yet decided
             break
         mu *= growth if is_large else _GNC_STEP
-    kept = np.where(trusted | (solution.graph.chi_squares() <= limit), 1.0, 0.0)
+    kept = np.where(trusted | (solution.graph.chi_squares() <= SLOW_GATE), 1.0, 0.0)
     final = optimise(solution.graph, kept, max_iterations=ends)
     return Solution(final.graph, final.chi_square, iterations + final.iterations, final.converged, kept)
 
 
-def relative_covariance(graph: PoseGraph, first: int, second: int, weights: Floats | None = None) -> Floats:
+def relative_covariance(graph: PoseGraph, first: int, second: int) -> Floats:
     """Return the covariance (3, 3) of the residual of an edge between two poses, as the graph predicts it.
 
     First-order, at the graph's poses: what a measured motion ``first_from_second`` must agree with (m^2, m rad, rad^2).
     """
     free = _free_nodes(graph)
-    given = np.ones(len(graph.first)) if weights is None else weights
-    normal, _ = _normal_equations(graph, given, free)
+    normal, _ = _normal_equations(graph, np.ones(len(graph.first)), free)
     jacobians = _edge_jacobians(graph.poses[[first]], graph.poses[[second]], np.zeros((1, 3)), relative=True)
     columns = np.zeros((3 * len(free), 3))
     for node, jacobian in zip((first, second), jacobians, strict=True):
@@ -168,9 +166,9 @@ def relative_covariance(graph: PoseGraph, first: int, second: int, weights: Floa
     return np.asarray(columns.T @ _factorise(normal).solve(columns))
 
 
-def _truncated_weights(chi: Floats, mu: float, limit: float) -> Floats:
-    low, high = mu / (mu + 1.0) * limit, (mu + 1.0) / mu * limit
-    between = np.sqrt(limit * mu * (mu + 1.0) / np.maximum(chi, 1e-30)) - mu
+def _truncated_weights(chi: Floats, mu: float) -> Floats:
+    low, high = mu / (mu + 1.0) * SLOW_GATE, (mu + 1.0) / mu * SLOW_GATE
+    between = np.sqrt(SLOW_GATE * mu * (mu + 1.0) / np.maximum(chi, 1e-30)) - mu
     return np.where(chi <= low, 1.0, np.where(chi >= high, 0.0, np.clip(between, 0.0, 1.0)))
 
 

@@ -26,6 +26,9 @@ HOLD_NS = 50_000_000
 GAP_NS = 1_000_000_000
 """Scans between odometry poses further apart than this are counted: their odometry is a straight line."""
 
+BLOCK_ROWS = 4096
+"""Rows that are computed at once."""
+
 JUMP, JUMP_SPEED = (1.0, math.radians(60.0)), (5.0, 2.0 * math.pi)
 """A step of the odometry that is longer (m, rad) and faster (m/s, rad/s) is no motion of an indoor vehicle."""
 
@@ -64,9 +67,9 @@ def odometry_at(odometry: Trajectory, stamps_ns: Stamps) -> Floats:
     return poses
 
 
-def split_rows(count: int, size: int = 4096) -> Iterator[slice]:
-    """Yield slices of ``size`` rows that together cover ``count`` rows: bounds the memory of temporaries."""
-    return (slice(begin, min(begin + size, count)) for begin in range(0, count, size))
+def split_rows(count: int) -> Iterator[slice]:
+    """Yield slices of ``BLOCK_ROWS`` rows that together cover ``count`` rows: bounds the memory of temporaries."""
+    return (slice(begin, min(begin + BLOCK_ROWS, count)) for begin in range(0, count, BLOCK_ROWS))
 
 
 def are_jumps(moved: Floats, seconds: Floats, least: tuple[float, float], speed: tuple[float, float]) -> Bools:

@@ -139,11 +139,6 @@ class RouteDrive:
             return int(self._profile[0][-1] * 1e9)
         return int((self.path_m / self.top_speed_mps + self._ramp_s) * 1e9)
 
-    @property
-    def top_yaw_rate(self) -> float:
-        """Largest yaw rate (rad/s) between the ramps."""
-        return min(self.top_speed_mps * float(np.abs(self.route.sections[:, 3]).max()), self.max_yaw_rate)
-
     def distance(self, stamps_ns: ArrayLike) -> Floats:
         """Return the distances driven (N,) in m at times (N,)."""
         time = np.asarray(np.clip(np.asarray(stamps_ns, dtype=np.int64), 0, self.duration_ns) * 1e-9, np.float64)

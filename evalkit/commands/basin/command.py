@@ -17,7 +17,8 @@ from evalkit.io.output_files import write_texts
 from evalkit.plugins import registry
 from evalkit.plugins.specs import RegistrationSpec
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Jobs, Json, Out, err, out
+from evalkit.terminal.console import err, out, print_json
+from evalkit.terminal.options import Jobs, Json, Out
 
 if TYPE_CHECKING:
     from evalkit.commands.basin.result import BasinResult
@@ -89,7 +90,7 @@ def _run(methods: list[Any], trials: list[Any], folder: Path, workers: int) -> l
 
 
 def _finish(result: BasinResult, folder: Path, as_json: bool) -> None:
-    """Writes page and JSON file and prints the result; exit code 1 if a back end raised or ended its process."""
+    """Write page and JSON file and print the result; exit code 1 if a back end raised or ended its process."""
     from evalkit.commands.basin import page  # noqa: PLC0415 - imports matplotlib
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 
@@ -97,7 +98,7 @@ def _finish(result: BasinResult, folder: Path, as_json: bool) -> None:
     html, file = render(page.document(result, content["command"])), folder / "index.html"
     write_texts(folder, {"basin.json": indent_json(content), "index.html": html})
     if as_json:
-        options.print_json(content | {"page": str(file)})
+        print_json(content | {"page": str(file)})
     else:
         progress.print_table(out, _table(result))
         out.print(str(file.resolve()))

@@ -120,7 +120,7 @@ def answers(
     end: int,
     code: str,  # noqa: ARG001 - part of the task's key
 ) -> Answers:
-    """Runs trials [begin, end) with a back end; ``code`` is a digest of the back end's sources."""
+    """Run trials [begin, end) with a back end; ``code`` is a digest of the back end's sources."""
     registration: Registration = backend_at(backend).make(**values)
     seen = trials.pairs_of_scans()
     guesses = convergence.make_guesses(trials.offsets_drawn(), *trials.truths(seen))

@@ -24,7 +24,8 @@ from evalkit.plugins import registry
 from evalkit.report.analysis.pairwise import noise_floor
 from evalkit.report.html.blocks import render
 from evalkit.terminal import options
-from evalkit.terminal.options import Json, Out, err, out
+from evalkit.terminal.console import err, out, print_json
+from evalkit.terminal.options import Json, Out
 from evalkit.terminal.shown_tasks import run_shown_tasks
 
 app = typer.Typer(help="Measure intervals and verdicts.", no_args_is_help=True, add_completion=False)
@@ -64,7 +65,7 @@ def calibrate(
     }
     write_texts(folder, texts)
     if as_json:
-        options.print_json(content | {"page": str(folder / "index.html")})
+        print_json(content | {"page": str(folder / "index.html")})
     else:
         out.print(texts["calibration.md"])
         out.print(str((folder / "index.html").resolve()))

@@ -29,7 +29,8 @@ from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, NUISANCE, Va
 from evalkit.results import descriptions
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress, run_summary
-from evalkit.terminal.options import RunOptions, err, out
+from evalkit.terminal.console import err, out
+from evalkit.terminal.options import RunOptions
 
 VERDICT_REPETITIONS = 5
 """Perturbed runs of a method on a recording that give a verdict, beside the run as it is."""

@@ -10,7 +10,8 @@ from rich.table import Table
 
 from evalkit.core.errors import BadData
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Json, out
+from evalkit.terminal.console import out, print_json
+from evalkit.terminal.options import Json
 
 if TYPE_CHECKING:
     from evalkit.commands.diff.changes import ChangeText
@@ -61,7 +62,7 @@ def diff(
         else _compare_results(old, new, error, time, listed)
     )
     if as_json:
-        options.print_json(text.content)
+        print_json(text.content)
     elif markdown:
         out.print(format_markdown(text), end="")
     else:

@@ -14,6 +14,7 @@ from evalkit.commands.diff.changes import MARKS, SAME, ChangeText, ChangeVerdict
 from evalkit.core.errors import StoreError
 from evalkit.core.run_status import NOT_EXECUTED
 from evalkit.metrics.metric import Metric
+from evalkit.metrics.runtime import COST
 from evalkit.report.analysis.pairwise import (
     MARGIN_POINTS,
     PairedDifference,
@@ -26,7 +27,7 @@ from evalkit.report.formatting import format_number
 from evalkit.results.reader import RunName, StoredResults, StoredRun
 from evalkit.stats.bootstrap import BootstrapDraws, Series, bootstrap_score
 
-ATE, TIME = "ate_rmse_m", "cpu_median_ms"
+ATE = "ate_rmse_m"
 TICK_MS = 0.01
 
 MIN_FOR_SESSION = 3
@@ -178,7 +179,7 @@ def _session_factor(old: StoredResults, new: StoredResults, comparable: Sequence
     for pair in comparable:
         before, after = _runs_of(old, pair), _runs_of(new, pair)
         for name in before:
-            times = [runs[name].scores.get(TIME, 0.0) for runs in (before, after) if name in runs]
+            times = [runs[name].scores.get(COST, 0.0) for runs in (before, after) if name in runs]
             if len(times) == 2 and min(times) > TICK_MS:
                 ratios.setdefault(pair[0], []).append(times[1] / times[0])
     return median(median(own) for own in ratios.values()) if len(ratios) >= MIN_FOR_SESSION else 1.0
@@ -235,7 +236,7 @@ def _metric_changes(
     before, after = _runs_of(old, pair), _runs_of(new, pair)
     both = [name for name in before if name in after and before[name].status == after[name].status == "complete"]
     for metric in metrics:
-        if metric.headline and metric.better and (metric.group in DECIDING or metric.name == TIME):
+        if metric.headline and metric.better and (metric.group in DECIDING or metric.name == COST):
             runs = [
                 (name, before[name], after[name])
                 for name in both
@@ -255,7 +256,7 @@ def _metric_change(
     """Compare one metric. ``session``: the factor on all CPU times, None if the processors differ."""
     before = _score(pair[0], metric.name, [(name, one, other) for name, one, other in runs])
     after = _score(pair[0], metric.name, [(name, other, one) for name, one, other in runs])
-    if metric.name == TIME:  # intervals within one session say nothing about another session
+    if metric.name == COST:  # intervals within one session say nothing about another session
         difference = None
         verdict, reason = _judge_time(before, after, limits, session)
         if verdict in ("regression", "improvement") and (why := _find_machine_change(runs)):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -12,7 +12,8 @@ from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.io.map_server import write_map
 from evalkit.io.output_files import as_store_error, create_folder, write_bytes
 from evalkit.terminal import options
-from evalkit.terminal.options import Json, err, out
+from evalkit.terminal.console import err, out, print_json
+from evalkit.terminal.options import Json
 
 if TYPE_CHECKING:
     from evalkit.commands.export.latex import Width
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     Writers = dict[str, Callable[[ExportSelection, Path], Iterator[Path]]]
 
 FORMATS = ("csv", "json", "latex", "markdown", "pdf", "svg", "tum", "evo", "kitti", "g2o", "map", "mcap", "rerun")
-WIDTHS: Mapping[str, Width] = {"column": "column", "text": "text"}
 WITH_SCANS = {"pdf", "svg", "tum", "evo", "kitti", "mcap", "rerun"}
 """Formats with ground truth or scans, for which the sequences are opened."""
 
@@ -49,10 +49,7 @@ def export(
             autocompletion=options.complete_metric,
         ),
     ] = None,
-    width: Annotated[
-        str,
-        typer.Option(help="Width of tables and figures: column or text.", autocompletion=lambda: list(WIDTHS)),
-    ] = "column",
+    width: Annotated[Literal["column", "text"], typer.Option(help="Width of tables and figures.")] = "column",
     font: Annotated[str, typer.Option(help="Font family of the figures.", show_default="DejaVu Sans")] = "",
     as_json: Json = False,
 ) -> None:
@@ -64,16 +61,14 @@ def export(
     from evalkit.commands.export.results import load_selection  # noqa: PLC0415 - loaded only to export
 
     wanted = _check_formats(formats)
-    if width not in WIDTHS:
-        raise typer.BadParameter(f"--width: found '{width}', expected one of: {', '.join(WIDTHS)}")
-    writers = _make_writers(WIDTHS[width], font)
+    writers = _make_writers(width, font)
     scans = bool(WITH_SCANS & set(wanted))
     selection = load_selection(results, sequence or [], method or [], metric or [], scans)
     for remark in selection.remarks:
         err.print(remark)
     written = [path for name in wanted for path in _write_format(name, writers, selection, folder, "all" in formats)]
     if as_json:
-        options.print_json({"written": [str(path) for path in written], "remarks": list(selection.remarks)})
+        print_json({"written": [str(path) for path in written], "remarks": list(selection.remarks)})
     else:
         out.print(f"{len(written)} file{'s' * (len(written) != 1)} in {folder.resolve()}")
     if not written:

@@ -11,10 +11,10 @@ from matplotlib.transforms import Bbox, BboxBase
 
 from evalkit.commands.export.latex import Files, Width, file_name
 from evalkit.commands.export.results import ExportSelection, MetricColumn, SummaryRow
+from evalkit.metrics.runtime import COST
 from evalkit.report.html import maps, run_figures
 from evalkit.report.html.chart_style import FileFormat, PaperStyle, format_log_axis, render_figure, render_pictures
 
-COST = "cpu_median_ms"
 WIDTH_INCHES: dict[Width, float] = {"column": 3.4, "text": 7.0}
 """Widths of one column and of the text of a page with two columns."""
 

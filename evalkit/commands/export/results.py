@@ -151,7 +151,7 @@ def load_selection(
 
 
 def _check_parts(content: dict[str, Any]) -> None:
-    """Raises KeyError, TypeError or AttributeError where a part that a format reads is missing or of another type."""
+    """Raise KeyError, TypeError or AttributeError where a part that a format reads is missing or of another type."""
     itemgetter("title", "description", "command")(content)
     for verdict in content["verdicts"]:
         tuple(itemgetter("sequence", "sentences")(verdict)[1])

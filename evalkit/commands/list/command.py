@@ -12,7 +12,7 @@ from evalkit.commands.list import inventory
 from evalkit.core.errors import UnknownName
 from evalkit.plugins import registry
 from evalkit.terminal import options
-from evalkit.terminal.options import out
+from evalkit.terminal.console import out, print_json
 from evalkit.terminal.text_list import print_list
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def list_names(
     metrics = _metrics(group) if what in (METRICS, ALL) else ()
     if as_json:
         content: dict[str, Any] = {kind: [asdict(entry) for entry in entries] for kind, entries in found.items()}
-        options.print_json(content | ({METRICS: _cards(metrics)} if metrics else {}))
+        print_json(content | ({METRICS: _cards(metrics)} if metrics else {}))
         return
     for kind, entries in found.items():
         rows = [(e.name, f"{e.summary}; not here: {e.missing}" if e.missing else e.summary) for e in entries]
@@ -86,7 +86,7 @@ def _print_card(name: str, as_json: bool) -> None:
         close = difflib.get_close_matches(name, metrics, n=5)
         raise UnknownName("list or metric", name, (*inventory.KINDS, METRICS, ALL, *close))
     if as_json:
-        options.print_json(cards.card_as_json(metrics[name]))
+        print_json(cards.card_as_json(metrics[name]))
         return
     print_list(out, name, [(title, text) for title, text in cards.card_facts(metrics[name]) if text])
 

@@ -20,7 +20,8 @@ from evalkit.execution.task import make_task
 from evalkit.io.output_files import format_json, write_texts
 from evalkit.plugins import registry
 from evalkit.terminal import options
-from evalkit.terminal.options import Json, Out, out
+from evalkit.terminal.console import out, print_json
+from evalkit.terminal.options import Json, Out
 from evalkit.terminal.shown_tasks import run_shown_tasks
 
 app = typer.Typer(help="Calibrate the fit to a known map.", no_args_is_help=True, add_completion=False)
@@ -53,7 +54,7 @@ def calibrate(
     }
     write_texts(folder, texts)
     if as_json:
-        options.print_json(content)
+        print_json(content)
     else:
         out.print(texts["map-fit.md"])
 

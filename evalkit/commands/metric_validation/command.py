@@ -18,7 +18,8 @@ from evalkit.io.output_files import format_json, write_texts
 from evalkit.plugins import defaults
 from evalkit.report.html.blocks import render
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Json, Out, out
+from evalkit.terminal.console import out, print_json
+from evalkit.terminal.options import Json, Out
 from evalkit.terminal.shown_tasks import run_shown_tasks
 
 app = typer.Typer(help="Validate the metrics themselves.", no_args_is_help=True, add_completion=False)
@@ -60,7 +61,7 @@ def validate(
     }
     write_texts(folder, texts)
     if as_json:
-        options.print_json(content | {"page": str(folder / "index.html")})
+        print_json(content | {"page": str(folder / "index.html")})
     else:
         _print_agreement(content)
         _print_faults(content["faults"])
@@ -87,7 +88,7 @@ def selftest(
     results = run_shown_tasks(validation.make_fault_tasks(plan), folder, jobs, "jobs")
     faults = [validation.fault_as_json(*one) for one in validation.detect_faults(results).items()]
     if as_json:
-        options.print_json(faults)
+        print_json(faults)
     else:
         _print_faults(faults)
     _check_faults(faults)

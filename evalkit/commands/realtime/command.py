@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evalkit.commands.realtime.virtual_clock import POLICIES, BreakingRule, Policy, find_breaking_factor
+from evalkit.commands.realtime.virtual_clock import BreakingRule, Policy, find_breaking_factor
 from evalkit.config.experiment import RESULTS
 from evalkit.core.errors import DataMissing
 from evalkit.execution.task import Task, make_task
@@ -16,10 +16,11 @@ from evalkit.execution.task_runner import run_tasks
 from evalkit.execution.task_store import TaskStore
 from evalkit.odometry import frontend
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.parameter_parsing import from_text, parse_dataset
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Json, err, out
+from evalkit.terminal.console import err, out, print_json, table_width
+from evalkit.terminal.options import Json
 
 if TYPE_CHECKING:
     from evalkit.commands.realtime.simulation import RealtimeResult
@@ -47,11 +48,8 @@ def realtime(
         ),
     ] = "1,2,5,10,20,50,100,200,500,1000",
     policy: Annotated[
-        str,
-        typer.Option(
-            help=f"What happens to a scan that arrives early: {' or '.join(POLICIES)}.",
-            autocompletion=lambda: list(POLICIES),
-        ),
+        Policy,
+        typer.Option(metavar="<policy>", help="What happens to a scan that arrives early: drop or queue-of-one."),
     ] = "queue-of-one",
     odometry: Annotated[bool, typer.Option(help="Use wheel odometry between estimates.")] = True,
     repetitions: Annotated[int, typer.Option(min=1, help="Time measurements per scan; the median counts.")] = 3,
@@ -63,23 +61,23 @@ def realtime(
     The time per scan is measured once on this machine and stored: the same command again drops the same scans.
     """
     devices = {
-        "factors": _parse_factors(factors), "policies": [_parse_policy(policy)], "repetitions": repetitions,
+        "factors": _parse_factors(factors), "policies": [policy], "repetitions": repetitions,
         "bridged": odometry,
     }  # fmt: skip
-    dataset, given_on = options.split_sequence(on or defaults.find_simulated_dataset())
+    dataset, given_on = parse_dataset(on or defaults.find_simulated_dataset())
     task = _make_task(backend, dataset, options.settings(setting or []), given_on, devices)
     store = TaskStore(folder or RESULTS / "realtime")
     with progress.show_tasks(err, 1, 1) as done:
         result = run_tasks(store, [task], 1, done)[task.name]
     content = _as_json(backend, dataset, result)
     if as_json:
-        options.print_json(content)
+        print_json(content)
     else:
         _print(content)
 
 
 def _make_task(
-    backend: str, on: str, given: dict[str, str], given_on: dict[str, str], devices: dict[str, Any]
+    backend: str, on: str, given: dict[str, str], given_on: dict[str, Value], devices: dict[str, Any]
 ) -> Task[RealtimeResult]:
     """Make the task that measures and simulates; ``devices``: the other arguments of ``simulate_realtime``."""
     from evalkit.commands.realtime.simulation import ProfiledMethod, simulate_realtime  # noqa: PLC0415 - loads scipy
@@ -87,7 +85,7 @@ def _make_task(
     parameters = from_text(backend, frontend.settable_parameters(registry.backend(backend)), given)
     ProfiledMethod.load(backend, parameters)
     spec = registry.dataset(on)
-    of_sequence: dict[str, Value] = resolve_parameters(on, spec.parameters, from_text(on, spec.parameters, given_on))
+    of_sequence = resolve_parameters(on, spec.parameters, given_on)
     if why := spec.missing(**of_sequence):
         raise DataMissing(on, "is not available", why)
     return make_task(
@@ -104,13 +102,6 @@ def _parse_factors(text: str) -> list[float]:
     if not all(0.0 < factor < math.inf for factor in factors):
         raise typer.BadParameter(f"--factors: found '{text}', expected positive numbers: 1,5,10")
     return sorted(factors)
-
-
-def _parse_policy(text: str) -> Policy:
-    for policy in POLICIES:
-        if text == policy:
-            return policy
-    raise typer.BadParameter(f"--policy: found '{text}', expected one of: {', '.join(POLICIES)}")
 
 
 def _as_json(backend: str, on: str, result: RealtimeResult) -> dict[str, Any]:
@@ -148,7 +139,7 @@ def _print(content: dict[str, Any]) -> None:
         out.print(text)
     out.print()
     head = "device: error of the newest pose, dropped scans, age of an answer (95 %)"
-    for line in format_rows(head, _make_rows(content), options.table_width(out), cost=""):
+    for line in format_rows(head, _make_rows(content), table_width(out), cost=""):
         out.print(line)
     words = shlex.join(["evalkit", "tune", content["backend"], "--on", content["sequence"]])
     out.print(f"\nnext: {words} (cheaper or better parameters)", soft_wrap=True)

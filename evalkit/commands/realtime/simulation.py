@@ -17,6 +17,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
+from evalkit.execution.one_run import WARM_UP_SCANS
 from evalkit.metrics.metric import Evidence
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.odometry import frontend
@@ -24,9 +25,6 @@ from evalkit.odometry.run_odometry import run_odometry
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Odometry
-
-WARM_UP_SCANS = 5
-"""Scans processed before the measurement starts."""
 
 GAPS = (1, 2, 4, 8, 16)
 """Distances between processed scans at which the cost is measured: 2 is every second scan."""

@@ -11,7 +11,7 @@ from evalkit.config.forms import FileKind
 from evalkit.core.errors import UnknownName
 from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
-from evalkit.terminal.options import out
+from evalkit.terminal.console import out
 
 
 def schema(

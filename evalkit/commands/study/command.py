@@ -15,7 +15,8 @@ from evalkit.execution import environment
 from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Json, Out, SchedulerAddress, err, out
+from evalkit.terminal.console import err, out, print_json
+from evalkit.terminal.options import Json, Out, SchedulerAddress
 
 if TYPE_CHECKING:
     from evalkit.commands.study.plan import Study
@@ -37,7 +38,8 @@ def study(
     Finished points are kept: repeat the command to continue an interrupted study.
     """
     from evalkit.commands.study.config import load_study  # noqa: PLC0415 - as above
-    from evalkit.commands.study.result import StudyResult  # noqa: PLC0415 - loads scipy
+    from evalkit.commands.study.formatting import describe_missing_effects  # noqa: PLC0415 - loads scipy
+    from evalkit.commands.study.result import StudyResult  # noqa: PLC0415 - as above
     from evalkit.design.run_points import run_points  # noqa: PLC0415 - as above
 
     options.add_working_directory()
@@ -59,15 +61,18 @@ def study(
     page = _write(outcome, folder, ran_on)
     lost = sum(bool(outcome.lost(key, seed)) for key in plan.points for seed in plan.seeds(key))
     if as_json:
-        options.print_json({"title": plan.title, "page": str(page), "points": len(plan.points), "lost": lost})
+        print_json({"title": plan.title, "page": str(page), "points": len(plan.points), "lost": lost})
     else:
         counts = f"{len(plan.points):,} points, {len(tasks):,} runs, {lost} lost"
         out.print(counts)
+        for response in plan.responses:
+            for design, reason in outcome.missing_fits(response):
+                out.print(describe_missing_effects(response, design, reason))
         out.print(str(page.resolve()))
 
 
 def _run_point(plan: Study, key: str, as_json: bool) -> None:
-    """Computes one point, prints its scores, and prints the experiment that runs it."""
+    """Compute one point, and print its scores and the experiment that runs it."""
     from evalkit.config.experiment_toml import format_experiment  # noqa: PLC0415 - loaded only to print a point
 
     if key not in plan.points:
@@ -77,7 +82,7 @@ def _run_point(plan: Study, key: str, as_json: bool) -> None:
         task = plan.task(plan.points[key], seed)
         results[task.name], _ = task.run()
     if as_json:
-        options.print_json(results)
+        print_json(results)
         return
     out.print(plan.points[key].label)
     for name, result in results.items():
@@ -90,7 +95,7 @@ def _run_point(plan: Study, key: str, as_json: bool) -> None:
 
 
 def _write(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path:
-    """Writes index.html, study.json, points.csv and effects.csv; the path of index.html."""
+    """Write index.html, study.json, points.csv and effects.csv; return the path of index.html."""
     from evalkit.commands.study import page, results_json  # noqa: PLC0415 - as above
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads matplotlib
 

@@ -9,6 +9,7 @@ import numpy as np
 from evalkit.commands.study import charts
 from evalkit.commands.study.effects import Interaction, ModelFit
 from evalkit.commands.study.formatting import (
+    describe_missing_effects,
     describe_step,
     format_effect,
     format_scatter,
@@ -29,9 +30,12 @@ def build_effect_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """Main effects and interactions of every design that has them, and their predictions at other points."""
     blocks: list[Block] = []
     for number, response in enumerate(outcome.study.responses):
-        content = [
-            block for design, fit in outcome.fits(response) for block in _build_effects(outcome, response, design, fit)
+        content: list[Block] = [
+            Text(describe_missing_effects(response, design, reason), "warn")
+            for design, reason in outcome.missing_fits(response)
         ]
+        for design, fit in outcome.fits(response):
+            content += _build_effects(outcome, response, design, fit)
         if not content:
             continue
         section = [Heading(response.metric.label), *content]

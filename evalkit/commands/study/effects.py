@@ -76,9 +76,9 @@ class ModelFit:
     def __post_init__(self) -> None:
         points, columns = self._columns.shape
         if points <= columns:
-            raise ValueError(f"response: {points} points are too few for the {columns} columns of the model")
+            raise ValueError(f"{points} points are too few for the {columns} columns of the model")
         if np.linalg.matrix_rank(self._columns) < columns:
-            raise ValueError("positions: the model's columns are not independent in this design")
+            raise ValueError("the model's columns are not independent in these points")
 
     @cached_property
     def mean(self) -> Interval:

@@ -11,8 +11,11 @@ from evalkit.design.responses import Response
 from evalkit.report.formatting import join_words
 from evalkit.stats.intervals import Interval
 
+MAX_EFFECTS = 3
+"""Most main effects that a sentence names."""
 
-def describe_main_effects(response: Response, design: Design, fit: ModelFit, most: int = 3) -> str:
+
+def describe_main_effects(response: Response, design: Design, fit: ModelFit) -> str:
     """A sentence with the largest significant effects."""
     ranked = sorted(fit.effects, key=lambda effect: -effect.largest.value.value)
     significant = [effect for effect in ranked if effect.largest.value.excludes(0.0)]
@@ -20,7 +23,7 @@ def describe_main_effects(response: Response, design: Design, fit: ModelFit, mos
         return f"No factor has a significant effect on {response.metric.label}."
     words = [
         f"{describe_largest(design, effect)} ({format_effect(response, effect.largest.value)})"
-        for effect in significant[:most]
+        for effect in significant[:MAX_EFFECTS]
     ]
     return f"{response.metric.label} depends most on {join_words(words)}."
 
@@ -35,6 +38,11 @@ def describe_interactions(response: Response, fit: ModelFit, most: int = 4) -> s
     words = [f"{pair.a} x {pair.b} ({format_effect(response, pair.value)})" for pair in significant[:most]]
     more = f", and {len(significant) - most} more" if len(significant) > most else ""
     return f"Significant interactions, adjusted for {len(fit.interactions())} pairs: {join_words(words)}{more}."
+
+
+def describe_missing_effects(response: Response, design: Design, reason: str) -> str:
+    """A sentence on why a design has no effects on a response."""
+    return f"{design.name}: the effects on {response.metric.label} cannot be computed: {reason}."
 
 
 def describe_limit(choice: EnvelopeChoice) -> str:

@@ -47,22 +47,27 @@ class StudyResult:
         lost = [self.lost(point.key, seed) for point in design.points for seed in design.runs(point)]
         return sum(map(bool, lost)), len(lost)
 
-    @cache  # noqa: B019 - an outcome lives as long as its page is made
     def fit(self, design: Design, response: Response) -> ModelFit | None:
-        """The effects on a response (its logarithm on a log scale), from means over the seeds.
+        """Return the effects on a response, None where ``missing_fits`` or a design without a model has none."""
+        return self._fit(design, response)[0]
 
-        None for a design without a model, and if too few points have a value.
-        """
+    def fits(self, response: Response) -> list[tuple[Design, ModelFit]]:
+        """Return the designs for which effects on a response can be computed, with their fits."""
+        return [(design, fit) for design in self.study.designs if (fit := self.fit(design, response)) is not None]
+
+    def missing_fits(self, response: Response) -> list[tuple[Design, str]]:
+        """Return the designs with a model whose effects on a response cannot be computed, with the reasons."""
+        return [(design, why) for design in self.study.designs if (why := self._fit(design, response)[1])]
+
+    @cache  # noqa: B019 - an outcome lives as long as its page is made
+    def _fit(self, design: Design, response: Response) -> tuple[ModelFit | None, str]:
+        """The effects (of the logarithm on a log scale) from means over the seeds, or why there are none."""
         if design.kind not in ("optimal", "fractional"):
-            return None
+            return None, ""
         values = to_scale(response, self.table(design, response))
         known = np.isfinite(values).any(axis=1)
         means = np.array([row[np.isfinite(row)].mean() for row in values[known]])
         try:
-            return ModelFit(design.model, design.positions[known], means)
-        except ValueError:
-            return None
-
-    def fits(self, response: Response) -> list[tuple[Design, ModelFit]]:
-        """The designs for which effects on a response can be computed, with their fits."""
-        return [(design, fit) for design in self.study.designs if (fit := self.fit(design, response)) is not None]
+            return ModelFit(design.model, design.positions[known], means), ""
+        except ValueError as error:
+            return None, f"{known.sum()} of {len(values)} points have a value, and {error}"

@@ -70,6 +70,11 @@ def study_as_json(outcome: StudyResult) -> JsonRow:
         "dataset": study.dataset,
         "runs": make_run_rows(outcome),
         "effects": make_effect_rows(outcome),
+        "missing_effects": [
+            {"design": design.name, "metric": response.name, "reason": reason}
+            for response in study.responses
+            for design, reason in outcome.missing_fits(response)
+        ],
         "envelopes": [
             {
                 **dict(panel.others),

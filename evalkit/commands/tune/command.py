@@ -18,7 +18,8 @@ from evalkit.io.output_files import write_texts
 from evalkit.results import descriptions
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Collect, Jobs, Json, Out, err, out
+from evalkit.terminal.console import err, out, print_json
+from evalkit.terminal.options import Collect, Jobs, Json, Out
 
 if TYPE_CHECKING:
     from evalkit.commands.tune.plan import Tuning
@@ -133,7 +134,7 @@ def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tu
 def _run_held_out(
     plan: Experiment, store: Store, workers: int, ran_on: dict[str, str], collect: bool
 ) -> tuple[RunRecord, ...]:
-    """Runs default and tuned methods on the held-out sequences; stored runs are not repeated."""
+    """Run default and tuned methods on the held-out sequences; stored runs are not repeated."""
     from evalkit.execution.executors import LocalExecutor  # noqa: PLC0415 - with the search's modules
     from evalkit.execution.scheduler import Scheduler  # noqa: PLC0415 - as above
 
@@ -145,7 +146,7 @@ def _run_held_out(
 
 
 def _write_results(result: TuningResult, folder: Path, as_json: bool) -> None:
-    """Writes page and JSON, prints the verdicts; exit code 1 if a method completed no run, 3 if runs are missing."""
+    """Write page and JSON, and print the verdicts; exit code 1 if a method completed no run, 3 if runs are missing."""
     from evalkit.commands.tune import page as pages  # noqa: PLC0415 - loads matplotlib
     from evalkit.commands.tune.results_json import tuning_as_json  # noqa: PLC0415 - as above
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
@@ -158,7 +159,7 @@ def _write_results(result: TuningResult, folder: Path, as_json: bool) -> None:
     page = folder / "index.html"
     skipped = sum(record.result.status == RunStatus.SKIPPED for record in result.comparison.records)
     if as_json:
-        options.print_json(content | {"page": str(page)})
+        print_json(content | {"page": str(page)})
     else:
         for one in result.searched:
             out.print(result.sentence(one))

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.commands.tune.plan import COST
 from evalkit.commands.tune.space import TuningCandidate
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.design.responses import Response, bounded_value, find_loss_reason
 from evalkit.design.run_points import RunScores
+from evalkit.metrics.runtime import COST
 from evalkit.stats.bootstrap import bootstrap_interval
 from evalkit.stats.intervals import Interval
 

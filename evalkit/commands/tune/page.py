@@ -85,7 +85,7 @@ def _make_summary_row(result: TuningResult, one: MethodSearch) -> Sequence[Cell 
         why = next(iter(filter(None, one.default.lost)), "")
         nothing = [Cell("-", sort=math.inf)] * 4
         return (label, "default", *nothing, Cell(result.verdict(one), tone="bad", tip=why))
-    held = result.held.get(label)
+    held = result.held_out_verdicts.get(label)
     paired = held.paired if held is not None else None
     ratio = None if paired is None else paired.ratio
     tone: Tone = (

@@ -13,11 +13,9 @@ from evalkit.config.limits import Limits
 from evalkit.design.responses import Response
 from evalkit.design.run_points import RunScores
 from evalkit.execution.task import Task, make_task
+from evalkit.metrics.runtime import COST
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import hash_files
-
-COST = "cpu_median_ms"
-"""The metric of the cost: CPU time of a scan."""
 
 TUNED = " tuned"
 """The end of a tuned method's label."""

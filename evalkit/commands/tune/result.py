@@ -40,7 +40,7 @@ class TuningResult:
         return analyse(self.comparison)
 
     @cached_property
-    def held(self) -> Mapping[str, HeldOutVerdict]:
+    def held_out_verdicts(self) -> Mapping[str, HeldOutVerdict]:
         """The verdicts on tuned back ends by label."""
         return {one.label: one for one in judge_held_out(self.analysis, self.searches)}
 
@@ -58,11 +58,11 @@ class TuningResult:
         """The verdict on a back end in one phrase."""
         if one.failed:
             return "failed: no run of any point was completed"
-        return self.held[one.tunable.label].verdict if one.tuned else one.why
+        return self.held_out_verdicts[one.tunable.label].verdict if one.tuned else one.why
 
     def sentence(self, one: MethodSearch) -> str:
         """The verdict on a back end with its numbers."""
-        held = self.held.get(one.tunable.label)
+        held = self.held_out_verdicts.get(one.tunable.label)
         paired = held.paired if held is not None else None
         if one.failed or paired is None or paired.ratio is None:
             return f"{one.tunable.label}: {self.verdict(one)}"

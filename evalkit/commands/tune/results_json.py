@@ -87,7 +87,7 @@ def _search_as_json(result: TuningResult, one: MethodSearch) -> dict[str, Any]:
     on = mark_pareto_front(one.tried).tolist()
     pair = (*one.tried, *(one.confirmed or ()))
     runs = sum(len(each.errors) for each in pair)
-    held = result.held.get(one.tunable.label)
+    held = result.held_out_verdicts.get(one.tunable.label)
     return {
         "spent": {
             "points": len(one.tried),

@@ -24,7 +24,7 @@ def build_held_out_blocks(result: TuningResult) -> list[Block]:
     ]
     caption = "Median over the runs with its 95 % interval, in the metric that decides the sequence"
     blocks: list[Block] = [Table(columns, rows, caption)]
-    verdicts = list(result.held.values())
+    verdicts = list(result.held_out_verdicts.values())
     if not verdicts:
         return [*blocks, Text("All back ends keep their default.")]
     blocks.append(_build_tests(verdicts))

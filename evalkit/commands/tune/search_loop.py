@@ -80,7 +80,7 @@ class MethodSearch:
 
 
 def run_search(tuning: Tuning, compute: Compute) -> tuple[MethodSearch, ...]:
-    """Searches every back end that can run here, all with the same budget; the same tuning tries the same points."""
+    """Search every back end that can run here, all with the same budget; the same tuning tries the same points."""
     methods = [tunable for tunable in tuning.methods if not tunable.missing]
     tried: dict[str, list[ScoredCandidate]] = {tunable.label: [] for tunable in methods}
     while candidates := _next_candidates(tuning, methods, tried):
@@ -147,7 +147,7 @@ def _next_candidates(
 def _score(
     tuning: Tuning, compute: Compute, candidates: Candidates, runs: Sequence[TrainingRun]
 ) -> list[tuple[TunableMethod, ScoredCandidate]]:
-    """Runs and scores points; tasks on one sequence are neighbours, so that it is simulated once."""
+    """Run and score points; tasks on one sequence are neighbours, so that it is simulated once."""
     tasks = [tuning.task(tunable, candidate, run) for tunable, candidate in candidates for run in runs]
     results = compute(sorted(tasks, key=lambda task: json.dumps(task.arguments["sequence"], sort_keys=True)))
     names = iter(task.name for task in tasks)
@@ -160,7 +160,7 @@ def _score(
 def _confirm_best(
     tuning: Tuning, compute: Compute, methods: Sequence[TunableMethod], tried: Mapping[str, Sequence[ScoredCandidate]]
 ) -> tuple[MethodSearch, ...]:
-    """Runs default and best point on fresh seeds for every back end whose best point is not the default."""
+    """Run default and best point on fresh seeds for every back end whose best point is not the default."""
     candidates: Candidates = []
     for tunable in methods:
         known = tried[tunable.label]
@@ -175,7 +175,7 @@ def _confirm_best(
 def _decide_result(
     tuning: Tuning, tunable: TunableMethod, tried: Sequence[ScoredCandidate], pair: Sequence[ScoredCandidate]
 ) -> MethodSearch:
-    """Takes the best point or keeps the default, by the ``pair`` of default and best on fresh seeds."""
+    """Take the best point or keep the default, by the ``pair`` of default and best on fresh seeds."""
     if not pair:
         why = "it has nothing to search" if len(tried) == 1 else "no point was better in the search"
         return MethodSearch(tunable, tuple(tried), None, None, False, f"default kept: {why}")

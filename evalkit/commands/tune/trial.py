@@ -41,7 +41,7 @@ def run_trial(
 
 @contextmanager
 def _limit_cpu_time(cpu_s: float) -> Iterator[None]:
-    """Raises CpuTimeExceeded in the main thread, between two calls of C code, when this process has used ``cpu_s``.
+    """Raise CpuTimeExceeded in the main thread, between two calls of C code, when this process has used ``cpu_s``.
 
     A wall-clock timer checks the CPU time: with a CPU timer, some systems count CPU time in ticks of milliseconds, and
     the time of a scan is one of the results. No limit on systems without such a timer.

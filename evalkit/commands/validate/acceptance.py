@@ -113,7 +113,7 @@ class AcceptanceReport:
     binaries: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def asked(self) -> int:
+    def check_count(self) -> int:
         """How many checks were made."""
         return sum(check.outcome != "not applicable" for level in self.levels for check in level.checks)
 
@@ -180,7 +180,7 @@ class AcceptanceReport:
             "peers": list(self.peers), "unavailable": dict(self.unavailable), "claim": self.claim,
             "margin": self.margin, "margin_text": self.margin_text, "settings": dict(self.settings),
             "environment": dict(self.environment),
-            "waivers": dict(self.waivers), "binaries": dict(self.binaries), "asked": self.asked,
+            "waivers": dict(self.waivers), "binaries": dict(self.binaries), "asked": self.check_count,
             "seed": self.settings.get("seed"),
         }  # fmt: skip
         levels = [

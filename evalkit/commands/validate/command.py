@@ -11,21 +11,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from evalkit.config.experiment import RESULTS
-from evalkit.core.errors import BadParameter, NotInstalled
+from evalkit.core.errors import BadData, BadParameter, NotInstalled, brief
 from evalkit.execution import environment
+from evalkit.io.input_files import read_text
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.specs import DatasetSpec
 from evalkit.terminal import options, progress
-from evalkit.terminal.options import Jobs, Json, Out, err
+from evalkit.terminal.console import err
+from evalkit.terminal.options import Jobs, Json, Out
 
 if TYPE_CHECKING:
-    from evalkit.commands.validate.acceptance import AcceptanceReport, Claim
+    from evalkit.commands.validate.acceptance import AcceptanceReport
     from evalkit.commands.validate.plan import Only, ValidationRequest
     from evalkit.commands.validate.run import ProgressDisplay
     from evalkit.config.experiment import Experiment
@@ -34,8 +36,9 @@ if TYPE_CHECKING:
 SEED_FILE = "seed.txt"
 """In the results folder: the seed of its drawn questions."""
 
+SEED = re.compile(r"[0-9]{1,4000}")
+
 CheckGroup = Literal["rules", "registrations", "lockstep", "determinism"]
-ONLY: tuple[CheckGroup, ...] = get_args(CheckGroup)
 
 Subject = Literal["back end", "mapper", "data set"]
 
@@ -54,13 +57,13 @@ def validate(
         ),
     ] = None,
     only: Annotated[
-        str,
+        CheckGroup | None,
         typer.Option(
-            help=f"Only these checks: {', '.join(ONLY)}.",
+            metavar="<checks>",
+            help="Only these checks: rules, registrations, lockstep, determinism.",
             show_default="levels 0 to 5",
-            autocompletion=lambda: list(ONLY),
         ),
-    ] = "",
+    ] = None,
     reference: Annotated[
         str,
         typer.Option(
@@ -81,7 +84,9 @@ def validate(
     seeds: Annotated[
         int | None, typer.Option(min=1, help="Seeds of simulated sequences.", show_default="3, quick: 1")
     ] = None,
-    claim: Annotated[str, typer.Option(help="equal: the answers of the reference; as-good: no worse.")] = "equal",
+    claim: Annotated[
+        Literal["equal", "as-good"], typer.Option(help="equal: the answers of the reference; as-good: no worse.")
+    ] = "equal",
     margin: Annotated[
         str,
         typer.Option(help="auto, exact (1e-9), float32 (computed), or metres, radians, log-odds: 0.01,0.002,0.1."),
@@ -142,7 +147,7 @@ def validate(
     from evalkit.commands.validate import plan, printing, run  # noqa: PLC0415 - imports scipy and matplotlib
 
     _add_module_path(*(backends or []), reference, *(peer or []))
-    group = "rules" if rule else _parse_only(only)
+    group: Only = "rules" if rule else only or ""
     names = backends or []
     name = _single_name(names, group)
     effort = plan.QUICK if quick else plan.FULL
@@ -153,7 +158,7 @@ def validate(
         given_reference=options.settings(set_reference or [], "--set-reference"),
         peers=tuple(filter(None, _default_peers(quick) if peer is None else peer)),
         on=tuple(on or _default_sequences(quick=quick or group == "determinism", simulated=group == "determinism")),
-        seeds=seeds or (1 if quick else 3), claim=_parse_claim(claim), margin=_parse_margin(margin), noise_share=share,
+        seeds=seeds or (1 if quick else 3), claim=claim, margin=_parse_margin(margin), noise_share=share,
         mapper=mapper, effort=replace(effort, scans=scans or effort.scans), only=group, disturbed=disturb,
         seed=_choose_seed(seed, out_folder, fresh), waivers=excepted,
     )  # fmt: skip
@@ -261,13 +266,20 @@ def _default_peers(quick: bool) -> list[str]:
 
 def _choose_seed(given: int | None, folder: Path, fresh: bool) -> int:
     """The seed given, that of the folder so that its results count, or a new one."""
+    if given is not None:
+        return given
     file = folder / SEED_FILE
-    known = None if fresh or not file.exists() else file.read_text(encoding="utf-8").strip()
-    return given if given is not None else int(known) if known and known.isdecimal() else secrets.randbelow(1_000_000)
+    if fresh or not file.exists():
+        return secrets.randbelow(1_000_000)
+    expected = "a file with one whole number, --seed or --fresh"
+    text = read_text(file, expected).strip()
+    if not SEED.fullmatch(text):
+        raise BadData(str(file), "", f"found {brief(text)}", f"give {expected}")
+    return int(text)
 
 
 def _keep_seed(folder: Path, seed: int) -> None:
-    """Writes the seed to the folder, which it creates: once all names are known."""
+    """Write the seed to the folder, which it creates: once all names are known."""
     from evalkit.io.output_files import write_texts  # noqa: PLC0415 - as above
 
     write_texts(folder, {SEED_FILE: f"{seed}\n"})
@@ -284,22 +296,6 @@ def _parse_waivers(texts: list[str]) -> dict[str, str]:
     return waivers
 
 
-def _parse_only(text: str) -> Only:
-    for name in ONLY:
-        if text == name:
-            return name
-    if text:
-        raise BadParameter("validate", "only", text, f"one of {', '.join(ONLY)}")
-    return ""
-
-
-def _parse_claim(text: str) -> Claim:
-    known: dict[str, Claim] = {"equal": "equal", "as-good": "as-good"}
-    if text not in known:
-        raise BadParameter("validate", "claim", text, "equal or as-good")
-    return known[text]
-
-
 def _parse_margin(text: str) -> str:
     from evalkit.commands.validate.probes import parse_margin  # noqa: PLC0415 - imports scipy
 
@@ -313,7 +309,7 @@ def _parse_margin(text: str) -> str:
 
 
 def _add_module_path(*names: str) -> None:
-    """Makes modules in the working directory importable in this process and in those it starts."""
+    """Make modules in the working directory importable in this process and in those it starts."""
     options.add_working_directory()
     if any(":" in name and name.partition(":")[0] not in registry.names("schemes") for name in names):
         path = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]

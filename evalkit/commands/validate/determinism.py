@@ -47,9 +47,8 @@ def measure_determinism(
     parameters: Mapping[str, Value],
     threads: Iterable[int] = (1, 2),
     repetitions: int = 2,
-    limits: Limits | None = None,
 ) -> Determinism:
-    """Runs a back end over a sequence ``repetitions`` times with each number of threads, each in a new process."""
+    """Run a back end over a sequence ``repetitions`` times with each number of threads, each in a new process."""
     spec = registry.backend(backend)
     sequence = registry.dataset(dataset)
     settings = from_text(backend, frontend.settable_parameters(spec), given)
@@ -65,7 +64,7 @@ def measure_determinism(
             for repetition in range(repetitions):
                 folder = Path(root) / f"{number}-{repetition}"
                 folder.mkdir()
-                run = run_process.run(request, folder, limits or Limits(), lambda _: None, threading.Event(), number)
+                run = run_process.run(request, folder, Limits(), lambda _: None, threading.Event(), number)
                 if not run.is_complete:
                     return Determinism(backend, "no answer", None, 0, {}, f"{run.status}: {run.reason}")
                 runs.setdefault(number, []).append(run)

@@ -62,9 +62,9 @@ class Driven:
     failure: str
     rounding_m: float
 
-    def apart_m(self, rows: Floats | None = None) -> Floats:
-        """The distances (N,) of the second side's poses, or of others, from the reference's; inf if one is missing."""
-        return distances_m(self.a, self.b if rows is None else rows)
+    def apart_m(self) -> Floats:
+        """The distances (N,) of the second side's poses from the reference's; inf if one is missing."""
+        return distances_m(self.a, self.b)
 
 
 def compare_drives(

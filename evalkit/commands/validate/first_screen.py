@@ -48,7 +48,7 @@ def first_figures(report: AcceptanceReport) -> tuple[list[Figure], list[Figure]]
 def _stamp(report: AcceptanceReport) -> Figure:
     failed = any(level.failed(report.claim) for level in report.levels)
     word, colour = ("PASSED", GOOD) if report.passed else ("FAILED", BAD) if failed else ("NOT SHOWN", OPEN)
-    text = f"{report.asked} checks"
+    text = f"{report.check_count} checks"
     if report.passed and report.reference:  # the title names it
         text = f"{'equivalent to' if report.claim == 'equal' else 'as good as'} the reference; {text}"
     elif failed:

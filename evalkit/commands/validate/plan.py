@@ -250,7 +250,7 @@ class ValidationPlan:
 
 
 def make_plan(request: ValidationRequest) -> ValidationPlan:
-    """Resolves a request before anything is computed; raises NotInstalled, UnknownName or BadParameter."""
+    """Resolve a request before anything is computed; raises NotInstalled, UnknownName or BadParameter."""
     backend = request.backend
     reference, why = choose_reference(request.reference, backend)
     for name in (backend, reference):

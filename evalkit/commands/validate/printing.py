@@ -13,8 +13,8 @@ from rich.table import Table
 from evalkit.commands.validate.acceptance import AcceptanceReport, Check, CheckOutcome, as_junit
 from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
-from evalkit.terminal import options, progress
-from evalkit.terminal.options import out
+from evalkit.terminal import progress
+from evalkit.terminal.console import out, print_json
 
 HIDDEN: tuple[CheckOutcome, ...] = ("passed", "not judged", "not applicable")
 """Outcomes whose checks are not printed where others failed; the page shows all."""
@@ -24,7 +24,7 @@ MAX_LINES = 4
 
 
 def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | None) -> None:
-    """Writes the page and the JSON file, prints the report, and exits with code 1 if the claim does not hold."""
+    """Write the page and the JSON file, print the report, and exit with code 1 if the claim does not hold."""
     from evalkit.commands.validate import page  # noqa: PLC0415 - imports matplotlib
 
     content = report.as_json()
@@ -36,7 +36,7 @@ def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | 
     if junit is not None:
         write_texts(junit.parent, {junit.name: as_junit(report)})
     if as_json:
-        options.print_json(content)
+        print_json(content)
     else:
         progress.print_table(out, format_table(report))
         if hidden := _count_hidden(report):
@@ -45,7 +45,7 @@ def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | 
         if report.why_reference:
             out.print(f"reference {report.reference}: {report.why_reference}")
         if (seed := report.settings.get("seed")) is not None:
-            out.print(f"{report.asked} checks, questions drawn with --seed {seed}")
+            out.print(f"{report.check_count} checks, questions drawn with --seed {seed}")
         out.print(str((folder / "index.html").resolve()))
         if report.next_step:
             out.print(f"next: {report.next_step}")

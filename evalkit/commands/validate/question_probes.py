@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
+from itertools import islice
 from typing import Any, Literal
 
 import numpy as np
@@ -41,6 +42,9 @@ TIE_M = 1e-5
 
 MAX_MOVED = 5
 """Questions of a family that are asked again with the source moved by the guess."""
+
+MAX_RESTARTED = 2
+"""Questions of a family that are asked again with a mistake in the guess."""
 
 ProbedEffect = Literal["none", "some", "not asked"]
 """The effect of a changed parameter on an answer, where it has one on the reference."""
@@ -152,69 +156,91 @@ def _margin_of(question: Question, margin: MarginChoice) -> Margin | None:
     return float64_margin(scale, margin)
 
 
-def _summary(asked: Iterable[Asked], margin: MarginChoice) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class _FamilySummary:
+    """The questions of a family with their margins, those that differ, and the result as JSON values.
+
+    ``plausible``: whether rounding explains the answers to clear points of the families so far.
+    """
+
+    members: Sequence[tuple[Asked, Margin]]
+    wrong: Mapping[Asked, Divergence]
+    plausible: bool
+    equal_fields: int
+    excused_fields: int
+    values: Mapping[str, Any]
+
+
+def _summary(asked: Sequence[Asked], margin: MarginChoice) -> dict[str, Any]:
     """The comparison of all questions, in the form of an ``Equivalence`` and by family."""
-    families: dict[str, dict[str, Any]] = {}
-    verdicts: list[tuple[Asked, bool]] = []
-    restarted: list[tuple[Asked, Margin]] = []
-    widest, beyond, unanswered, first = Margin(1e-300, 1e-300), 0, 0, None
-    equal_fields = excused_fields = 0
+    families: dict[str, _FamilySummary] = {}
     plausible = True
+    for family in dict.fromkeys(one.drawn.family for one in asked):
+        members = [(one, known) for one in asked
+                   if one.drawn.family == family and (known := _margin_of(one.drawn.question, margin))]  # fmt: skip
+        families[family] = _summarise_family(family, members, margin, plausible)
+        plausible = families[family].plausible
+    parts = families.values()
+    count, beyond = sum(len(one.members) for one in parts), sum(len(one.wrong) for one in parts)
+    margins = [known for one in parts for _, known in one.members]
+    return {
+        "equivalent": not beyond, "level": "answers", "n": count, "questions": count,
+        "unanswered": sum(one.values["unanswered"] for one in parts), "beyond_rounding": beyond,
+        "apart": sum(one.values["apart"] for one in parts),
+        "first": next((first for one in parts if (first := one.values["first"])), None),
+        "classes": {}, "intervals": [], "fields": {}, "equal_fields": sum(one.equal_fields for one in parts),
+        "excused_fields": sum(one.excused_fields for one in parts),
+        "margin": asdict(max([Margin(1e-300, 1e-300), *margins], key=lambda known: known.metres)),
+        "families": {name: one.values for name, one in families.items()},
+        "where": _describe_where([(each, each in one.wrong) for one in parts for each, _ in one.members]),
+        "start": _describe_start([
+            (each, dict(one.members)[each]) for one in parts for each in islice(one.wrong, MAX_RESTARTED)
+        ]),
+    }  # fmt: skip
+
+
+def _summarise_family(
+    family: str, members: Sequence[tuple[Asked, Margin]], margin: MarginChoice, plausible: bool
+) -> _FamilySummary:
+    """The comparison of the questions of one family; ``plausible``: as in ``_FamilySummary``, before this one."""
 
     @cache
     def is_undecided(one: Asked, known: Margin) -> bool:
         """Whether rounding decides the answer; asked for as long as rounding explains the answers to clear points."""
         return plausible and (margin == FLOAT32 or not one.others) and one.is_decided_by_rounding(known, margin)
 
-    for family in dict.fromkeys(one.drawn.family for one in asked):
-        members = [(one, known) for one in asked
-                   if one.drawn.family == family and (known := _margin_of(one.drawn.question, margin))]  # fmt: skip
-        wrong: list[tuple[Asked, Divergence]] = []
-        margin_of = dict(members)
-        effects = {one.effect for one, _ in members}
-        ignored = family.removeprefix("parameter ") if "none" in effects and "some" not in effects else ""
-        for one, known in members:
-            explain = not wrong and (plausible or margin != FLOAT32)
-            divergence = _judge(one, known, margin, ignored, explain)
-            if divergence and not is_undecided(one, known):
-                wrong.append((one, divergence))
-            verdicts.append((one, bool(wrong) and wrong[-1][0] is one))
-        restarted += [(one, margin_of[one]) for one, _ in wrong[:2]]
-        plausible = plausible and not (family == "clear" and wrong)
-        plain = [
-            (one, known) for one, known in members
-            if not one.others and not (plausible and _has_wrong_field(one, known) and is_undecided(one, known))
-        ]  # fmt: skip
-        fields = count_fields([(one.answers, known) for one, known in plain], margin)
-        alike = count_equal_fields([(one.answers, known) for one, known in members if not one.others], fields)
-        equal_fields, excused_fields = equal_fields + alike[0], excused_fields + alike[1]
-        examples = {
-            name: one.drawn.what for one, known in reversed(plain) if one.answers.b is not None
-            for name in wrong_fields(one.answers.a, one.answers.b, known)
-        }  # fmt: skip
-        widest = max([widest, *(known for _, known in members)], key=lambda known: known.metres)
-        missing = sum(one.answers.b is None for one, _ in members)
-        beyond, unanswered = beyond + len(wrong), unanswered + missing
-        families[family] = {
-            "asked": len(members), "wrong": len(wrong), "unanswered": missing, "fields": fields,
-            "apart": len(members) - missing - sum(_holds(*each) for each in members),
-            "examples": {name: examples[name] for name in fields},
-            **_describe_differences([each for each in members if each[0] not in dict(wrong)]),
-            "recounted": sum(_is_recounted(*each) for each in wrong),
-            "counted": all(_is_counted(one.answers) for one, _ in wrong),
-            "mispaired": any(_is_mispaired(*each, margin_of[each[0]]) for each in wrong[:MAX_MOVED]),
-            "what": wrong[0][0].drawn.what if wrong else "",
-            "first": replace_non_finite(asdict(wrong[0][1])) if wrong else None,
-        }  # fmt: skip
-        first = first or families[family]["first"]
-    count = sum(one["asked"] for one in families.values())
-    return {
-        "equivalent": not beyond, "level": "answers", "n": count, "questions": count, "unanswered": unanswered,
-        "beyond_rounding": beyond, "apart": sum(one["apart"] for one in families.values()), "first": first,
-        "classes": {}, "intervals": [], "fields": {}, "equal_fields": equal_fields, "excused_fields": excused_fields,
-        "margin": asdict(widest), "families": families,
-        "where": _describe_where(verdicts), "start": _describe_start(restarted),
+    wrong: dict[Asked, Divergence] = {}
+    effects = {one.effect for one, _ in members}
+    ignored = family.removeprefix("parameter ") if "none" in effects and "some" not in effects else ""
+    for one, known in members:
+        divergence = _judge(one, known, margin, ignored, not wrong and (plausible or margin != FLOAT32))
+        if divergence and not is_undecided(one, known):
+            wrong[one] = divergence
+    plausible = plausible and not (family == "clear" and wrong)
+    plain = [
+        (one, known) for one, known in members
+        if not one.others and not (plausible and _has_wrong_field(one, known) and is_undecided(one, known))
+    ]  # fmt: skip
+    fields = count_fields([(one.answers, known) for one, known in plain], margin)
+    alike = count_equal_fields([(one.answers, known) for one, known in members if not one.others], fields)
+    examples = {
+        name: one.drawn.what for one, known in reversed(plain) if one.answers.b is not None
+        for name in wrong_fields(one.answers.a, one.answers.b, known)
     }  # fmt: skip
+    missing, margin_of = sum(one.answers.b is None for one, _ in members), dict(members)
+    first = next(iter(wrong.items()), None)
+    values = {
+        "asked": len(members), "wrong": len(wrong), "unanswered": missing, "fields": fields,
+        "apart": len(members) - missing - sum(_holds(*each) for each in members),
+        "examples": {name: examples[name] for name in fields},
+        **_describe_differences([each for each in members if each[0] not in wrong]),
+        "recounted": sum(_is_recounted(*each) for each in wrong.items()),
+        "counted": all(_is_counted(one.answers) for one in wrong),
+        "mispaired": any(_is_mispaired(*each, margin_of[each[0]]) for each in islice(wrong.items(), MAX_MOVED)),
+        "what": first[0].drawn.what if first else "",
+        "first": replace_non_finite(asdict(first[1])) if first else None,
+    }  # fmt: skip
+    return _FamilySummary(members, wrong, plausible, *alike, values)
 
 
 FEATURES: Mapping[str, Callable[[Asked], float]] = {

@@ -66,7 +66,7 @@ class ValidationRun:
     progress: ProgressDisplay
 
     def report(self) -> AcceptanceReport:
-        """Runs the levels of the request; results that are in the folder already are not computed again."""
+        """Run the levels of the request; results that are in the folder already are not computed again."""
         plan, only = self.plan, self.plan.request.only
         if only == "registrations":
             return self._comparison_report(self._compute(plan.pair_tasks()))

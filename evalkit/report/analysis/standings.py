@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from statistics import median
 
 from evalkit.metrics.metric import Metric
+from evalkit.metrics.runtime import COST
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import decided_by_maps
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.statements.verdict import LED, SequenceVerdict
-
-COST = "cpu_median_ms"
-"""The metric of the cost of a scan."""
 
 MAX_NAMED = 3
 """More methods than these are counted, not named, in the title."""

@@ -220,9 +220,7 @@ def bars(
     return render_figure([draw], (WIDE[0], 0.9 + 0.32 * max(len(labels), 2)))
 
 
-def picture(
-    image: Any, extent_m: tuple[float, float, float, float], layers: Sequence[Points] = (), title: str = ""
-) -> bytes:
+def picture(image: Any, extent_m: tuple[float, float, float, float], layers: Sequence[Points] = ()) -> bytes:
     """Draw an image (H, W) of grey in 0..1 or (H, W, 3), first row on top, at (left, right, bottom, top) in metres."""
 
     def draw(axes: Axes) -> None:
@@ -233,7 +231,7 @@ def picture(
                 linestyle="-" if layer.joined else "none", linewidth=layer.size, marker="" if layer.joined else "o",
                 markersize=layer.size, markeredgewidth=0.0, label=layer.label or "_unnamed",
             )  # fmt: skip
-        axes.set(xlabel="x [m]", ylabel="y [m]", xlim=extent_m[:2], ylim=extent_m[2:], title=title)
+        axes.set(xlabel="x [m]", ylabel="y [m]", xlim=extent_m[:2], ylim=extent_m[2:])
         axes.set_aspect("equal", adjustable="box")
         axes.grid(False)
 

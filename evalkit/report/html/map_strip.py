@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from statistics import median
 from urllib.parse import quote
 
+from evalkit.metrics.runtime import COST
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.ranking import Mark, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.standings import COST
 from evalkit.report.analysis.statements.pills import find_left_out
 from evalkit.report.formatting import format_amount, format_loss, format_milliseconds
 from evalkit.report.html.blocks import Figure

@@ -7,7 +7,7 @@ import typer
 from typer.testing import CliRunner
 
 from evalkit.commands.realtime.command import realtime
-from evalkit.core.errors import UnknownName
+from evalkit.core.errors import BadParameter, UnknownName
 
 pytestmark = pytest.mark.usefixtures("scoring_in_threads")
 
@@ -47,4 +47,12 @@ def test_an_invalid_option_is_a_usage_error(tmp_path, words, option):
 
 def test_an_unknown_back_end_is_refused_before_any_measurement(tmp_path):
     assert isinstance(call("papper", "--out", tmp_path).exception, UnknownName)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("on", "message"), [("room 'laps=1", "No closing quotation"), ("room laps", "NAME=VALUE")])
+def test_an_invalid_data_set_is_refused_before_any_measurement(tmp_path, on, message):
+    error = call("paper", "--on", on, "--out", tmp_path).exception
+    assert isinstance(error, BadParameter)
+    assert message in str(error)
     assert not list(tmp_path.iterdir())

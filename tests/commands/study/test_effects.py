@@ -82,5 +82,5 @@ def test_a_model_predicts_points_between_its_levels():
 def test_fewer_points_than_effects_are_rejected():
     with pytest.raises(ValueError, match="7 points are too few for the 7 columns"):
         fit(Model(TWO), make_grid([2, 2, 2])[:7], np.zeros(7))
-    with pytest.raises(ValueError, match="model's columns are not independent in this design"):
+    with pytest.raises(ValueError, match="model's columns are not independent in these points"):
         fit(Model(TWO), np.repeat(make_grid([2, 2, 2])[:4], 3, axis=0), np.zeros(12))

@@ -16,11 +16,15 @@ from typer.testing import CliRunner
 
 from evalkit.cli import app
 from evalkit.commands.study.config import study_from_tables
+from evalkit.commands.study.effect_tables import build_effect_blocks
+from evalkit.commands.study.plan import format_task_name
 from evalkit.commands.study.result import StudyResult
+from evalkit.commands.study.results_json import make_effect_rows, study_as_json
 from evalkit.design.run_points import evaluate, run_points
 from evalkit.execution.task import make_task
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
+from evalkit.report.html.blocks import Text
 
 STUDY = """
 title = "A small study"
@@ -119,6 +123,26 @@ def test_a_back_end_that_fails_is_a_result_with_its_reason(strangers):
     design, response = made.designs[0], made.responses[0]
     assert outcome.counts(design) == (8, 8)
     assert (outcome.table(design, response) == 0.5).all()
+
+
+def test_a_design_without_effects_is_named_with_the_reason(strangers):
+    # the response has no bound: a failed run has no value; 4 of 8 points are left for 4 columns
+    content = STUDY.replace('{ metric = "map_f1", lost = 0.0 }', '{ metric = "map_f1" }')
+    made = study_from_tables(tomllib.loads(content), "s.toml", "")
+    array, map_f1 = made.designs[1], made.responses[1]
+    failed = {format_task_name(point.key, seed) for point in array.points[:4] for seed in array.runs(point)}
+    scores = {"ate_rmse_m": 0.1, "map_f1": 0.9}
+    complete = {"status": "complete", "reason": "", "scores": scores, "cpu_s": 1.0}
+    none = {"status": "failed", "reason": "lost", "scores": dict.fromkeys(scores), "cpu_s": 1.0}
+    tasks = made.tasks()
+    outcome = StudyResult(made, {task.name: none if task.name in failed else complete for task in tasks})
+    assert [design.name for design, _ in outcome.fits(made.responses[0])] == ["array"]
+    assert outcome.fits(map_f1) == []
+    reason = "4 of 8 points have a value, and 4 points are too few for the 4 columns of the model"
+    assert study_as_json(outcome)["missing_effects"] == [{"design": "array", "metric": "map_f1", "reason": reason}]
+    assert {row["metric"] for row in make_effect_rows(outcome)} == {"ate_rmse_m"}
+    texts = [block.body for block in build_effect_blocks(outcome) if isinstance(block, Text)]
+    assert f"array: the effects on {map_f1.metric.label} cannot be computed: {reason}." in texts
 
 
 def test_a_point_of_a_slam_scores_its_corrected_poses_and_a_wrong_end_is_a_failure(strangers):

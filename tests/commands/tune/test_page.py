@@ -66,7 +66,7 @@ def build_tuning(build, record, tuned_ate, lost=0, status="failed"):
 )
 def test_worse_or_lost_held_out_runs_are_overfitting(build, record, tuned_ate, lost, verdict, overfitted):
     result = build_tuning(build, record, tuned_ate, lost)
-    held = result.held["a"]
+    held = result.held_out_verdicts["a"]
     assert (held.verdict, held.overfitted) == (verdict, overfitted)
     assert verdict in render(page.build_document(result))
 
@@ -77,7 +77,7 @@ def test_a_missing_run_is_not_counted_as_lost(build, record, status, said):
 
 
 def test_the_test_over_runs_is_wilcoxons_signed_rank_test(build, record):
-    paired = build_tuning(build, record, 0.05).held["a"].paired
+    paired = build_tuning(build, record, 0.05).held_out_verdicts["a"].paired
     assert paired is not None
     assert (paired.runs, paired.better, paired.worse) == (10, 10, 0)
     assert paired.p == pytest.approx(2.0**-9)  # all ten runs in one direction

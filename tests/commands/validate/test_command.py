@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from evalkit.cli import app
 from evalkit.commands.validate import level_answers, plan, probes, run
@@ -17,7 +18,7 @@ from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_m
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.probes import EXACT
-from evalkit.core.errors import BadExperiment, BadParameter, NotInstalled, UnknownName
+from evalkit.core.errors import BadData, BadExperiment, BadParameter, NotInstalled, UnknownName
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -189,6 +190,13 @@ def test_a_crash_is_a_failed_check(misfits):
     assert "SIGSEGV; it was in: room, seed 0, pair 1 (pair)" in check.observed
 
 
+def test_a_back_end_that_does_not_start_is_asked_nothing_else(misfits, tmp_path):
+    found = report(make_plan("faulty_backends:RAISES", reference="paper"), tmp_path)
+    assert [(level.name, level.outcome("equal")) for level in found.levels] == [("rules", "failed")]
+    assert "rule starts" in [check.name for check in found.levels[0].failed("equal")]
+    assert [path.name.partition("-")[0] for path in (tmp_path / "tasks").glob("*.npz")] == ["rules"]
+
+
 def test_the_reference_is_the_first_back_end_with_that_role_and_gets_the_same_settings():
     assert make_plan("paper-tight").reference == "paper"
     validation = make_plan(
@@ -224,6 +232,22 @@ def test_the_mapper_of_a_back_end_comes_from_its_module():
         "log-odds",
     )
     assert defaults.find_mapper_of("kiss-icp") == ""
+
+
+@pytest.mark.parametrize(
+    ("content", "found"), [(b"\xff\xfe", "byte 0: not UTF-8 text"), (b"twelve\n", "found 'twelve'"), (b"", "empty")]
+)
+def test_a_damaged_seed_of_the_folder_is_refused_and_one_that_is_given_replaces_it(tmp_path, content, found):
+    (tmp_path / "seed.txt").write_bytes(content)
+    words = ["validate", "wheel-odometry", "--rule", "starts", "-o", str(tmp_path)]
+    error = CliRunner().invoke(app, words).exception
+    assert isinstance(error, BadData)
+    assert str(error).startswith(f"{tmp_path}/seed.txt: ")
+    assert found in str(error)
+    for more, seed in ((["--seed", "12"], "12"), ([], "12")):  # the second call takes the seed of the first one
+        ended = CliRunner().invoke(app, [*words, *more])
+        assert ended.exit_code == 0, ended.output
+        assert (tmp_path / "seed.txt").read_text() == f"{seed}\n"
 
 
 def test_invalid_requests_are_rejected_before_anything_is_computed():

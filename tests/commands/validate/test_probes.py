@@ -32,10 +32,6 @@ def test_options_that_cannot_be_are_refused_with_what_is_expected():
     with pytest.raises(BadParameter, match=r"NAME=REASON, such as order='it samples its points'"):
         command._parse_waivers(["order="])
     assert command._parse_waivers([" order = it samples "]) == {"order": "it samples"}
-    with pytest.raises(BadParameter, match="one of rules, registrations, lockstep, determinism"):
-        command._parse_only("rule")
-    with pytest.raises(BadParameter, match="equal or as-good"):
-        command._parse_claim("better")
     with pytest.raises(typer.BadParameter, match="found 2 names, expected one"):
         command._single_name(["a", "b"], "")
     assert (command._single_name(["a"], "rules"), command._single_name([], "determinism")) == ("a", "")
@@ -335,14 +331,3 @@ def test_where_a_check_failed_those_that_passed_are_only_counted(outcomes, print
     text = capsys.readouterr().out
     assert [one for line in text.splitlines() if "check " in line for one in outcomes if f" {one} " in line] == printed
     assert ("not shown here: 2 passed, 1 not applicable" in text) == ("failed" in outcomes)
-
-
-def test_fatal_rules_end_a_validation_before_anything_else_runs(monkeypatch):
-    plan = SimpleNamespace(request=SimpleNamespace(only="", waivers={}), rules_task=lambda: None, backend="mine")
-    started = run.ValidationRun(plan, None, 1, None)
-    rule = {"rule": run.FATAL_RULES[0].removeprefix("rule "), "sentence": "It starts.",
-            "outcome": "failed", "observed": "raises OSError"}  # fmt: skip
-    monkeypatch.setattr(run.ValidationRun, "_compute", lambda *_, **__: {"rules": {"rules": [rule]}})
-    monkeypatch.setattr(run.ValidationRun, "_report", lambda _self, margin, _text, levels: (margin, levels))
-    margin, (rules,) = started.report()
-    assert (margin, rules.outcome("equal")) == ("exact", "failed")

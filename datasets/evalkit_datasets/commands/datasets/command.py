@@ -15,14 +15,15 @@ from evalkit.core.errors import EvalkitError, UnknownName
 from evalkit.io.toml import load_toml
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.terminal import options
+from evalkit.terminal.console import WordConsole, print_json
 from evalkit.terminal.text_list import print_list
 from evalkit_datasets.commands.inspect.findings import format_count
 from evalkit_datasets.recordings import catalog, data_sets
 from evalkit_datasets.recordings.fetch import fetch, list_downloads, why_offline
 
 app = typer.Typer(help="List, download and generate recordings.", no_args_is_help=True, add_completion=False)
-out = options.WordConsole(soft_wrap=True)
-err = options.WordConsole(stderr=True, soft_wrap=True)
+out = WordConsole(soft_wrap=True)
+err = WordConsole(stderr=True, soft_wrap=True)
 
 
 @app.command("list")
@@ -109,7 +110,7 @@ def example_(
     given = from_text(world, example_bag.WORLDS[world].parameters, options.settings(setting or []))
     example = example_bag.write_example(bag, world, given)
     if as_json:
-        options.print_json(asdict(example) | {name: str(getattr(example, name)) for name in ("bag", "truth", "map")})
+        print_json(asdict(example) | {name: str(getattr(example, name)) for name in ("bag", "truth", "map")})
         return
     summary = f"{example.bag}: {example.scans} scans, {example.duration_s:.1f} s, {example.path_m:.1f} m, simulated"
     out.print(summary)

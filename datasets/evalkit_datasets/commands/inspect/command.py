@@ -13,7 +13,8 @@ import typer
 from evalkit.core.errors import BadData, EvalkitError
 from evalkit.io.json_values import indent_json, replace_non_finite
 from evalkit.io.output_files import write_texts
-from evalkit.terminal.options import READER, Json, out, print_json
+from evalkit.terminal.console import out, print_json
+from evalkit.terminal.options import READER, Json
 from evalkit.terminal.text_list import print_hanging
 from evalkit_datasets.commands.inspect.findings import Level, format_count
 from evalkit_datasets.commands.inspect.inspector import CARMEN, Inspection, find_reader_name, inspect_recording

@@ -77,7 +77,7 @@ def _describe_text(path: Path) -> tuple[str, str]:
 
 
 def _describe_graph(path: Path) -> tuple[str, str]:
-    """Raises BadData for a graph that is not planar."""
+    """Raise BadData for a graph that is not planar."""
     file = read_g2o(path)
     graph, ranks = file.graph, np.argsort(np.argsort(file.ids))
     loops = int((np.abs(ranks[graph.second] - ranks[graph.first]) > 1).sum())

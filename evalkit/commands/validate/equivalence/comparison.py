@@ -66,7 +66,7 @@ def equivalence(
     scans: int = 30,
     disturbed: bool = True,
 ) -> Equivalence:
-    """Compares two back ends over the first scans of a sequence.
+    """Compare two back ends over the first scans of a sequence.
 
     ``a``, ``b``: registered names, "module:SPEC", or specs. ``on``: a data set, "" for a short simulated one. Two
     registrations answer the same questions, which come from running ``a``; if one is an odometry, trajectories are
@@ -98,7 +98,7 @@ def mapper_equivalence(
     margin: MarginChoice = Margin(),  # noqa: B008 - a Margin is frozen
     scans: int = 30,
 ) -> Equivalence:
-    """Compares two mappers, cell by cell after every scan.
+    """Compare two mappers, cell by cell after every scan.
 
     Both draw each scan at its wheel odometry, or at the origin if there is none. Grids are float32 by type; the
     margin's log-odds include that rounding.

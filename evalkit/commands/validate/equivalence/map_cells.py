@@ -42,7 +42,7 @@ class MapComparison:
 def compare_mappers(
     label_a: str, make_a: Callable[[], Mapper], make_b: Callable[[], Mapper], scans: Iterable[PosedScan], margin: float
 ) -> MapComparison:
-    """Runs both mappers over the same scans and compares them after each; ``margin`` in log-odds.
+    """Run both mappers over the same scans and compare them after each; ``margin`` in log-odds.
 
     Raises BackendFailed, with its label, if the first mapper raises.
     """

@@ -105,7 +105,7 @@ def check_large(fixture: RegistrationFixture) -> str:
 
 
 def _require_same(fixture: RegistrationFixture, one: CloudPair, other: CloudPair, what: str) -> None:
-    """Raises RuleBroken if two forms of one question have other answers."""
+    """Raise RuleBroken if two forms of one question have other answers."""
     matches = []
     for each in (one, other):
         fixture.note_progress()  # for a slow back end, as in emulation

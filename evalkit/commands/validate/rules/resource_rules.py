@@ -141,7 +141,7 @@ class _Output:
 
 @contextlib.contextmanager
 def _counted_output() -> Iterator[_Output]:
-    """Counts the bytes that are written to files meanwhile; messages on the terminal are none, and are dropped."""
+    """Count the bytes that are written to files meanwhile; messages on the terminal are none, and are dropped."""
     output, process = _Output(), psutil.Process()
     if not hasattr(process, "io_counters") or process.children():
         yield output

@@ -85,7 +85,7 @@ class RuleReport:
 
 
 def check_rule(rule: Rule, fixture: object) -> RuleResult:
-    """Checks one rule in this process; raises NotInstalled if the plug-in turns out not to be installed."""
+    """Check one rule in this process; raises NotInstalled if the plug-in turns out not to be installed."""
     outcome: RuleOutcome = "passed"
     raised, also_breaks = False, None
     try:

@@ -1,4 +1,4 @@
-"""Checks the rules of a back end in a child process, so that a crash or a hang is a broken rule like any other.
+"""Check the rules of a back end in a child process, so that a crash or a hang is a broken rule like any other.
 
 ``python -m evalkit.commands.validate.rules.runner FOLDER`` is the child. It writes the name of each rule before the
 check and the result after it, so that a crash can be attributed to a rule.
@@ -120,7 +120,7 @@ def _check_rule(rule: Rule, fixture: object) -> RuleResult:
 
 
 class _RuleRunner:
-    """Checks all rules of one back end, with a new process after each early end, also of the program behind it."""
+    """Check all rules of one back end, with a new process after each early end, also of the program behind it."""
 
     def __init__(self, request: Mapping[str, Any], rules: Mapping[str, Rule], limit_s: float, memory_mib: int) -> None:
         self._request, self._rules = request, rules
@@ -163,7 +163,7 @@ class _RuleRunner:
         return f"skipped after {MAX_CRASHES} ends of its process" if ends >= MAX_CRASHES else ""
 
     def _run_process(self, names: list[str]) -> None:
-        """Checks rules until all are done or the process ends early, which breaks the current rule."""
+        """Check rules until all are done or the process ends early, which breaks the current rule."""
         with tempfile.TemporaryDirectory(prefix="evalkit-rules-") as root:
             folder = Path(root)
             (folder / REQUEST).write_text(json.dumps({**self._request, "rules": names}), encoding="utf-8")
@@ -211,7 +211,7 @@ def _read_lines(folder: Path) -> list[dict[str, Any]]:
 
 
 def main() -> int:
-    """Checks the rules of the request in the folder named on the command line, writing lines to ``results.jsonl``."""
+    """Check the rules of the request in the folder named on the command line, writing lines to ``results.jsonl``."""
     end_with_parent()
     gc.enable()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory

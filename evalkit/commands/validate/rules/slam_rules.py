@@ -60,7 +60,7 @@ class SlamFixture(OdometryFixture):
         return drive(SCANS, SPEED, SPEED, odometry_gain=SLIP)
 
     @cached_property
-    def once(self) -> Corrected:
+    def first_run(self) -> Corrected:
         """What it has at the end of the loop, asked for then only."""
         return self._drive()[-1][0]
 
@@ -69,8 +69,8 @@ class SlamFixture(OdometryFixture):
         """What it has after each frame of the loop, and the answer to that frame."""
         return self._drive(after_each=True)
 
-    def again(self) -> Corrected:
-        """The same as ``once`` from a new object."""
+    def run_again(self) -> Corrected:
+        """The same as ``first_run`` from a new object."""
         return self._drive()[-1][0]
 
     def _drive(self, after_each: bool = False) -> list[tuple[Corrected, OdometryEstimate]]:
@@ -116,7 +116,7 @@ def check_final_first(fixture: SlamFixture) -> str:
 
 def check_final_continuous(fixture: SlamFixture) -> str:
     """The corrected path is continuous: its steps are those of the answers within 5 cm and 3 deg, but for jumps."""
-    found = fixture.once
+    found = fixture.first_run
     own, answered = (se2.between(poses[:-1], poses[1:]) for poses in (found.final.poses, found.answers))
     beyond = _lengths(se2.between(answered, own)) - _jumps(answered)
     wrong = (beyond[:, 0] > JUMP_M) | (beyond[:, 1] > np.radians(JUMP_DEG))
@@ -131,7 +131,7 @@ def check_final_continuous(fixture: SlamFixture) -> str:
 
 def check_final_on_track(fixture: SlamFixture) -> str:
     """Corrected poses are no farther from the truth than the answers, by more than 10 cm at the farthest."""
-    found = fixture.once
+    found = fixture.first_run
     frames = {frame.scan.stamp_ns: row for frame, row in zip(fixture.loop.frames, fixture.loop.truth, strict=True)}
     truth = np.array([frames[int(stamp)] for stamp in found.stamps_ns])
     own, answered = (_distances(poses, truth).max() for poses in (found.final.poses, found.answers))
@@ -143,14 +143,14 @@ def check_final_on_track(fixture: SlamFixture) -> str:
 
 def check_final_deterministic(fixture: SlamFixture) -> str:
     """The same drive has the same corrected poses and loop closures, to the bit."""
-    one, other = fixture.once, fixture.again()
+    one, other = fixture.first_run, fixture.run_again()
     _require_same(one, other, "the same drive has")
     return f"{len(one.final)} corrected poses and {len(one.closures)} loop closures agree to the bit"
 
 
 def check_final_read_only(fixture: SlamFixture) -> str:
     """Asking for corrected poses and loop closures changes no later answer, and no later correction."""
-    asked, once = fixture.watched[-1][0], fixture.once
+    asked, once = fixture.watched[-1][0], fixture.first_run
     if not np.array_equal(asked.answers, once.answers):
         at = int(np.argmax((asked.answers != once.answers).any(axis=1)))
         raise RuleBroken(
@@ -162,7 +162,7 @@ def check_final_read_only(fixture: SlamFixture) -> str:
 
 def check_closures(fixture: SlamFixture) -> str:
     """Loop closures are between answered frames, given in the order of their later frame."""
-    closures = fixture.once.closures
+    closures = fixture.first_run.closures
     if earlier := [at for at in range(1, len(closures)) if closures[at].stamp_ns < closures[at - 1].stamp_ns]:
         raise RuleBroken(f"loop closure {earlier[0] + 1} is of an earlier frame than the one before")
     accepted = sum(one.accepted for one in closures)

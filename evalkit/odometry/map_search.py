@@ -1,4 +1,4 @@
-"""The search of a place in a known map, and the map as the local map of a front end."""
+"""Search the place of some points in a known map."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ import numpy as np
 from evalkit.core.errors import BadData
 from evalkit.core.known_map import KnownMap
 from evalkit.core.pose import Pose
-from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
 from evalkit.odometry.correlative import ScoreGrid, Window, branch_and_bound, other_headings, windows_around
-from evalkit.odometry.local_map import ORIGIN, voxel_means
+from evalkit.odometry.local_map import voxel_means
 
 SEARCH_CELL_M, SEARCH_DEPTH, SEARCH_POINTS = 0.1, 6, 300
 FINE_CELL_M, FINE_STEP_RAD = 0.02, math.radians(0.25)
@@ -93,27 +92,6 @@ class MapSearch:
         grid = ScoreGrid.from_points(near, FINE_CELL_M, 0.5 * SEARCH_CELL_M, 3)
         best = branch_and_bound(grid, points, Window(found, FINE_M, FINE_M, FINE_RAD, FINE_STEP_RAD))
         return found if best is None else best.target_from_source
-
-
-class WallsAround:
-    """A LocalMap that never grows: the walls of a known map around the robot, in the front end's start frame."""
-
-    def __init__(self, known: KnownMap, map_from_start: Pose, radius_m: float) -> None:
-        self._walls = map_from_start.inverse().transform(known.walls)
-        self._radius_m = radius_m
-        self._near = Cloud(np.empty((0, 2)), "start")
-        self._centre: Pose | None = None
-
-    def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
-        """Add nothing: the map is known."""
-
-    def cloud(self, near: Pose) -> Cloud:
-        """Return the walls around a pose; the same cloud until the robot has moved by a tenth of the radius."""
-        moved = math.inf if self._centre is None else math.hypot(near.x - self._centre.x, near.y - self._centre.y)
-        if moved > 0.1 * self._radius_m:
-            inside = np.hypot(*(self._walls - [near.x, near.y]).T) <= self._radius_m
-            self._near, self._centre = Cloud(self._walls[inside], "start"), near
-        return self._near
 
 
 def thin_evenly(points: Floats) -> Floats:
