@@ -36,7 +36,7 @@ def test_the_example_is_short_and_follows_the_rules_of_a_slam(example, monkeypat
     own = {name: rule for name, rule in slam_rules.RULES.items() if name not in odometry_rules.RULES}
     results = {name: check_rule(rule, fixture) for name, rule in own.items()}
     assert {name: one.observed for name, one in results.items() if one.outcome == "failed"} == {}
-    assert [one.accepted for one in fixture.once.closures] == [True]
+    assert [one.accepted for one in fixture.first_run.closures] == [True]
 
 
 def test_the_example_spreads_a_correction_over_the_path(example, monkeypatch):

@@ -61,7 +61,7 @@ def test_the_examples_are_short_and_correct_as_a_slam_must(library, monkeypatch)
     own = {name: rule for name, rule in slam_rules.RULES.items() if name not in odometry_rules.RULES}
     results = {name: check_rule(rule, fixture) for name, rule in own.items()}
     assert {name: one.observed for name, one in results.items() if one.outcome == "failed"} == {}
-    assert [one.accepted for one in fixture.once.closures] == [True]
+    assert [one.accepted for one in fixture.first_run.closures] == [True]
     for path in (C, PYTHON):
         assert len([line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]) <= 100
 
