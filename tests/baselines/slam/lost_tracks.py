@@ -3,7 +3,9 @@
 ``carried``: at 60 % of the drive the robot is put back to where it was at 20 %, and drives on from there; the wheels do
 not notice. ``gap``: 10 s without scans in the middle. ``blind gap``: the same without odometry. ``covered``: three
 times, for 1.5 s, all beams end 0.3 to 1 m away, as if people stood around the robot. ``dirty``: 60 % of the beams have
-no return, 5 % a random range, and 10 % of the scans are missing.
+no return, 5 % a random range, and 10 % of the scans are missing. ``followed``: somebody walks 1.2 m behind. ``body``:
+30 deg of the view end 0.25 m behind the lidar. ``batches``: of every two scans the first one is stamped 2 ms before the
+second, and there is no odometry; nor is there in ``no odometry``, which tells how much of it is due to the stamps.
 
 A row for each world and disturbance: drives; drives with a lost track; those of them in which the last part of the
 drive was found again; lost tracks in all; ATE RMSE of the corrected poses, median and worst (cm).
@@ -22,11 +24,15 @@ from false_loops import ate
 
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
+from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins import registry
 
 WORLDS = ("loop", "office", "doors", "wings", "symmetric-office", "long-loop")
 GAP_NS, COVERED_NS = 10_000_000_000, 1_500_000_000
+BEHIND_M, HALF_WIDTH_M = 1.2, 0.25
+BODY_M, BODY_RAD = 0.25, np.radians(30.0)
+BATCH_NS = 2_000_000
 
 
 class Taken(NamedTuple):
@@ -102,8 +108,50 @@ def leave_gap(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
 
 def leave_blind_gap(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
     """Leave out 10 s, and all odometry."""
-    rest = leave_gap(drive, rng)
-    return [Taken(replace(one.frame, odom_from_base=None, start_from_end=None), one.stamp_ns) for one in rest]
+    return leave_odometry(leave_gap(drive, rng), rng)
+
+
+def leave_odometry(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
+    """Leave out all odometry."""
+    del rng
+    return [Taken(replace(one.frame, odom_from_base=None, start_from_end=None), one.stamp_ns) for one in drive]
+
+
+def stamp_batches(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
+    """Stamp two scans at a time, and leave out all odometry."""
+
+    def stamped(at: int, one: Taken) -> Taken:
+        second = drive[min(at + 1, len(drive) - 1)]
+        stamp_ns = one.stamp_ns if at % 2 or second is one else second.stamp_ns - BATCH_NS
+        return Taken(replace(one.frame, scan=replace(one.frame.scan, stamp_ns=stamp_ns)), one.stamp_ns)
+
+    return leave_odometry([stamped(at, one) for at, one in enumerate(drive)], rng)
+
+
+def follow(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
+    """Let a person walk behind, whose back is flat."""
+
+    def away_m(angles: Floats) -> Floats:
+        behind = np.abs(np.tan(angles)) <= HALF_WIDTH_M / BEHIND_M
+        return np.where(behind & (np.cos(angles) < 0.0), BEHIND_M / np.abs(np.cos(angles)), np.inf)
+
+    return [_cover_by(one, away_m, rng) for one in drive]
+
+
+def show_body(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
+    """Let the lidar see the robot behind it."""
+    return [
+        _cover_by(one, lambda angles: np.where(np.cos(angles) <= -np.cos(0.5 * BODY_RAD), BODY_M, np.inf), rng)
+        for one in drive
+    ]
+
+
+def _cover_by(taken: Taken, away_m: Callable[[Floats], Floats], rng: np.random.Generator) -> Taken:
+    """Cover the beams (angles in the base's directions, rad) that end on something so far away, with noise of 1 cm."""
+    scan = taken.frame.scan
+    away = away_m(scan.angles + taken.frame.base_from_sensor.theta)
+    seen = away + 0.01 * rng.standard_normal(len(away))
+    return _with_ranges(taken, np.where(np.isfinite(away), np.fmin(scan.ranges, seen), scan.ranges))
 
 
 def cover(drive: Sequence[Taken], rng: np.random.Generator) -> list[Taken]:
@@ -140,6 +188,10 @@ DISTURBANCES: dict[str, Callable[[Sequence[Taken], np.random.Generator], list[Ta
     "blind gap": leave_blind_gap,
     "covered": cover,
     "dirty": make_dirty,
+    "followed": follow,
+    "body": show_body,
+    "no odometry": leave_odometry,
+    "batches": stamp_batches,
 }
 
 if __name__ == "__main__":
