@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from evalkit.core.errors import BadParameter
 from evalkit.core.se2 import Floats
 from evalkit.plugins.parameters import Parameter
+from evalkit_datasets.parsing.range_minimum import raise_range_min_m
 
 MAX_BEAMS = 20_000
 
@@ -39,6 +40,11 @@ class CloudSlice:
         if not self.height_min_m < self.height_max_m:
             found = f"{self.height_min_m:g} to {self.height_max_m:g} m"
             raise BadParameter("point cloud", "height_min_m", found, "less than height_max_m")
+
+    def beyond(self, owner: str, range_min_m: float) -> CloudSlice:
+        """Return the slice without points nearer than ``range_min_m``, a parameter of the reader ``owner``."""
+        low = raise_range_min_m(owner, self.range_min_m, range_min_m, self.range_max_m)
+        return replace(self, range_min_m=low)
 
     def cut(self, points: Floats) -> tuple[Floats, Floats]:
         """Return ranges (B,) in m, nan where there is no point, and angles (B,) in rad of points (N, 3).

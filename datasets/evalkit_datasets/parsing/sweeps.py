@@ -13,6 +13,7 @@ from evalkit.core.errors import BadParameter
 from evalkit.core.se2 import Floats
 from evalkit_datasets.parsing.cloud_slice import CloudSlice, read_packed_points
 from evalkit_datasets.parsing.columns_layout import ANGLE_UNITS, LENGTH_UNITS
+from evalkit_datasets.parsing.range_minimum import raise_range_min_m
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ECHOES = "sensor_msgs/msg/MultiEchoLaserScan"
@@ -98,12 +99,13 @@ class SweepOptions:
     """How messages become sweeps: the slice of a point cloud, and the fields of messages of other types.
 
     ``sweep_s``: time from the first beam to the last (s) of scans that do not say it; 0: they are taken at once. Clouds
-    have no order of beams, and are always taken at once.
+    have no order of beams, and are always taken at once. ``range_min_m``: the least minimum of a sweep's ranges.
     """
 
     cloud: CloudSlice = field(default_factory=CloudSlice)
     fields: MessageFields | None = None
     sweep_s: float = 0.0
+    range_min_m: float = 0.0
 
 
 def parse_fields(text: str) -> MessageFields | None:
@@ -168,9 +170,11 @@ def parse_sweep(message: Any, kind: str, recorded_ns: int, options: SweepOptions
         return _parse_cloud(options.cloud, message, recorded_ns)
     by_fields = options.fields is not None or kind not in _PARSERS
     sweep = _parse_fields(options, message, recorded_ns) if by_fields else _PARSERS[kind](message, recorded_ns)
-    if sweep is None or sweep.time_increment_ns or not options.sweep_s:
-        return sweep
-    return replace(sweep, time_increment_ns=round(options.sweep_s * 1e9 / (len(sweep.ranges) - 1)))
+    if sweep is None:
+        return None
+    low = raise_range_min_m("rosbag", sweep.range_min_m, options.range_min_m, sweep.range_max_m)
+    increment_ns = sweep.time_increment_ns or round(options.sweep_s * 1e9 / (len(sweep.ranges) - 1))
+    return replace(sweep, range_min_m=low, time_increment_ns=increment_ns)
 
 
 def parse_stamp_ns(header: Any) -> int:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit.core.arrays import Ints
+from evalkit.core.arrays import Bools, Ints
 from evalkit.core.errors import BadData
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -23,6 +23,7 @@ from evalkit.plugins.specs import DatasetSpec
 from evalkit_datasets.parsing import carmen_parser, truth_files
 from evalkit_datasets.parsing.buffers import sort_by_rank
 from evalkit_datasets.parsing.carmen_parser import Log, Reading
+from evalkit_datasets.parsing.range_minimum import RANGE_MIN, raise_range_min_m
 from evalkit_datasets.parsing.truth_files import TruthPaths
 from evalkit_datasets.readers import reader_common
 
@@ -45,7 +46,7 @@ class _Scans:
     """Scans without their ranges: times, line numbers, poses (N, 3) of the laser and of the robot.
 
     ``longest_m`` (N,): longest range of a scan that is not a no-return. ``invalid`` (N,): number of ranges that are
-    zero, negative or nan.
+    zero, negative, nan or below the minimum.
     """
 
     stamps_ns: Stamps
@@ -66,8 +67,9 @@ class Carmen:
     """The Sequence of a CARMEN log. The stamp is ipc_timestamp, exact in ns; all beams of a scan share it.
 
     No returns are ranges of ``range_max_m`` or more, 32.767 m, and 8.18 to 8.191 m if no range of the log is longer.
-    Zero, negative and nan ranges are invalid. Odometry "auto" is the ODOM lines, else the robot pose of each scan,
-    else none. A corrected log (by GMapping, or with graph vertices) has no odometry: its poses are the ground truth.
+    Zero, negative and nan ranges are invalid, and those below ``range_min_m``. Odometry "auto" is the ODOM lines, else
+    the robot pose of each scan, else none. A corrected log (by GMapping, or with graph vertices) has no odometry: its
+    poses are the ground truth.
     """
 
     def __init__(
@@ -85,9 +87,11 @@ class Carmen:
         limit: int = 0,
         how: str = "",
         spans: str = "",
+        range_min_m: float = 0.0,
     ) -> None:
         self._path = reader_common.check_exists("carmen", path)
         self._range_max_m = range_max_m
+        self._range_min_m = raise_range_min_m("carmen", 0.0, range_min_m, range_max_m)
         self._layout = start_deg, step_deg
         log = Log(self._layout)
         scans = self._read_scans(log)
@@ -118,9 +122,10 @@ class Carmen:
         taken = self._taken[slice(first, None)]
         ranks = np.argsort(taken.lines)
         lines = carmen_parser.iter_readings_at(self._path, self._layout, taken.lines[ranks])
+        limits = self._range_min_m, self._range_max_m
         readings = sort_by_rank(zip(ranks.tolist(), lines, strict=True))
         for stamp, reading, row in zip(taken.stamps_ns, readings, self._odometry[first:], strict=True):
-            scan = Scan(int(stamp), self._mark_ranges(reading.ranges), reading.angles, 0.0, self._range_max_m)
+            scan = Scan(int(stamp), self._mark_ranges(reading.ranges), reading.angles, *limits)
             yield Frame(scan, self._base_from_sensor, reader_common.pose_or_none(row))
 
     def truth(self) -> Truth:
@@ -141,7 +146,7 @@ class Carmen:
             laser.extend(reading.laser)
             robot.extend(reading.robot)
             longest.append(self._find_longest_m(reading))
-            invalid.append(int(np.count_nonzero(~(reading.ranges > 0.0))))
+            invalid.append(int(np.count_nonzero(~self._is_valid(reading.ranges))))
         return _Scans(
             np.array(stamps, dtype=np.int64),
             np.array(lines, dtype=np.int64),
@@ -185,7 +190,10 @@ class Carmen:
     def _mark_ranges(self, ranges: Floats) -> Floats:
         """Return the ranges with inf for no return and nan for invalid ones."""
         beyond = (ranges >= self._range_max_m) | np.isin(ranges, self._codes)
-        return np.where(beyond, np.inf, np.where(ranges > 0.0, ranges, np.nan))
+        return np.where(beyond, np.inf, np.where(self._is_valid(ranges), ranges, np.nan))
+
+    def _is_valid(self, ranges: Floats) -> Bools:
+        return np.asarray((ranges > 0.0) & (ranges >= self._range_min_m))
 
     def _find_odometry(self, log: Log, scans: _Scans, wanted: str) -> Floats:
         """Return the odometry pose (N, 3) at each scan taken, nan where there is none."""
@@ -289,6 +297,7 @@ SPEC = DatasetSpec(
         Parameter("odometry", "auto", "", "source of the wheel odometry",
                   choices=("auto", "odom-lines", "scan-poses", "none")),
         Parameter("range_max_m", 50.0, "m", "ranges of this length or more mean no return", low=0.1),
+        RANGE_MIN,
         Parameter("base_from_sensor", "auto", "", "pose of the laser on the base: 'auto' or 'x y theta' in m, m, rad"),
         Parameter("start_deg", -90.0, "deg", "angle of the first beam of a FLASER line", low=-360.0, high=360.0),
         Parameter("step_deg", 0.0, "deg", "angle between its beams; 0: by their number", low=0.0, high=10.0),

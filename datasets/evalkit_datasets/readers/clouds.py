@@ -21,6 +21,7 @@ from evalkit.plugins.specs import DatasetSpec
 from evalkit_datasets.parsing import cloud_slice, truth_files
 from evalkit_datasets.parsing.cloud_files import SUFFIXES, read_cloud_file, stamps_of
 from evalkit_datasets.parsing.cloud_slice import CloudSlice
+from evalkit_datasets.parsing.range_minimum import RANGE_MIN
 from evalkit_datasets.parsing.truth_files import TruthPaths
 from evalkit_datasets.readers import reader_common
 
@@ -47,8 +48,9 @@ class Clouds:
         every: int = 1,
         limit: int = 0,
         how: str = "",
+        range_min_m: float = 0.0,
     ) -> None:
-        self._slice = CloudSlice(height_min_m, height_max_m, beams)
+        self._slice = CloudSlice(height_min_m, height_max_m, beams).beyond("clouds", range_min_m)
         self._mounting = reader_common.parse_sensor_pose("clouds", base_from_sensor)
         files = _list_files(reader_common.check_exists("clouds", path))
         stamps = stamps_of([file.name for file in files], round(1e9 / rate_hz))
@@ -112,6 +114,7 @@ SPEC = DatasetSpec(
         Parameter("rate_hz", 10.0, "Hz", "clouds per second where the names hold no times", low=0.001, high=1000.0),
         Parameter("base_from_sensor", "0 0 0", "", "pose of the lidar on the base: 'x y theta' in m, m, rad"),
         *cloud_slice.PARAMETERS,
+        RANGE_MIN,
         *reader_common.SELECTION,
     ),
     missing=partial(reader_common.describe_missing_files, "clouds"),

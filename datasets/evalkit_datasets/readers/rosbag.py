@@ -1,9 +1,10 @@
 """Read a ROS bag as a Sequence: ROS 1 .bag, ROS 2 folder, .db3 or .mcap, without a ROS installation.
 
 ``scan.stamp_ns`` is the header's time (the first beam), not the time of recording. Ranges follow REP-117: inf is no
-return; -inf, nan, zero, negative ranges and those below the sensor's minimum are invalid. The maximum itself is also no
-return: drivers write it for beams without an echo (2.5 % of the ranges of one recording are exactly 60 m). The angles
-of a lidar mounted upside down are mirrored, so that base_from_sensor is a motion of the plane.
+return; -inf, nan, zero, negative ranges and those below the sensor's minimum, or ``range_min_m`` if that is larger, are
+invalid. The maximum itself is also no return: drivers write it for beams without an echo (2.5 % of the ranges of one
+recording are exactly 60 m). The angles of a lidar mounted upside down are mirrored, so that base_from_sensor is a
+motion of the plane.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from evalkit.plugins.specs import DatasetSpec
 from evalkit_datasets.parsing import cloud_slice, rosbag_parser, truth_files
 from evalkit_datasets.parsing.buffers import PoseBuffer, sort_by_rank
 from evalkit_datasets.parsing.cloud_slice import CloudSlice
+from evalkit_datasets.parsing.range_minimum import RANGE_MIN
 from evalkit_datasets.parsing.rosbag_parser import BagScans, Contents
 from evalkit_datasets.parsing.sweeps import Sweep, SweepOptions, parse_fields
 from evalkit_datasets.parsing.transforms import Mounting
@@ -63,9 +65,11 @@ class RosBag:
         height_max_m: float = CloudSlice.height_max_m,
         beams: int = CloudSlice.beams,
         sweep_s: float = 0.0,
+        range_min_m: float = 0.0,
     ) -> None:
         self._path = reader_common.check_exists("rosbag", path)
-        self._options = SweepOptions(CloudSlice(height_min_m, height_max_m, beams), parse_fields(fields), sweep_s)
+        cloud = CloudSlice(height_min_m, height_max_m, beams).beyond("rosbag", range_min_m)
+        self._options = SweepOptions(cloud, parse_fields(fields), sweep_s, range_min_m)
         which = reader_common.select_scans(start, every, limit)
         whole, contents = rosbag_parser.read_bag(self._path, topic, which, self._options)
         self._counts = self._count_defects(whole, contents)
@@ -293,6 +297,7 @@ SPEC = DatasetSpec(
             low=0.0,
             high=10.0,
         ),
+        RANGE_MIN,
         *reader_common.SELECTION,
     ),
     missing=partial(reader_common.describe_missing_files, "rosbag"),

@@ -120,6 +120,78 @@ def test_ranges_reveal_their_quantisation_and_whether_the_robot_is_at_rest():
     assert measure_ranges(laser(walls())).still == 0.0
 
 
+# --- the robot's own body
+
+
+def with_body(first=100, last=110, range_m=0.25, noise_m=0.005, hit=1.0, rows=None):
+    """Return scans of a robot of which the lidar sees a part, with beams at -90, -89, ... deg."""
+    rng = np.random.default_rng(7)
+    rows = walls() if rows is None else rows
+    body = range_m + noise_m * rng.uniform(-1.0, 1.0, (len(rows), last - first))
+    rows[:, first:last] = np.where(rng.random(body.shape) < hit, body, np.inf)
+    return rows
+
+
+def test_beams_that_always_have_the_same_range_are_the_robots_own_body():
+    rows = with_body()
+    body = measure_ranges(laser([*rows, [0.25] * 90])).body  # the last scan has another number of beams
+    assert body.share == pytest.approx(10 / 180)
+    assert body.sectors_deg == (pytest.approx((10.0, 19.0), abs=0.01),)
+    assert (body.nearest_m, body.farthest_m) == pytest.approx((0.25, 0.25), abs=0.005)
+    assert body.range_min_m == 0.3
+    above = np.where(rows < body.range_min_m, np.nan, rows)
+    assert measure_ranges(laser(above)).body is None
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        walls(),
+        with_body(last=102),
+        with_body(range_m=1.6),
+        with_body(noise_m=0.06),
+        with_body(hit=0.8),
+        with_body(rows=np.repeat(walls(1), 60, axis=0)),
+        with_body(rows=walls(19)),
+    ],
+    ids=["none", "two beams", "far", "range changes", "rarely hit", "robot stands", "few scans"],
+)
+def test_other_beams_are_not_the_robots_own_body(rows):
+    assert measure_ranges(laser(rows)).body is None
+
+
+def test_sectors_of_the_body_go_on_through_the_border_of_a_full_turn():
+    rows = with_body(0, 10, rows=with_body(175, 180, range_m=0.4))  # steps of 2 deg
+    body = measure_ranges(laser(rows, step=np.radians(2.0))).body
+    assert body.sectors_deg == (pytest.approx((260.0, 288.0), abs=0.01),)
+    assert (body.nearest_m, body.farthest_m, body.range_min_m) == pytest.approx((0.25, 0.4, 0.5), abs=0.005)
+
+
+def test_the_walls_of_a_corridor_are_not_the_robots_own_body():
+    scans = [frame.scan for frame in registry.dataset("corridor").make().frames()]
+    stream = replace(laser([scan.ranges for scan in scans]), angles=scans[0].angles)
+    assert measure_ranges(stream).body is None
+    body = np.arange(len(scans[0].angles)) < 80
+    seen = replace(stream, scans=ScanSample(np.where(body, 0.25, scan.ranges) for scan in scans))
+    assert measure_ranges(seen).body.share == 0.1
+
+
+def test_the_robots_own_body_is_a_warning_that_a_comparison_repeats(tmp_path):
+    rows, poses = with_body(), arc(count=60).poses
+    path = log(tmp_path, *(flaser(f"{1000 + 0.1 * at:.6f}", rows[at], poses[at]) for at in range(60)))
+    what = "6 % of the beams (10 to 19 deg) always have the same range, 0.25 m: the robot's own body?"
+    advice = "set range_min_m = 0.3 (m): all methods then leave them out, with all else that is nearer"
+    (found,) = [one for one in inspect_recording(path).findings if "body" in one.what]
+    assert (found.level, found.what, found.advice) == ("warning", what, advice)
+    choose = registry.dataset("carmen").choose
+    said = [(one.reason, one.warns) for one in choose({"path": str(path), "range_min_m": 0.2}) if "body" in one.reason]
+    assert said == [(f"warning: FLASER / ROBOTLASER1: {what}; {advice}", True)]
+    assert not any("body" in one.reason for one in choose({"path": str(path), "range_min_m": 0.3}))
+    printed = CliRunner().invoke(cli.app, ["inspect", str(path), "--out", str(tmp_path / "page")]).output
+    assert " ".join(printed.split()).count(f"{what}; {advice}") == 1
+    assert "10 to 19 deg" in (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+
+
 # --- long recordings
 
 
@@ -641,6 +713,10 @@ def test_clock_zeros_and_missing_frames_of_the_wheelchair_are_found():
     assert all(lidar.clock.median_s == pytest.approx(0.24, abs=0.01) for lidar in found.lidars)
     assert all(0.13 < lidar.returns.zero < 0.21 for lidar in found.lidars)
     assert "no transforms" in run_inspection(found)
+    bodies = [lidar.returns.body for lidar in found.lidars]  # at both ends of a view of 270 deg
+    assert [[round(edge) for sector in body.sectors_deg for edge in sector] for body in bodies] == [
+        [-135, -130, 134, 135], [-135, -126, 128, 135], [-135, -132, 133, 135]
+    ]  # fmt: skip
     assert best_lidar(found)[0].topic == "/right_scan"
     told = 'it is a catalogued recording: use = "wheelchair" runs it with its parameters and ground truth'
     chosen = registry.dataset("rosbag").choose({"path": str(found.path)})  # as before a comparison
@@ -649,7 +725,7 @@ def test_clock_zeros_and_missing_frames_of_the_wheelchair_are_found():
 
 def test_the_stationary_robot_is_found_to_be_at_rest():
     found = inspect_real("bags", "static-2xhokuyo.bag")
-    assert all(lidar.returns.still > 0.99 for lidar in found.lidars)
+    assert all(lidar.returns.still > 0.99 and lidar.returns.body is None for lidar in found.lidars)
     assert "the robot stands still" in run_inspection(found)
 
 
@@ -658,6 +734,7 @@ def test_the_turtlebots_lidar_is_rotated_and_its_two_bases_are_reported():
     (seat,) = found.frames.mountings
     assert (seat.x_m, seat.y_m, seat.theta_deg) == pytest.approx((0.004, 0.0, 90.0), abs=1e-3)
     assert found.lidars[0].returns.infinite == pytest.approx(0.23, abs=0.005)
+    assert found.lidars[0].returns.body is None
     odometry = next(one for one in found.odometries if one.topic == "/odom")
     assert odometry.path_m == pytest.approx(8.35, abs=0.01)
     assert odometry.like_wheels
@@ -684,6 +761,7 @@ def test_raw_wheel_odometry_is_distinguished_from_pseudo_odometry():
     found = inspect_recording(recorded("intel", "intel-merged.clf.gz"))
     assert all(one.like_wheels for one in found.odometries)
     assert found.lidars[0].returns.codes[0].low_m == 81.83
+    assert found.lidars[0].returns.body is None
     assert found.lidars[0].timing.gaps[0].length_s == pytest.approx(28.3, abs=0.1)
 
 

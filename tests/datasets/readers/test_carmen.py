@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.core.errors import BadData, DataMissing
+from evalkit.core.errors import BadData, BadParameter, DataMissing
 from evalkit.core.pose import Pose
 from evalkit_datasets.readers.carmen import SPEC, Carmen
 
@@ -115,6 +115,17 @@ def test_the_maximum_range_is_a_parameter(tmp_path):
     ranges = ranges_of(Carmen(log(tmp_path, flaser(1.0, beams(30.0, 29.99))), range_max_m=30.0))
     assert np.isposinf(ranges[0])
     assert ranges[1] == 29.99
+
+
+def test_ranges_below_the_minimum_are_invalid_and_counted(tmp_path):
+    path = log(tmp_path, flaser(1.0, beams(0.29, 0.3, 81.83)))
+    sequence = Carmen(path, range_min_m=0.3)
+    np.testing.assert_equal(ranges_of(sequence)[:4], [math.nan, 0.3, math.inf, 2.0])
+    assert next(sequence.frames()).scan.range_min_m == 0.3
+    assert sequence.notes() == {"invalid ranges": 1}
+    assert ranges_of(Carmen(path))[0] == 0.29
+    with pytest.raises(BadParameter, match=r"carmen: parameter 'range_min_m': found '50', expected less than .* 50 m"):
+        Carmen(path, range_min_m=50.0)
 
 
 def test_nan_negative_and_zero_ranges_are_invalid_and_counted(tmp_path):

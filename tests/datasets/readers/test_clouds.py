@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
-from evalkit.core.errors import BadData
+from evalkit.core.errors import BadData, BadParameter
 from evalkit_datasets.commands.inspect.inspector import inspect_recording
 from evalkit_datasets.commands.inspect.suggested_config import suggest_config
 from evalkit_datasets.parsing import cloud_files
@@ -113,6 +113,19 @@ def test_a_folder_of_clouds_is_a_sequence_in_the_order_of_its_numbers(folder):
     assert [frame.scan.stamp_ns for frame in frames] == [2 * 10**8, 5 * 10**8, 8 * 10**8, 11 * 10**8]
     assert [round(frame.scan.points()[:, 0].max(), 3) for frame in frames] == [3.9, 3.75, 3.6, 3.45]
     assert frames[0].odom_from_base is None
+
+
+def test_points_nearer_than_the_minimum_are_left_out(folder):
+    """The first cloud is a square of 8 m: corners are more than 4.5 m away, the middles of its sides 4 m."""
+    first = next(Clouds(str(folder), range_min_m=4.5).frames()).scan
+    whole = next(Clouds(str(folder)).frames()).scan
+    assert (first.range_min_m, whole.range_min_m) == (4.5, 0.1)
+    far = whole.ranges >= 4.5
+    np.testing.assert_equal(first.ranges[far], whole.ranges[far])
+    assert np.nanmin(first.ranges) >= 4.5
+    assert 0 < first.hits.sum() < whole.hits.sum() == 720
+    with pytest.raises(BadParameter, match="clouds: parameter 'range_min_m': found '200', expected less than"):
+        Clouds(str(folder), range_min_m=200.0)
 
 
 def test_a_folder_of_clouds_is_inspected_and_the_command_runs_it(folder):

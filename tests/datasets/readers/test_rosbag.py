@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.core.errors import BadData, DataMissing
+from evalkit.core.errors import BadData, BadParameter, DataMissing
 from evalkit.core.pose import Pose
 from evalkit_datasets.readers.rosbag import SPEC, RosBag
 
@@ -189,6 +189,20 @@ def test_ranges_follow_rep_117_and_the_limits_of_the_message(tmp_path):
     assert np.isnan(ranges[:5]).all()
     assert ranges[5:].tolist() == [0.125, math.inf, math.inf, math.inf, 11.0]
     assert sequence.notes()["invalid ranges (nan, zero, negative or below the minimum)"] == 5
+
+
+def test_ranges_below_a_given_minimum_are_invalid_unless_the_message_states_a_larger_one(tmp_path):
+    bag = Bag("mcap").scan(T0, [0.1, 0.125, 0.25, 0.5, math.inf]).scan(T0 + 10**9, [0.5, 1.0, 2.0], range_min=0.75)
+    path, name = str(bag.write(tmp_path)), "invalid ranges (nan, zero, negative or below the minimum)"
+    assert RosBag(path).notes()[name] == 2
+    sequence = RosBag(path, range_min_m=0.3)
+    first, second = (frame.scan for frame in sequence.frames())
+    np.testing.assert_equal(first.ranges, [math.nan, math.nan, math.nan, 0.5, math.inf])
+    np.testing.assert_equal(second.ranges, [math.nan, 1.0, 2.0])
+    assert [scan.range_min_m for scan in (first, second)] == [0.3, 0.75]
+    assert sequence.notes()[name] == 4
+    with pytest.raises(BadParameter, match=r"rosbag: parameter 'range_min_m': found '12', expected less than .* 12 m"):
+        RosBag(path, range_min_m=12.0)
 
 
 def test_a_scan_that_turns_clockwise_keeps_its_firing_order(tmp_path):

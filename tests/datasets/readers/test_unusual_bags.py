@@ -299,6 +299,30 @@ def test_the_time_of_a_revolution_a_scan_is_suggested(tmp_path):
     assert "set sweep_s = 0.2 of the reader" in found.advice
 
 
+# --- the robot's own body
+
+
+def test_a_comparison_warns_of_the_body_in_view_of_the_lidar_that_it_uses(tmp_path):
+    """40 of 200 beams of the front lidar, through the border of the full turn, end at posts of the robot."""
+    bag, rng = Bag("mcap"), np.random.default_rng(5)
+    turn = {"angle_min": -math.pi, "angle_increment": math.radians(1.8), "angle_max": math.pi}
+    for k in range(40):
+        walls = rng.uniform(1.0, 8.0, 200)
+        posts = np.where(np.arange(200) < 20, 0.24, np.where(np.arange(200) >= 180, 0.27, walls))
+        bag.scan(T0 + k * PERIOD, posts, "/front", **turn).scan(T0 + k * PERIOD, walls, "/rear", **turn)
+    path = bag.write(tmp_path)
+    (found,) = [one for one in inspect_recording(path).findings if "own body" in one.what]
+    assert (found.level, found.about) == ("warning", "/front")
+    assert found.what.startswith("20 % of the beams (144 to 214 deg) always have the same range, 0.24 to 0.27 m:")
+    assert found.advice.startswith("set range_min_m = 0.3 (m)")
+    for topic, count in (("/front", 1), ("/rear", 0)):
+        choices = choose_parameters("rosbag", {"path": str(path), "topic": topic})
+        assert sum(one.warns and "own body" in one.reason for one in choices) == count
+    assert not any(
+        np.nanmin(frame.scan.ranges) < 0.3 for frame in RosBag(str(path), "/front", range_min_m=0.3).frames()
+    )
+
+
 # --- damaged indexes
 
 

@@ -97,6 +97,9 @@ DIRECTION_REMEDIES = {
 }
 """How the direction of the angles is stated, by reader; other formats define it."""
 
+MAX_SECTORS = 3
+"""Sectors of the robot's own body that are listed."""
+
 MIN_STANDING, MAX_STILL_OF_MOVING = 0.99, 0.5
 """An odometry that stands for a larger share of the time contradicts scans of which a smaller share does not change."""
 
@@ -170,6 +173,7 @@ def _check_lidars(lidars: Sequence[LidarStats]) -> Iterator[InspectionFinding]:
         yield from _check_units(lidar)
         yield from _check_times(lidar)
         yield from _check_ranges(lidar)
+        yield from check_body(lidar)
     if len(lidars) > 1:
         names = ", ".join(lidar.topic for lidar in lidars)
         yield _note("lidars", f"{len(lidars)} lidars: {names}; a run uses one of them", "select one with topic")
@@ -269,6 +273,20 @@ def _check_ranges(lidar: LidarStats) -> Iterator[InspectionFinding]:
         yield _note(
             about, "the robot stands still: scans do not change within a second", "suitable for noise, not for drift"
         )
+
+
+def check_body(lidar: LidarStats) -> Iterator[InspectionFinding]:
+    """Warn of beams that hit the robot itself."""
+    body = lidar.returns.body
+    if body is None:
+        return
+    listed = [f"{first:.0f} to {last:.0f}" for first, last in body.sectors_deg[:MAX_SECTORS]]
+    sectors = ", ".join([*listed, *(["..."] if len(body.sectors_deg) > MAX_SECTORS else [])])
+    ranges = " to ".join(dict.fromkeys([f"{body.nearest_m:.2f}", f"{body.farthest_m:.2f}"]))
+    beams = f"{100 * body.share:.0f} % of the beams ({sectors} deg)"
+    what = f"{beams} always have the same range, {ranges} m: the robot's own body?"
+    advice = f"set range_min_m = {body.range_min_m:g} (m): all methods then leave them out"
+    yield _warning(lidar.topic, what, f"{advice}, with all else that is nearer")
 
 
 def is_default_code(low_m: float) -> bool:

@@ -1,8 +1,9 @@
-"""Measure the ranges of a lidar: no-return codes, invalid ranges, resolution, and whether the robot stands still."""
+"""Measure the ranges of a lidar: no-return codes, invalid ranges, resolution, the robot's own body, standstill."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +41,23 @@ RARE = 0.01
 STILL_CHANGES = ((0.02, 0.5), (0.06, 0.8))
 """Of a robot that stands: limits (m) of the change of a range within a second, and the least share of ranges within."""
 
+BODY_SAME_M, BODY_SHARE, MAX_BODY_M = 0.03, 0.9, 1.5
+"""Of a beam that hits the robot: limit (m) of the distance of its ranges from their median, the least share of scans
+with a hit and of hits within the limit, and the longest median."""
+
+MAX_OTHERS_SAME, MIN_OTHERS_HITS = 0.5, 0.1
+"""Largest share of ranges within that limit of the other beams, as their median: else the robot may stand. Beams with a
+hit in fewer scans do not count."""
+
+MIN_BODY, MIN_BODY_BEAMS, MIN_BODY_SCANS = 0.01, 3, 20
+"""Least share and number of the beams that hit the robot, and least number of scans to tell."""
+
+MAX_BODY_GAP_DEG = 5.0
+"""Beams on the robot that are at most this far apart belong to one sector."""
+
+COLUMNS = 64
+"""Beams whose ranges are copied at a time."""
+
 STEPS_M = (0.05, 0.01, 0.005, 0.001)
 
 
@@ -54,12 +72,31 @@ class NoReturnCode:
 
 
 @dataclass(frozen=True, slots=True)
+class BodyInView:
+    """Beams that always have the same range: probably the robot's own body.
+
+    ``share``: of all beams. ``sectors_deg``: angles of the first and the last beam of each sector, in the lidar's frame
+    and as its scans state them. ``nearest_m``, ``farthest_m``: the extremes of the beams' median ranges.
+    """
+
+    share: float
+    sectors_deg: tuple[tuple[float, float], ...]
+    nearest_m: float
+    farthest_m: float
+
+    @property
+    def range_min_m(self) -> float:
+        """The least range, in whole tenths of a metre, that leaves these beams out."""
+        return math.ceil(round(10.0 * (round(self.farthest_m, 2) + BODY_SAME_M), 6)) / 10.0
+
+
+@dataclass(frozen=True, slots=True)
 class RangeStats:
     """Shares of all beams (0 to 1), and statistics of the ranges (m) that are hits.
 
     ``codes``: finite values that probably mean no return. ``step_m``: resolution of the ranges, 0 if it is none of the
     usual ones. ``repeated``: number of scans equal to the previous one. ``still``: share of the scans that did not
-    change within a second; nan if unknown.
+    change within a second; nan if unknown. ``body``: what the lidar sees of the robot, None if nothing.
     """
 
     beams: tuple[int, ...]
@@ -79,6 +116,7 @@ class RangeStats:
     step_m: float
     repeated: int
     still: float
+    body: BodyInView | None
 
     @property
     def invalid(self) -> float:
@@ -117,6 +155,7 @@ def measure_ranges(laser: LaserStream) -> RangeStats:
         step_m=_find_step_m(plain),
         repeated=laser.scans.repeated,
         still=_measure_still(laser),
+        body=find_body(laser, codes),
     )
 
 
@@ -143,6 +182,55 @@ def find_no_return_codes(ranges: Sequence[Floats], range_max_m: float = np.inf) 
             low, high = float(values[first]), float(values[last])
             codes.append(NoReturnCode(low, high, float(within.mean()), evidence))
     return tuple(reversed(codes))
+
+
+def find_body(laser: LaserStream, codes: Sequence[NoReturnCode] = ()) -> BodyInView | None:
+    """Return the beams that always have the same short range while the others change, None if there are none.
+
+    Only scans with as many beams as the first are looked at. ``codes``: ranges that mean no return.
+    """
+    rows = [row for row in laser.ranges if len(row) == len(laser.angles)]
+    if len(rows) < MIN_BODY_SCANS:
+        return None
+    parts = [_measure_beams(block, laser, codes) for block in _iter_blocks(rows)]
+    hits, medians_m, same = (np.concatenate(part) for part in zip(*parts, strict=True))
+    fixed = (hits >= BODY_SHARE) & (same >= BODY_SHARE) & (medians_m <= MAX_BODY_M)
+    others = same[~fixed & (hits >= MIN_OTHERS_HITS)]
+    beams = np.flatnonzero(fixed)
+    few = len(beams) < max(MIN_BODY * len(fixed), MIN_BODY_BEAMS)
+    if few or not len(others) or np.median(others) > MAX_OTHERS_SAME:
+        return None
+    nearest, farthest = float(medians_m[beams].min()), float(medians_m[beams].max())
+    return BodyInView(_mean(fixed), _find_sectors_deg(np.degrees(laser.angles[beams])), nearest, farthest)
+
+
+def _iter_blocks(rows: Sequence[Floats]) -> Iterator[Floats]:
+    """Yield the ranges (K, at most ``COLUMNS``) of scans (B,), some beams at a time to save memory."""
+    for first in range(0, len(rows[0]), COLUMNS):
+        yield np.array([row[first : first + COLUMNS] for row in rows])
+
+
+def _measure_beams(block: Floats, laser: LaserStream, codes: Sequence[NoReturnCode]) -> tuple[Floats, Floats, Floats]:
+    """Return of each beam the share of scans with a hit, the median range, and the share of hits close to it."""
+    low, high = np.fmax(laser.range_min_m, 0.0), np.fmin(laser.range_max_m, np.inf)  # nan: not stated
+    valid = (block > 0.0) & (block >= low) & (block < high)
+    for code in codes:
+        valid &= (block < code.low_m) | (block > code.high_m)
+    counts = valid.sum(axis=0)
+    ordered = np.sort(np.where(valid, block, np.inf), axis=0)
+    medians = ordered[np.maximum(counts - 1, 0) // 2, np.arange(len(counts))]  # inf where there is no hit
+    near = np.isfinite(ordered) & (ordered >= medians - BODY_SAME_M) & (ordered <= medians + BODY_SAME_M)
+    return counts / len(block), medians, near.sum(axis=0) / np.maximum(counts, 1)
+
+
+def _find_sectors_deg(angles_deg: Floats) -> tuple[tuple[float, float], ...]:
+    """Return first and last angle of each group of directions (K,); one through the border of a full turn goes on."""
+    ordered = np.sort(angles_deg)
+    cuts = np.flatnonzero(np.diff(ordered) > MAX_BODY_GAP_DEG) + 1
+    groups = [(float(part[0]), float(part[-1])) for part in np.split(ordered, cuts)]
+    if len(groups) > 1 and groups[0][0] + 360.0 - groups[-1][1] <= MAX_BODY_GAP_DEG:
+        groups = [*groups[1:-1], (groups[-1][0], groups[0][1] + 360.0)]
+    return tuple(groups)
 
 
 def _find_clusters(values: Floats, counts: Ints, min_count: float) -> list[tuple[int, int]]:

@@ -18,10 +18,17 @@ from evalkit.core.se2 import wrap
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import Choice
-from evalkit_datasets.commands.inspect.findings import DIRECTION, LidarStats, is_default_code
+from evalkit_datasets.commands.inspect.findings import (
+    DIRECTION,
+    InspectionFinding,
+    LidarStats,
+    check_body,
+    is_default_code,
+)
 from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
+from evalkit_datasets.parsing.range_minimum import RANGE_MIN
 from evalkit_datasets.parsing.truth_files import TruthPaths, load_truth
 from evalkit_datasets.recordings import catalog, data_sets
 
@@ -102,7 +109,7 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     lidar = next((one for one in recording.lidars if one.topic == given.get("topic")), best_lidar(recording)[0])
     choose = {"carmen": _choose_for_log, "rosbag": _choose_for_bag}.get(_find_reader(recording), _choose_for_columns)
     choices = [*_repeat_problems(recording, given), *choose(recording), *_find_truth_files(recording, given)]
-    choices += _choose_cells(lidar)
+    choices += [*_repeat_body(lidar, given), *_choose_cells(lidar)]
     choices = [one for one in choices if one.name not in given]
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
     tried = _try_reader(_find_reader(recording), {"path": str(recording.path), **values, **given})
@@ -208,9 +215,20 @@ def _repeat_problems(recording: Inspection, given: Mapping[str, Value]) -> Itera
         unused = finding.about.startswith("odometry ") and given.get("odometry") == "none"
         stated = finding.about == DIRECTION and not STATES_DIRECTION.isdisjoint(given)
         if not unused and not stated and finding.what not in said:
-            advice = f"; {finding.advice}" if finding.advice else ""
-            yield Choice(PROBLEM, None, f"{finding.level}: {finding.about}: {finding.what}{advice}", warns=True)
+            yield _repeat(finding)
         said.add(finding.what)
+
+
+def _repeat_body(lidar: LidarStats, given: Mapping[str, Value]) -> Iterator[Choice]:
+    """Say before a comparison that the lidar sees the robot itself, unless its ranges are left out already."""
+    body = lidar.returns.body
+    if body is not None and float(str(given.get(RANGE_MIN.name, 0.0))) < body.range_min_m:
+        yield from map(_repeat, check_body(lidar))
+
+
+def _repeat(finding: InspectionFinding) -> Choice:
+    advice = f"; {finding.advice}" if finding.advice else ""
+    return Choice(PROBLEM, None, f"{finding.level}: {finding.about}: {finding.what}{advice}", warns=True)
 
 
 def _choose_for_columns(_recording: Inspection) -> Iterator[Choice]:
