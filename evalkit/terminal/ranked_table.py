@@ -147,7 +147,7 @@ def _rows_of_answer(analysis: Analysis) -> tuple[str, list[RankedRow]]:
     base = next((ratio for one, ratio in part if one.method in baselines), None)
     rows = []
     for one, ratio in part:
-        note = f"best or tied on {one.led} of {one.counted}" if one.led else ""
+        note = f"best or tied {one.led}/{one.counted}" if one.led else ""
         note += (", cheapest" if note else "cheapest") if answer.cheapest is one else ""
         against = _against(ratio, base, one.method in baselines)
         rows.append(RankedRow(one.method, f"{ratio:.2f} x", against, _cost(counted, one.method), note, ratio))

@@ -288,23 +288,26 @@ DISTURBANCES = {
 """How a pill states each cause, and the limit beyond which it is one."""
 
 
-@kind(IN_PILLS, r"times from a busy machine \((?P<count>\d+) of (?P<all>\d+) runs disturbed: (?P<causes>.+)\)$")
-def busy(facts: Facts, count: str, causes: str, **said: str) -> Iterator[str]:
+@kind(IN_PILLS, r"times from a busy machine \((?P<count>\d+) of (?P<all>\d+) runs disturbed: (?P<cause>.+)\)$")
+def busy(facts: Facts, count: str, cause: str, **said: str) -> Iterator[str]:
     known = [run["conditions"] for run in facts.content["runs"] if run["conditions"] is not None]
     disturbed = [one for one in known if one["disturbed"]]
     yield from same("runs", int(said["all"]), len(known))
     yield from same("disturbed", int(count), len(disturbed))
-    yield from same("up to", "up to" in causes, len(disturbed) > 1)
-    named = 0
-    for name, (pattern, limit) in DISTURBANCES.items():
-        own = [one for one in disturbed if name != "waited_percent" or (one["busy_threads"] or 1) == 1]
-        largest = max((one[name] or 0.0 for one in own), default=0.0)
-        found = re.search(pattern, causes)
-        yield from same(name, found is not None, largest > limit)
-        named += found is not None
-        if found:
-            yield from check_amount(name, found[1], largest)
-    yield from same("causes", causes.count(" took "), named)
+    yield from same("up to", "up to" in cause, len(disturbed) > 1)
+    taken = {
+        name: [
+            one[name] or 0.0
+            for one in disturbed
+            if (one[name] or 0.0) > limit and (name != "waited_percent" or (one["busy_threads"] or 1) == 1)
+        ]
+        for name, (_, limit) in DISTURBANCES.items()
+    }
+    named = {name: found for name, (pattern, _) in DISTURBANCES.items() if (found := re.fullmatch(pattern, cause))}
+    yield from same("causes", len(named), 1)
+    for name, found in named.items():
+        yield from same("runs of the cause", len(taken[name]), max(map(len, taken.values())))
+        yield from check_amount(name, found[1], max(taken[name], default=0.0))
 
 
 def _tuned_on(facts: Facts, method: str) -> list[str]:

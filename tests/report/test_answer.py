@@ -286,11 +286,11 @@ def test_a_busy_machine_is_named_and_an_idle_one_is_not(build, three):
     low = RunConditions(load=0.26, other_percent=7.04)
     once = "times from a busy machine (1 of 18 runs disturbed: other programs took 7.0 % of the core)"
     assert once in under(low)
-    both = (
-        "times from a busy machine (2 of 18 runs disturbed: other programs took up to 7.0 % of the core, the "
-        "hypervisor took up to 2.4 % of the core and waiting for the core took up to 40 % of the time)"
-    )
-    assert both in under(low, RunConditions(other_percent=4.9, steal_percent=2.4, waited_percent=40.0))
+    most = "times from a busy machine (3 of 18 runs disturbed: waiting for the core took up to 40 % of the time)"
+    others = RunConditions(steal_percent=2.4, waited_percent=40.0), RunConditions(waited_percent=6.0)
+    assert most in under(low, *others)
+    equal = "times from a busy machine (2 of 18 runs disturbed: other programs took up to 7.0 % of the core)"
+    assert equal in under(low, others[0])
     threads = RunConditions(waited_percent=40.0, busy_threads=2)  # its threads wait for each other
     calm = [*under(RunConditions(other_percent=0.5)), *under(threads), *pills(build(three))]
     assert not any("busy" in text for text in calm)

@@ -135,17 +135,15 @@ def _group(what: str, found: Mapping[str, Sequence[str]]) -> list[Pill]:
 
 
 def _describe_load(runs: Sequence[RunRecord]) -> Pill | None:
-    """Return the runs during which other programs used the machine, and the largest of what exceeded its limit."""
+    """Return the runs during which other programs used the machine, and the most of what disturbed most of them."""
     known = [run.result.conditions for run in runs if run.result.conditions is not None]
     found = [own for one in known if (own := one.disturbances)]
     if not found:
         return None
-    up_to = "" if len(found) == 1 else "up to "
-    parts = []
-    for name, (what, of) in DISTURBANCES.items():
-        if percent := max(own.get(name, 0.0) for own in found):
-            parts.append(f"{what} {up_to}{percent:.{int(percent < 9.95)}f} % of {of}")
-    return Pill(f"times from a busy machine ({len(found)} of {len(known)} runs disturbed: {join_words(parts)})")
+    name = max(DISTURBANCES, key=lambda one: sum(one in own for own in found))
+    (what, of), percent = DISTURBANCES[name], max(own.get(name, 0.0) for own in found)
+    most = f"{'' if len(found) == 1 else 'up to '}{percent:.{int(percent < 9.95)}f} %"
+    return Pill(f"times from a busy machine ({len(found)} of {len(known)} runs disturbed: {what} {most} of {of})")
 
 
 def _describe_tuned(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> list[Pill]:
