@@ -396,22 +396,29 @@ static void constant_velocity_is_extrapolated_for_two_steps_at_most(void)
     CHECK_NEAR(scan.hits[0], 2.0, TOLERANCE);
 }
 
+/* A sweep of two beams that end 2 m away; it takes 100 ns. */
+static ek_sweep sweep_of_two(void)
+{
+    static ek_real ranges[2] = {EK_R(2.0), EK_R(2.0)}, angles[2] = {EK_R(0.0), EK_R(0.0)};
+    ek_sweep sweep;
+    memset(&sweep, 0, sizeof sweep);
+    sweep.ranges = ranges;
+    sweep.angles = angles;
+    sweep.beams = 2u;
+    sweep.time_increment_ns = 100;
+    return sweep;
+}
+
 /* Sweeps of 100 ns without a pause, matched at 0, 0.3 and 0.5 m. Deskewed at 0, 0 and 0.3 m a sweep, their middles are at 0, 0.3
  * and 0.65 m, and their first beams half a step of 0.3 and 0.35 m before. Points are 0.15 and -0.025 m from there. */
 static void the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two_sweeps(void)
 {
     static const double matched[] = {0.0, 0.3, 0.5}, first[] = {0.0, 0.15, 0.475}, within[] = {0.0, 0.3, 0.35};
     static const double predicted[] = {0.0, 0.15, 0.325};
-    ek_real ranges[2] = {EK_R(2.0), EK_R(2.0)}, angles[2] = {EK_R(0.0), EK_R(0.0)};
     const ek_scan_parameters parameters = {ORIGIN, EK_R(0.1), EK_R(10.0), EK_R(0.0)};
+    ek_sweep sweep = sweep_of_two();
     ek_motion motion;
-    ek_sweep sweep;
     memset(&motion, 0, sizeof motion);
-    memset(&sweep, 0, sizeof sweep);
-    sweep.ranges = ranges;
-    sweep.angles = angles;
-    sweep.beams = 2u;
-    sweep.time_increment_ns = 100;
     for (size_t k = 0; k < 3u; k++) {
         const ek_prior prior = {(int64_t)(100u * k), 0, ORIGIN}, next = {(int64_t)(100u * k + 100u), 0, ORIGIN};
         CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OK);
@@ -440,19 +447,13 @@ static void the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two
 static void sweeps_less_than_half_a_sweep_apart_tell_no_velocity(void)
 {
     static const double soon[] = {0.2, 0.4};
-    ek_real ranges[2] = {EK_R(2.0), EK_R(2.0)}, angles[2] = {EK_R(0.0), EK_R(0.0)};
     const ek_scan_parameters parameters = {ORIGIN, EK_R(0.1), EK_R(10.0), EK_R(0.0)};
+    const ek_sweep sweep = sweep_of_two();
     for (size_t k = 0; k < 2u; k++) {
         const int64_t stamps[] = {0, 100, 149, 300};
         const double matched[] = {0.0, 0.2, soon[k], 0.7}, step[] = {0.0, 0.2, 0.2, 0.6};
         ek_motion motion;
-        ek_sweep sweep;
         memset(&motion, 0, sizeof motion);
-        memset(&sweep, 0, sizeof sweep);
-        sweep.ranges = ranges;
-        sweep.angles = angles;
-        sweep.beams = 2u;
-        sweep.time_increment_ns = 100;
         for (size_t at = 0; at < 4u; at++) {
             const ek_prior prior = {stamps[at], 0, ORIGIN};
             CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OK);
