@@ -20,6 +20,10 @@ LAYOUT = "t x y z qx qy qz qw"
 MAX_TILT_RAD = math.radians(30.0)
 """A frame tilted by more does not lie in the plane of a floor: a ramp is less steep."""
 
+CLEARLY_RAD = math.radians(5.0), math.radians(0.5)
+"""Quaternions are in another order where the poses are then less tilted by this, or by the second if they are upside
+down as given, which few are."""
+
 
 @dataclass(frozen=True, eq=False)
 class TumFile:
@@ -81,22 +85,30 @@ def _check_pose(path: Path, line: int, values: list[float]) -> list[float]:
 def _check_tilt(path: Path, lines: list[int], quaternions: Floats) -> None:
     """Raise BadData for quaternions (N, 4) in another order, or of a frame that does not lie in the plane.
 
-    All poses may be upside down, as those of a lidar mounted so are.
+    All poses may be upside down, as those of a lidar mounted so are. Of both orders that is the right one by which the
+    poses are less tilted; a robot that never turned tells neither.
     """
-    limit, upright = math.cos(MAX_TILT_RAD), _cos_of_tilt(quaternions)
-    swapped = bool((_cos_of_tilt(np.roll(quaternions, -1, axis=1)) > limit).all() and (upright < limit).mean() > 0.5)
-    side = -1.0 if (upright < 0.0).all() and not swapped else 1.0
-    tilted = np.flatnonzero(side * upright < limit)
+    upright = _cos_of_tilt(quaternions)
+    upside_down = bool((upright < 0.0).all())
+    tilts, clearly_rad = _tilts_of(-upright if upside_down else upright), CLEARLY_RAD[upside_down]
+    others = _tilts_of(_cos_of_tilt(np.roll(quaternions, -1, axis=1)))
+    swapped = bool(others.max() <= MAX_TILT_RAD and others.max() + clearly_rad < tilts.max())
+    tilted = np.flatnonzero(tilts > (clearly_rad if swapped else MAX_TILT_RAD))
     if not len(tilted):
         return
-    tilt_deg = math.degrees(math.acos(np.clip(side * upright[tilted[0]], -1.0, 1.0)))
     remedy = f"expected '{LAYOUT}' of a frame with x forward and z up"
     if swapped:
         remedy += "; its quaternions are in the order 'qw qx qy qz': move qw to the end"
     else:
         remedy += "; turn the poses of a camera or an IMU with other axes (z forward) into those of the robot's base"
-    what = f"a pose tilted by {tilt_deg:.0f} deg to the plane (at most {math.degrees(MAX_TILT_RAD):.0f} deg)"
+    tilt_deg = math.degrees(math.acos(np.clip(upright[tilted[0]], -1.0, 1.0)))
+    most = "" if swapped else f" (at most {math.degrees(MAX_TILT_RAD):.0f} deg)"
+    what = f"a pose tilted by {tilt_deg:.0f} deg to the plane{most}"
     raise BadData(str(path), f"line {lines[tilted[0]]}", what, remedy)
+
+
+def _tilts_of(cosines: Floats) -> Floats:
+    return np.asarray(np.arccos(np.clip(cosines, -1.0, 1.0)))
 
 
 def _cos_of_tilt(quaternions: Floats) -> Floats:

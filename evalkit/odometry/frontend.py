@@ -281,8 +281,9 @@ class Motion:
     A scan that is deskewed at a wrong velocity is bent, but half of its beams are displaced to one side and half to the
     other: where it is matched, the base is right in the middle of the sweep. So where the motion within the scan is not
     measured, the velocity is that from the middle of the last sweep to the middle of this one, and going back from the
-    middle at that velocity gives the pose at the first beam. Stamps less than half a sweep apart (the same scan twice,
-    or stamps of arrival) tell no velocity: it stays, and the next one is measured from the sweep before them.
+    middle at that velocity gives the pose at the first beam. Where beams have times, stamps less than half a sweep
+    apart (the same scan twice, or stamps of arrival) tell no velocity: it stays, and the next one is measured from the
+    sweep before them.
     """
 
     def __init__(self, prior: str, deskew: bool = True) -> None:

@@ -183,7 +183,7 @@ def format_rows(head: str, rows: Sequence[RankedRow], width: int, cost: str = CP
 
     Columns: method, error, its interval as a bar, error by the baseline's, error of corrected poses, CPU time a scan,
     note. ``cost``: heading of the column of the CPU time, "" without one. What is too wide goes in this order: the
-    bar, the middle of the names, the end of the line.
+    bar, the middle of the names, unless two become equal, and the end of the line.
     """
     for line in _format_lines(head, rows, width, cost):
         line.truncate(width, overflow="ellipsis")
@@ -198,9 +198,10 @@ def _format_lines(head: str, rows: Sequence[RankedRow], width: int, cost: str) -
     room = width - sum(size + 2 for size in sizes if size)
     bar = min(room - 2, BARS[0]) if room - 2 >= BARS[1] else 0
     if room < 0:
-        sizes[0] = min(sizes[0], max(sizes[0] + room, LEAST_NAME))
-        for own in cells:
-            own[0] = cut_middle(own[0], sizes[0])
+        size = min(sizes[0], max(sizes[0] + room, LEAST_NAME))
+        names = [cut_middle(own[0], size) for own in cells]
+        if len({*names}) == len({own[0] for own in cells}):  # else the lines are cut at their ends
+            sizes[0], cells = size, [[name, *own[1:]] for name, own in zip(names, cells, strict=True)]
     scale = _Scale([value for row in shown for value in (row.low, row.value, row.high) if value is not None], bar)
     left = sum(size + 2 for size in (*sizes[:2], bar, sizes[2]) if size)
     heads = [f"{text:>{size}}" for text, size in ((CORRECTED, sizes[3]), (cost, sizes[4])) if size]

@@ -281,20 +281,22 @@ def lost_pill(
 
 
 DISTURBANCES = {
-    "other_percent": (rf"other programs took (?:up to )?({NUMBER}) % of the core", 5.0),
-    "steal_percent": (rf"the hypervisor took (?:up to )?({NUMBER}) % of the core", 2.0),
-    "waited_percent": (rf"waiting for the core took (?:up to )?({NUMBER}) % of the time", 5.0),
+    "other_percent": (rf"other programs: (?:up to )?({NUMBER}) % of the core", 5.0),
+    "steal_percent": (rf"the hypervisor: (?:up to )?({NUMBER}) % of the core", 2.0),
+    "waited_percent": (rf"waiting for the core: (?:up to )?({NUMBER}) % of the time", 5.0),
 }
 """How a pill states each cause, and the limit beyond which it is one."""
 
 
-@kind(IN_PILLS, r"times from a busy machine \((?P<count>\d+) of (?P<all>\d+) runs disturbed: (?P<cause>.+)\)$")
+@kind(
+    IN_PILLS,
+    r"times from a busy machine \((?P<count>\d+) of (?P<all>\d+) runs disturbed, (?P<by>\d+) by (?P<cause>.+)\)$",
+)
 def busy(facts: Facts, count: str, cause: str, **said: str) -> Iterator[str]:
     known = [run["conditions"] for run in facts.content["runs"] if run["conditions"] is not None]
     disturbed = [one for one in known if one["disturbed"]]
     yield from same("runs", int(said["all"]), len(known))
     yield from same("disturbed", int(count), len(disturbed))
-    yield from same("up to", "up to" in cause, len(disturbed) > 1)
     taken = {
         name: [
             one[name] or 0.0
@@ -306,7 +308,9 @@ def busy(facts: Facts, count: str, cause: str, **said: str) -> Iterator[str]:
     named = {name: found for name, (pattern, _) in DISTURBANCES.items() if (found := re.fullmatch(pattern, cause))}
     yield from same("causes", len(named), 1)
     for name, found in named.items():
-        yield from same("runs of the cause", len(taken[name]), max(map(len, taken.values())))
+        yield from same("runs of the cause", int(said["by"]), len(taken[name]))
+        yield from same("cause of most runs", len(taken[name]), max(map(len, taken.values())))
+        yield from same("up to", "up to" in cause, len(taken[name]) > 1)
         yield from check_amount(name, found[1], max(taken[name], default=0.0))
 
 

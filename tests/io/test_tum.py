@@ -61,7 +61,7 @@ def write_rotations(tmp_path, rotations, order="xyzw"):
     return write_tum(tmp_path, "".join(f"{at} 0 0 0 {' '.join(map(str, q))}\n" for at, q in enumerate(quaternions)))
 
 
-@pytest.mark.parametrize("headings_deg", [(0, 20, 90, -150), (10, 0, -15), (5,)])
+@pytest.mark.parametrize("headings_deg", [(0, 20, 90, -150), (10, 0, -15), (5,), (160, 180, 200), (150, 130, 170)])
 def test_quaternions_with_w_first_are_refused_at_the_first_line_that_shows_it(tmp_path, headings_deg):
     path = write_rotations(tmp_path, Rotation.from_euler("z", [[each] for each in headings_deg], degrees=True), "wxyz")
     with pytest.raises(BadData, match=r"line 1: .* 't x y z qx qy qz qw'.*'qw qx qy qz': move qw to the end"):
@@ -88,6 +88,9 @@ def test_poses_of_a_lidar_upside_down_keep_their_heading(tmp_path):
     flipped = Rotation.from_euler("ZYX", [[0, 0, 180], [60, 0, 180], [100, 0, 178]], degrees=True)
     poses = read_tum(write_rotations(tmp_path, flipped)).trajectory.poses
     np.testing.assert_allclose(np.degrees(poses[:, 2]), [0, 60, 100], atol=1e-9)
+    straight = Rotation.from_euler("ZYX", [[0, 0, 180], [20, 0, 180], [-15, 0, 180]], degrees=True)
+    poses = read_tum(write_rotations(tmp_path, straight)).trajectory.poses
+    np.testing.assert_allclose(np.degrees(poses[:, 2]), [0, 20, -15], atol=1e-9)
     mixed = Rotation.from_euler("ZYX", [[0, 0, 0], [60, 0, 0], [100, 0, 180]], degrees=True)
     with pytest.raises(BadData, match="line 3: a pose tilted by 180 deg"):
         read_tum(write_rotations(tmp_path, mixed))

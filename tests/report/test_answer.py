@@ -284,12 +284,12 @@ def test_a_busy_machine_is_named_and_an_idle_one_is_not(build, three):
         ]))  # fmt: skip
 
     low = RunConditions(load=0.26, other_percent=7.04)
-    once = "times from a busy machine (1 of 18 runs disturbed: other programs took 7.0 % of the core)"
+    once = "times from a busy machine (1 of 18 runs disturbed, 1 by other programs: 7.0 % of the core)"
     assert once in under(low)
-    most = "times from a busy machine (3 of 18 runs disturbed: waiting for the core took up to 40 % of the time)"
+    most = "times from a busy machine (3 of 18 runs disturbed, 2 by waiting for the core: up to 40 % of the time)"
     others = RunConditions(steal_percent=2.4, waited_percent=40.0), RunConditions(waited_percent=6.0)
     assert most in under(low, *others)
-    equal = "times from a busy machine (2 of 18 runs disturbed: other programs took up to 7.0 % of the core)"
+    equal = "times from a busy machine (2 of 18 runs disturbed, 1 by other programs: 7.0 % of the core)"
     assert equal in under(low, others[0])
     threads = RunConditions(waited_percent=40.0, busy_threads=2)  # its threads wait for each other
     calm = [*under(RunConditions(other_percent=0.5)), *under(threads), *pills(build(three))]

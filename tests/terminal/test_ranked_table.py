@@ -84,6 +84,13 @@ def test_columns_keep_their_headings_below_a_title_that_is_wider_than_the_table(
     assert (second.index("corrected") + 9, len(second)) == (line.index("1 mm", 20) + 4, line.index("1.0 ms") + 6)
 
 
+def test_names_that_would_become_equal_are_not_cut():
+    names = [f"small-gicp?keyframe_distance_m=0.{n}0&max_iterations=10&local_map_scans=20" for n in (1, 2)]
+    lines = [line.plain for line in list(format_rows("", [make_row(name, 1.0) for name in names], 80))[1:]]
+    assert [len(line) <= 80 for line in lines] == [True, True]
+    assert [name in line for name, line in zip(names, lines, strict=True)] == [True, True]
+
+
 def test_a_long_ranking_is_cut_to_ten_lines_that_count_the_rest():
     lines = [line.plain for line in format_rows("", [make_row(f"m{n}", float(n)) for n in range(1, 15)], 80)]
     assert len(lines) == MAX_LINES == 10

@@ -51,7 +51,7 @@ class MatchDoubt:
 
     @property
     def usual_points(self) -> float:
-        """Usual number of points of a scan that fits, a recent mean; 0 before the first one."""
+        """Usual number of points of a scan whose match is accepted, a recent mean; 0 before the first one."""
         return self._usual_points
 
     @property

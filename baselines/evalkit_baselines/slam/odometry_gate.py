@@ -56,7 +56,7 @@ class OdometryGate:
         """Give the motion since the last scan by wheel odometry, if measured, and what is usual.
 
         ``usual_gap``: of matches to the odometry (m, rad), None: unknown; ``usual_m``: error of matches, 0: unknown;
-        ``usual_points``: of a scan.
+        ``usual_points``: of a scan; infinite: many.
         """
         self._is_measured = step is not None
         self._fewest = min(MIN_POINTS, usual_points / TIMES_FEWER)

@@ -180,7 +180,10 @@ def test_the_robots_own_body_is_a_warning_that_a_comparison_repeats(tmp_path):
     rows, poses = with_body(), arc(count=60).poses
     path = log(tmp_path, *(flaser(f"{1000 + 0.1 * at:.6f}", rows[at], poses[at]) for at in range(60)))
     what = "6 % of the beams (10 to 19 deg) always have the same range, 0.25 m: the robot's own body?"
-    advice = "set range_min_m = 0.3 (m): all methods then leave them out, with all else that is nearer"
+    advice = (
+        "set range_min_m = 0.3 (m; of a text log in [scan] of its layout): all methods then leave them out, "
+        "with all else that is nearer"
+    )
     (found,) = [one for one in inspect_recording(path).findings if "body" in one.what]
     assert (found.level, found.what, found.advice) == ("warning", what, advice)
     choose = registry.dataset("carmen").choose
@@ -413,6 +416,11 @@ def truth_choices(path):
         ("drive", "drive2.tum", False),
         ("drive", "other-truth.tum", False),
         ("drive", "truthless.tum", False),
+        ("run1.2.bag", "run1.2.tum", True),
+        ("intel.gfs.log", "intel.gfs.tum", True),
+        ("drive.bag", "vicon_icp.tum", False),
+        ("2024-01-05-run.bag", "2024.tum", False),
+        ("2024-01-05-run.bag", "2024-01-05-run-gt.tum", True),
         ("fr079-fullrate.clf.gz", "fr079-gmapping.tum", False),
     ],
 )

@@ -410,10 +410,10 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     }
     const ek_slam_parameters *const p = &slam->parameters;
     ek_status status = check_sweep(slam, sweep);
-    ek_before before;
+    ek_noted noted;
     ek_sweep prepared = *sweep;
     if (status == EK_OK) {
-        prepared = ek_slam_prepare(slam, sweep, &before);
+        prepared = ek_slam_prepare(slam, sweep, &noted);
         status = ek_motion_project(&slam->motion, &slam->scan, &prepared, &p->scan, p->deskew);
     }
     status = status == EK_OK ? check_points(&slam->scan) : status;
@@ -435,9 +435,9 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     if (status != EK_OK || !is_near(estimate->odom_from_base)) {
         return status == EK_OK ? EK_OUT_OF_RANGE : status;
     }
-    slam->wheels = before.wheels;
-    slam->dirt = before.dirt;
-    slam->company = before.company;
+    slam->wheels = noted.wheels;
+    slam->dirt = noted.dirt;
+    slam->company = noted.company;
     ek_work task = ek_work_make(0);
     if (!estimate->set_aside) {
         status = is_direct(estimate) ? EK_OK : take_map(slam, estimate->odom_from_base, &work);

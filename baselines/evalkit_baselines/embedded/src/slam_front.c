@@ -52,14 +52,14 @@ static ek_pose scaled(ek_pose motion, ek_real scale)
     return motion;
 }
 
-ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_before *before)
+ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_noted *noted)
 {
     const ek_real scale = slam->wheels.matched / slam->wheels.driven;
-    ek_wheels *const wheels = &before->wheels;
+    ek_wheels *const wheels = &noted->wheels;
     ek_sweep prepared = *sweep;
     *wheels = slam->wheels;
-    before->dirt = slam->dirt;
-    before->company = slam->company;
+    noted->dirt = slam->dirt;
+    noted->company = slam->company;
     wheels->has_last = sweep->has_odometry;
     wheels->now = sweep->odom_from_base;
     if (sweep->has_odometry) {
@@ -74,13 +74,13 @@ ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_before *before
         const ek_scan_parameters *const limits = &slam->parameters.scan;
         const int smoothed = ek_smooth_ranges(sweep->ranges, sweep->angles, sweep->beams, slam->cleaned);
         ek_drop_speckles(smoothed ? slam->cleaned : sweep->ranges, sweep->angles, sweep->beams, limits->range_min,
-                         limits->range_max, &before->dirt, slam->cleaned);
+                         limits->range_max, &noted->dirt, slam->cleaned);
         prepared.ranges = slam->cleaned;
         if (slam->parameters.use_odometry && sweep->has_odometry) {
-            ek_drop_companions(slam->views, &before->company, slam->cleaned, sweep->angles, sweep->beams, limits->range_min,
+            ek_drop_companions(slam->views, &noted->company, slam->cleaned, sweep->angles, sweep->beams, limits->range_min,
                                limits->range_max, ek_se2_compose(wheels->scaled, limits->base_from_sensor));
         } else {
-            before->company.older = before->company.newer = 0u;
+            noted->company.older = noted->company.newer = 0u;
         }
     }
     return prepared;

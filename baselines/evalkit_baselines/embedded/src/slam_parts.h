@@ -4,7 +4,7 @@
 
 #include "ek/slam.h"
 
-#define ek_before EK_NAME(before)
+#define ek_noted EK_NAME(noted)
 #define ek_slam_start_wheels EK_NAME(slam_start_wheels)
 #define ek_slam_prepare EK_NAME(slam_prepare)
 #define ek_slam_observe_wheels EK_NAME(slam_observe_wheels)
@@ -39,16 +39,16 @@ ek_status ek_slam_init(ek_slam *slam, ek_arena *arena, const ek_slam_parameters 
 /* Scale 1 for the wheel odometry. */
 void ek_slam_start_wheels(ek_slam *slam);
 
-/* What is known of the wheels and of the lidar before a sweep. */
+/* What a sweep tells of the wheels and of the lidar; kept once it is taken. */
 typedef struct {
     ek_wheels wheels;
     ek_dirt dirt;
     ek_company company;
-} ek_before;
+} ek_noted;
 
 /* The sweep with smoothed ranges, without the speckles of a dirty lidar and without what moves along, and with scaled odometry;
- * `before` becomes what is known after this sweep. */
-ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_before *before);
+ * `noted` becomes what is known after this sweep. */
+ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_noted *noted);
 
 /* Compare the motion between the last two keyframes as matched with that of the wheels. */
 void ek_slam_observe_wheels(ek_slam *slam, ek_pose matched, const ek_openness *open, int known);

@@ -1024,7 +1024,7 @@ static void the_scale_of_the_wheels_is_learned(void)
     wheels->has_last = 0;
     wheels->matched = EK_R(40.0);
     wheels->driven = EK_R(50.0);
-    ek_before next;
+    ek_noted next;
     ek_sweep prepared = ek_slam_prepare(&slam, &sweep, &next);
     CHECK_NEAR(prepared.odom_from_base.x, 10.0, TOLERANCE);
     CHECK_NEAR(prepared.start_from_end.x, 0.84, TOLERANCE);

@@ -106,13 +106,16 @@ MIN_STANDING, MAX_STILL_OF_MOVING = 0.99, 0.5
 
 def collect_findings(
     streams: RecordingStreams, inside: str, lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats],
-    turns: Mapping[str, TurnComparison], tree: FrameTree,
+    turns: Mapping[str, TurnComparison], turned: str, tree: FrameTree,
 ) -> tuple[InspectionFinding, ...]:  # fmt: skip
-    """Return all findings, most severe first; ``inside``: the ground truth in the recording, "" if none."""
+    """Return all findings, most severe first; ``inside``: the ground truth in the recording, "" if none.
+
+    ``turns``: how the odometries turn against the lidar ``turned``.
+    """
     rank: dict[Level, int] = {"problem": 0, "warning": 1, "note": 2}
     found = [*_check_file(streams, inside), *_check_lidars(lidars), *_check_scan_steps(odometries, streams),
              *_check_odometry(odometries, turns, streams), *_check_standing(lidars, odometries),
-             *_check_direction(streams, turns, tree), *_check_frames(tree, streams)]  # fmt: skip
+             *_check_direction(streams, turned if turns else "", tree), *_check_frames(tree, streams)]  # fmt: skip
     return tuple(sorted(found, key=lambda finding: rank[finding.level]))
 
 
@@ -285,8 +288,10 @@ def check_body(lidar: LidarStats) -> Iterator[InspectionFinding]:
     ranges = " to ".join(dict.fromkeys([f"{body.nearest_m:.2f}", f"{body.farthest_m:.2f}"]))
     beams = f"{100 * body.share:.0f} % of the beams ({sectors} deg)"
     what = f"{beams} always have the same range, {ranges} m: the robot's own body?"
-    advice = f"set range_min_m = {body.range_min_m:g} (m): all methods then leave them out"
-    yield _warning(lidar.topic, what, f"{advice}, with all else that is nearer")
+    advice = (
+        f"set range_min_m = {body.range_min_m:g} (m; of a text log in [scan] of its layout): all methods then leave"
+    )
+    yield _warning(lidar.topic, what, f"{advice} them out, with all else that is nearer")
 
 
 def is_default_code(low_m: float) -> bool:
@@ -382,15 +387,17 @@ def _check_turning(turn: TurnComparison | None, about: str) -> Iterator[Inspecti
         yield _note(about, what, "a weak initial guess for registrations")
 
 
-def _check_direction(
-    streams: RecordingStreams, turns: Mapping[str, TurnComparison], tree: FrameTree
-) -> Iterator[InspectionFinding]:
-    """Warn where neither a mounting nor a turn tells whether the angles of a lidar are mirrored."""
+def _check_direction(streams: RecordingStreams, turned: str, tree: FrameTree) -> Iterator[InspectionFinding]:
+    """Warn where neither a mounting nor a turn tells whether the angles of a lidar are mirrored.
+
+    ``turned``: the lidar that was compared with an odometry, "" if none.
+    """
     stated = {mounting.sensor for mounting in tree.mountings if not mounting.problem}
-    unknown = [laser.topic for laser in streams.lasers if laser.frame not in stated]
-    if turns or not unknown or streams.reader not in DIRECTION_REMEDIES:
+    unknown = [laser.topic for laser in streams.lasers if laser.frame not in stated and laser.topic != turned]
+    if not unknown or streams.reader not in DIRECTION_REMEDIES:
         return
-    why = "the odometry does not turn measurably" if streams.wheels else "there is no odometry"
+    compared = "only one lidar is compared with the odometry" if turned else "the odometry does not turn measurably"
+    why = compared if streams.wheels else "there is no odometry"
     what = f"{', '.join(unknown)}: whether the angles are mirrored (a lidar upside down) could not be checked: {why}"
     yield _warning(DIRECTION, what, f"where a map is a mirror image, {DIRECTION_REMEDIES[streams.reader]}")
 

@@ -70,7 +70,9 @@ def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] |
     return Inspection(
         path, streams.kind, _count_bytes(path), tuple(streams.topics), lidars, odometries, turns, tree,
         streams.poses_from, inside, tuple(streams.remarks),
-        findings.collect_findings(streams, inside, lidars, odometries, turns, tree),
+        findings.collect_findings(
+            streams, inside, lidars, odometries, turns, "" if best is None else streams.lasers[best].topic, tree
+        ),
         streams,
     )  # fmt: skip
 

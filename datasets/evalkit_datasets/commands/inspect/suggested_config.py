@@ -273,12 +273,17 @@ def _choose_truth(recording: Inspection, name: str, files: list[Path]) -> Iterat
 def is_named_as_truth(file: Path, recording: Path) -> bool:
     """Return whether a file is called like its recording ("drive.tum") or a truth ("gt.tum", "drive-truth.tum").
 
-    The name of a recording may go on behind a hyphen ("drive-merged.log").
+    The name of a recording may go on behind a hyphen ("drive-merged.log"), unless it begins with a date. Behind the
+    name of the recording and the word of a truth anything may follow ("drive-reference-by-hand.tum").
     """
     name, whole = file.stem.lower(), recording.name.split(".")[0].lower()
-    own = whole, whole.split("-")[0]
-    rest = next((name[len(each) + 1 :] for each in own if name.startswith((f"{each}-", f"{each}_", f"{each}."))), name)
-    return name in own or re.match(rf"({'|'.join(TRUTH_NAMES)})([-_.]|$)", rest) is not None
+    begin = whole.split("-")[0]
+    own = {whole, recording.stem.lower(), *([] if begin.isdigit() else [begin])}
+    words = "|".join(TRUTH_NAMES)
+    if name in own or re.fullmatch(rf"({words})([-_.]?(2d|\d+))?", name):
+        return True
+    rests = (name[len(each) + 1 :] for each in own if name.startswith((f"{each}-", f"{each}_", f"{each}.")))
+    return any(re.match(rf"({words})([-_.]|$)", rest) for rest in rests)
 
 
 def _find_truth_problem(recording: Inspection, name: str, file: Path) -> str:

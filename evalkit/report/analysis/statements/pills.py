@@ -24,9 +24,9 @@ MAX_GROUPS = 2
 """More groups of methods, by the data sets that their settings were chosen on, are counted in one pill."""
 
 DISTURBANCES: Mapping[str, tuple[str, str]] = {
-    "other_percent": ("other programs took", "the core"),
-    "steal_percent": ("the hypervisor took", "the core"),
-    "waited_percent": ("waiting for the core took", "the time"),
+    "other_percent": ("other programs", "the core"),
+    "steal_percent": ("the hypervisor", "the core"),
+    "waited_percent": ("waiting for the core", "the time"),
 }
 """What disturbs a run, and of what its share is, by the names of ``RunConditions.disturbances``."""
 
@@ -141,9 +141,10 @@ def _describe_load(runs: Sequence[RunRecord]) -> Pill | None:
     if not found:
         return None
     name = max(DISTURBANCES, key=lambda one: sum(one in own for own in found))
-    (what, of), percent = DISTURBANCES[name], max(own.get(name, 0.0) for own in found)
-    most = f"{'' if len(found) == 1 else 'up to '}{percent:.{int(percent < 9.95)}f} %"
-    return Pill(f"times from a busy machine ({len(found)} of {len(known)} runs disturbed: {what} {most} of {of})")
+    (what, of), taken = DISTURBANCES[name], [own[name] for own in found if name in own]
+    most = f"{'' if len(taken) == 1 else 'up to '}{max(taken):.{int(max(taken) < 9.95)}f} % of {of}"
+    counted = f"{len(found)} of {len(known)} runs disturbed, {len(taken)} by {what}"
+    return Pill(f"times from a busy machine ({counted}: {most})")
 
 
 def _describe_tuned(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> list[Pill]:

@@ -147,7 +147,7 @@ typedef struct {
     ek_company company;      /* which of the views are kept */
     ek_doubt doubt;          /* of the step since the last keyframe */
     ek_real usual_error;     /* m: of matches with the map */
-    ek_real usual_points;    /* of scans that match it */
+    ek_real usual_points;    /* of scans whose match is accepted */
     ek_real usual_gap, usual_turn; /* m, rad: between them and the odometry */
     uint32_t compared;       /* scans with odometry before this one, as far as they are counted */
     ek_gate gate;            /* of this scan */
