@@ -314,7 +314,7 @@ def test_a_comparison_warns_of_the_body_in_view_of_the_lidar_that_it_uses(tmp_pa
     (found,) = [one for one in inspect_recording(path).findings if "own body" in one.what]
     assert (found.level, found.about) == ("warning", "/front")
     assert found.what.startswith("20 % of the beams (144 to 214 deg) always have the same range, 0.24 to 0.27 m:")
-    assert found.advice.startswith("set range_min_m = 0.3 (m)")
+    assert found.advice.startswith("set range_min_m = 0.3 (m; of a text log")
     for topic, count in (("/front", 1), ("/rear", 0)):
         choices = choose_parameters("rosbag", {"path": str(path), "topic": topic})
         assert sum(one.warns and "own body" in one.reason for one in choices) == count
