@@ -319,10 +319,7 @@ class Motion:
 
     def store(self, frame: Frame, pose: Pose, matched: bool = True) -> None:
         """Store the pose of this scan: that of its points, or where they were not ``matched``, at the first beam."""
-        half_ns = self._half_ns(frame) if matched else 0
-        first, middle, self._step = self._settle(frame, pose, half_ns)
-        if not self._is_too_soon(middle, half_ns):
-            self._last_middle = middle
+        first, self._last_middle, self._step = self._settle(frame, pose, self._half_ns(frame) if matched else 0)
         self._last = _Time(first, frame.scan.stamp_ns)
         self._start_from_points, self._points_from_base = pose, None if first is pose else pose.inverse() @ first
         self._odom_from_base = frame.odom_from_base
@@ -336,22 +333,20 @@ class Motion:
         return frame.scan.duration_ns // 2 if bent else 0
 
     def _settle(self, frame: Frame, pose: Pose, half_ns: int) -> tuple[Pose, _Time, _Step]:
-        """Return the pose at the first beam, the middle of the sweep, and the step to it from that of the last one."""
+        """Return the pose at the first beam, the middle from where the next velocity is measured, and the step to it.
+
+        A sweep that was taken less than half a sweep after the last one tells no velocity: both stay.
+        """
         half = self._constant_velocity(self._step, half_ns) if half_ns else None
         middle = _Time(pose if half is None else pose @ half, frame.scan.stamp_ns + half_ns)
-        step = self._step if self._is_too_soon(middle, half_ns) else self._step_to(middle)
+        kept, step, before = middle, self._step, self._last_middle
+        elapsed_ns = middle.stamp_ns - before.stamp_ns
+        if self._last is not None and max(elapsed_ns, 0) < half_ns:
+            kept = before
+        elif self._last is not None:
+            step = _Step(before.start_from_base.inverse() @ middle.start_from_base, elapsed_ns)
         first = middle.start_from_base @ self._constant_velocity(step, half_ns).inverse() if half_ns else pose
-        return first, middle, step
-
-    def _is_too_soon(self, middle: _Time, half_ns: int) -> bool:
-        """Return whether a sweep, half of which takes so long, was taken too soon after the last one for a velocity."""
-        return self._last is not None and max(middle.stamp_ns - self._last_middle.stamp_ns, 0) < half_ns
-
-    def _step_to(self, middle: _Time) -> _Step:
-        if self._last is None:
-            return self._step
-        before = self._last_middle
-        return _Step(before.start_from_base.inverse() @ middle.start_from_base, middle.stamp_ns - before.stamp_ns)
+        return first, kept, step
 
     def _wheel_step(self, frame: Frame) -> Pose | None:
         if self._prior != "odometry" or frame.odom_from_base is None or self._odom_from_base is None:

@@ -93,7 +93,7 @@ class Companions:
         if earlier is None or not len(hits):
             return scan
         behind_m = scan.ranges[hits] - nearest_m[sectors]
-        own = hits[find_companions(view, earlier)[sectors] & (behind_m <= FREE_M)]
+        own = hits[_find_companions(view, earlier)[sectors] & (behind_m <= FREE_M)]
         share = len(own) / len(hits)
         self._scans = min(self._scans + 1, MEMORY)
         self._often += ((LEAST <= share <= MOST) - self._often) / self._scans
@@ -114,7 +114,7 @@ class Companions:
         return self._older if self._older.is_away(view) else None
 
 
-def find_companions(now: _View, earlier: _View) -> Bools:
+def _find_companions(now: _View, earlier: _View) -> Bools:
     """Return in which sectors (SECTORS,) something moved along."""
     companions = now.nearest_m <= NEAR_M
     companions[companions] = np.abs(earlier.nearest_m[companions] - now.nearest_m[companions]) <= SAME_M

@@ -240,11 +240,8 @@ def _open_sequences(
         if name in opened or not one["scans_answered"]:
             continue
         working = find_working_folder(folder, one["key"])
-        parameters = (
-            one["dataset_parameters"] if working is None else _resolve_paths(one["dataset_parameters"], working)
-        )
         try:
-            opened[name] = registry.dataset(one["dataset"]).open(parameters)
+            opened[name] = registry.dataset(one["dataset"]).open(_resolve_paths(one["dataset_parameters"], working))
         except (EvalkitError, TypeError) as error:  # TypeError: a stored parameter that the reader does not have
             sought = f"; relative paths were sought in {working}, where it ran" if working else ""
             why = f"{error}{sought if isinstance(error, DataMissing) else ''}"
@@ -254,11 +251,12 @@ def _open_sequences(
 
 def _resolve_paths(parameters: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
     """Return the parameters with absolute paths of the files that they name relative to a folder, if it is known."""
-    resolved = dict(parameters)
-    for name, value in parameters.items():
-        if folder is not None and isinstance(value, str) and value:
-            resolved[name] = _resolve_path(value, folder)
-    return resolved
+    if folder is None:
+        return dict(parameters)
+    return {
+        name: _resolve_path(value, folder) if isinstance(value, str) and value else value
+        for name, value in parameters.items()
+    }
 
 
 def _resolve_path(value: str, folder: Path) -> str:

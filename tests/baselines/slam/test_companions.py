@@ -24,14 +24,13 @@ def scan(ranges: np.ndarray) -> Scan:
     return Scan(0, np.where(ranges < 12.0, ranges, np.inf), ANGLES, 0.1, 12.0)
 
 
-def drive(make_ranges, step_m=0.1, turn_deg=0.0, steps=40, companions=None) -> list[np.ndarray]:
-    """Return which hits were left out of each scan of a drive along x; ``make_ranges`` (x) gives its ranges."""
+def drive(make_ranges, companions=None, begin=0) -> list[np.ndarray]:
+    """Return which hits were left out of each of 40 scans along x; ``make_ranges`` (x) gives their ranges."""
     companions = companions or Companions()
     dropped = []
-    for at in range(steps):
-        given = scan(make_ranges(at * step_m))
-        kept = companions.drop(given, Pose(at * step_m, 0.0, np.radians(at * turn_deg)))
-        dropped.append(given.hits & ~kept.hits)
+    for at in range(begin, begin + 40):
+        given = scan(make_ranges(at * 0.1))
+        dropped.append(given.hits & ~companions.drop(given, Pose(at * 0.1, 0.0, 0.0)).hits)
     return dropped
 
 
@@ -92,18 +91,10 @@ def test_a_companion_that_comes_later_is_left_out_once_the_mean_of_the_last_scan
     def with_company(x):
         return np.where(BEHIND, 1.2, corridor(x))
 
-    dropped = [np.any(one) for one in drive_on(with_company, companions)]
+    dropped = [np.any(one) for one in drive(with_company, companions, begin=40)]
     first = dropped.index(True)
     assert first == 11 + round(MOVED_M / 0.1)
     assert all(dropped[first:])
-
-
-def drive_on(make_ranges, companions, begin=40, steps=40):
-    dropped = []
-    for at in range(begin, begin + steps):
-        given = scan(make_ranges(at * 0.1))
-        dropped.append(given.hits & ~companions.drop(given, Pose(at * 0.1, 0.0, 0.0)).hits)
-    return dropped
 
 
 def test_without_odometry_nothing_is_left_out_and_the_comparison_begins_anew():

@@ -1,6 +1,6 @@
 #include "ek/companions.h"
 
-#include <math.h>
+#include "ek/scan.h"
 
 #define NEAR EK_R(3.0)   /* m: hits farther away stay */
 #define MOVED EK_R(0.5)  /* m, or 20 deg: a scan is compared with an earlier one at least so far away */
@@ -14,17 +14,12 @@
 #define SHIFT EK_R(0.29) /* of the borders of sectors, in sectors */
 #define TURN (EK_R(2.0) * EK_PI)
 
-static int is_hit(ek_real range, ek_real low, ek_real high)
-{
-    return range >= low && range <= high;
-}
-
 /* The sector of an angle; any one of an angle that is not finite. */
 static int sector_of(ek_real angle)
 {
     const ek_real near = EK_FABS(angle) <= TURN ? angle : ek_se2_wrap(angle);
     const ek_real turned = EK_FABS(near) <= TURN ? near : EK_R(0.0);
-    return (int)(turned * ((ek_real)EK_SECTORS / TURN) + (SHIFT + EK_R(2 * EK_SECTORS))) % EK_SECTORS; /* above 0: rounded down */
+    return (ek_floor(turned * ((ek_real)EK_SECTORS / TURN) + SHIFT) + 2 * EK_SECTORS) % EK_SECTORS;
 }
 
 static int is_away(const ek_view *earlier, const ek_view *later)
@@ -57,7 +52,7 @@ static size_t draw(ek_view *view, const ek_real *ranges, const ek_real *angles, 
         view->nearest[k] = (ek_real)INFINITY;
     }
     for (size_t k = 0; k < beams; k++) {
-        if (is_hit(ranges[k], low, high)) {
+        if (ek_is_hit(ranges[k], low, high)) {
             ek_real *const nearest = &view->nearest[sector_of(angles[k])];
             *nearest = ranges[k] < *nearest ? ranges[k] : *nearest;
             hits++;
@@ -99,6 +94,13 @@ static int find(const ek_view *now, const ek_view *earlier, unsigned char *compa
     return marked;
 }
 
+/* 1 if a beam hits what moved along, or what lies close behind it. */
+static int is_own(const ek_view *view, const unsigned char *companions, ek_real range, ek_real angle, ek_real low, ek_real high)
+{
+    const int sector = ek_is_hit(range, low, high) ? sector_of(angle) : -1;
+    return sector >= 0 && companions[sector] && range - view->nearest[sector] <= FREE;
+}
+
 size_t ek_drop_companions(ek_view *views, ek_company *company, ek_real *ranges, const ek_real *angles, size_t beams, ek_real low,
                           ek_real high, ek_pose odom_from_sensor)
 {
@@ -115,23 +117,20 @@ size_t ek_drop_companions(ek_view *views, ek_company *company, ek_real *ranges, 
     if (!earlier || hits == 0u) {
         return 0u;
     }
-    const int marked = find(view, earlier, companions);
-    for (size_t pass = 0; pass < 2u; pass++) { /* count them, then leave them out */
-        for (size_t k = 0; marked && k < beams; k++) {
-            const int sector = is_hit(ranges[k], low, high) ? sector_of(angles[k]) : -1;
-            const int is_own = sector >= 0 && companions[sector] && ranges[k] - view->nearest[sector] <= FREE;
-            own += pass == 0u && is_own;
-            ranges[k] = pass > 0u && is_own ? (ek_real)NAN : ranges[k];
+    if (find(view, earlier, companions)) {
+        for (size_t k = 0; k < beams; k++) {
+            own += is_own(view, companions, ranges[k], angles[k], low, high) ? 1u : 0u;
         }
-        const ek_real share = (ek_real)own / (ek_real)hits;
-        if (pass == 0u) {
-            const ek_real some = share >= LEAST && share <= MOST ? EK_R(1.0) : EK_R(0.0);
-            company->scans += company->scans < MEMORY ? 1u : 0u;
-            company->often += (some - company->often) / (ek_real)company->scans;
-        }
-        if (own == 0u || company->often < OFTEN || share > MOST) {
-            return 0u;
-        }
+    }
+    const ek_real share = (ek_real)own / (ek_real)hits;
+    const ek_real some = share >= LEAST && share <= MOST ? EK_R(1.0) : EK_R(0.0);
+    company->scans += company->scans < MEMORY ? 1u : 0u;
+    company->often += (some - company->often) / (ek_real)company->scans;
+    if (own == 0u || company->often < OFTEN || share > MOST) {
+        return 0u;
+    }
+    for (size_t k = 0; k < beams; k++) {
+        ranges[k] = is_own(view, companions, ranges[k], angles[k], low, high) ? (ek_real)NAN : ranges[k];
     }
     return own;
 }

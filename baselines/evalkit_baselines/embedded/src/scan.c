@@ -153,7 +153,7 @@ ek_status ek_scan_project(ek_scan *scan, const ek_sweep *sweep, const ek_scan_pa
     const ek_real radius = local ? parameters->local_radius : EK_MAX_COORDINATE;
     for (size_t i = 0; i < sweep->beams; i++) {
         const ek_real range = sweep->ranges[i];
-        if (range >= parameters->range_min && range <= parameters->range_max) {
+        if (ek_is_hit(range, parameters->range_min, parameters->range_max)) {
             const ek_real u = range * scan->cosine[i], v = range * scan->sine[i];
             ek_real x = c * u - s * v + mount.x, y = s * u + c * v + mount.y;
             if (arc.moves) {

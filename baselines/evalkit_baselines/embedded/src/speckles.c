@@ -1,16 +1,11 @@
 #include "ek/speckles.h"
-#include "ek/se2.h"
+#include "ek/scan.h"
 
 #define NEAR EK_R(0.2)     /* m: hits whose ranges differ by no more than this, */
 #define STEEPEST EK_R(5.0) /* and so many times the distance between their beams, may lie on one wall */
 #define DIRTY EK_R(0.015)  /* from this mean share of speckles on a lidar is dirty */
 #define MEMORY 200u        /* scans of that mean */
 #define CLEAN 50u          /* as if so many clean ones had gone before the first */
-
-static int is_hit(ek_real range, ek_real low, ek_real high)
-{
-    return range >= low && range <= high;
-}
 
 /* The range of a beam, a speckle or not; speckles are marked by their sign until all are found. */
 static ek_real range_of(const ek_real *marked, size_t beam)
@@ -29,7 +24,7 @@ static int is_speckle(const ek_real *marked, const ek_real *angles, size_t beams
         for (unsigned found = 0u; found < 2u; found++) {
             do {
                 other = (other + step) % beams;
-            } while (!is_hit(range_of(marked, other), low, high));
+            } while (!ek_is_hit(range_of(marked, other), low, high));
             const ek_real beyond = range_of(marked, other) - range, turn = ek_se2_wrap(angles[other] - angles[beam]);
             if (!(EK_FABS(beyond) > NEAR + STEEPEST * range * EK_FABS(turn))) {
                 return 0;
@@ -45,8 +40,8 @@ static int is_beside(const ek_real *marked, size_t beams, ek_real low, ek_real h
 {
     const ek_real before = range_of(marked, beam > 0u ? beam - 1u : beams - 1u);
     const ek_real after = range_of(marked, beam + 1u < beams ? beam + 1u : 0u);
-    return (is_hit(before, low, high) && EK_FABS(before - marked[beam]) <= NEAR) ||
-           (is_hit(after, low, high) && EK_FABS(after - marked[beam]) <= NEAR);
+    return (ek_is_hit(before, low, high) && EK_FABS(before - marked[beam]) <= NEAR) ||
+           (ek_is_hit(after, low, high) && EK_FABS(after - marked[beam]) <= NEAR);
 }
 
 ek_dirt ek_dirt_default(void)
@@ -62,10 +57,10 @@ size_t ek_drop_speckles(const ek_real *ranges, const ek_real *angles, size_t bea
     for (size_t k = 0; k < beams; k++) {
         const ek_real range = ranges[k] + EK_R(0.0); /* -0 has a sign */
         dropped[k] = range < EK_R(0.0) ? (ek_real)NAN : range;
-        hits += is_hit(range, low, high) ? 1u : 0u;
+        hits += ek_is_hit(range, low, high) ? 1u : 0u;
     }
     for (size_t k = 0; hits >= 5u && k < beams; k++) {
-        if (is_hit(dropped[k], low, high) && !is_beside(dropped, beams, low, high, k) &&
+        if (ek_is_hit(dropped[k], low, high) && !is_beside(dropped, beams, low, high, k) &&
             is_speckle(dropped, angles, beams, low, high, k)) {
             dropped[k] = -dropped[k];
             speckles++;

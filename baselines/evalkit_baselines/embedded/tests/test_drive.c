@@ -359,6 +359,19 @@ static void what_does_not_fit_is_refused_and_changes_nothing(void)
     CHECK(add(1.0, 0u, 1, 1.0) == EK_TOO_MANY_POINTS && keyframes.count == count + 2u);
 }
 
+/* A sweep of up to three beams that all end 2 m ahead. */
+static ek_sweep sweep_of(size_t beams, int64_t time_increment_ns)
+{
+    static ek_real ranges[3] = {EK_R(2.0), EK_R(2.0), EK_R(2.0)}, angles[3] = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    ek_sweep sweep;
+    memset(&sweep, 0, sizeof sweep);
+    sweep.ranges = ranges;
+    sweep.angles = angles;
+    sweep.beams = beams;
+    sweep.time_increment_ns = time_increment_ns;
+    return sweep;
+}
+
 /* 0.1 m in 100 ns: half of it in half the time, and never more than two steps of it. */
 static void constant_velocity_is_extrapolated_for_two_steps_at_most(void)
 {
@@ -372,14 +385,8 @@ static void constant_velocity_is_extrapolated_for_two_steps_at_most(void)
     for (size_t k = 0; k < 5u; k++) {
         CHECK_NEAR(ek_motion_extrapolate(&motion, elapsed[k]).x, driven[k], TOLERANCE);
     }
-    ek_real ranges[3] = {EK_R(2.0), EK_R(2.0), EK_R(2.0)}, angles[3] = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
     const ek_scan_parameters parameters = {ORIGIN, EK_R(0.1), EK_R(10.0), EK_R(0.0)};
-    ek_sweep sweep;
-    memset(&sweep, 0, sizeof sweep);
-    sweep.ranges = ranges;
-    sweep.angles = angles;
-    sweep.beams = 3u;
-    sweep.time_increment_ns = 50;
+    ek_sweep sweep = sweep_of(3u, 50);
     CHECK(ek_motion_project(&motion, &scan, &sweep, &parameters, 1) == EK_OK);
     CHECK_NEAR(scan.hits[0], 2.0, TOLERANCE); /* the sensor is at 0, 0.05 and 0.1 m */
     CHECK_NEAR(scan.hits[2], 2.05, TOLERANCE);
@@ -396,19 +403,6 @@ static void constant_velocity_is_extrapolated_for_two_steps_at_most(void)
     CHECK_NEAR(scan.hits[0], 2.0, TOLERANCE);
 }
 
-/* A sweep of two beams that end 2 m away; it takes 100 ns. */
-static ek_sweep sweep_of_two(void)
-{
-    static ek_real ranges[2] = {EK_R(2.0), EK_R(2.0)}, angles[2] = {EK_R(0.0), EK_R(0.0)};
-    ek_sweep sweep;
-    memset(&sweep, 0, sizeof sweep);
-    sweep.ranges = ranges;
-    sweep.angles = angles;
-    sweep.beams = 2u;
-    sweep.time_increment_ns = 100;
-    return sweep;
-}
-
 /* Sweeps of 100 ns without a pause, matched at 0, 0.3 and 0.5 m. Deskewed at 0, 0 and 0.3 m a sweep, their middles are at 0, 0.3
  * and 0.65 m, and their first beams half a step of 0.3 and 0.35 m before. Points are 0.15 and -0.025 m from there. */
 static void the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two_sweeps(void)
@@ -416,7 +410,7 @@ static void the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two
     static const double matched[] = {0.0, 0.3, 0.5}, first[] = {0.0, 0.15, 0.475}, within[] = {0.0, 0.3, 0.35};
     static const double predicted[] = {0.0, 0.15, 0.325};
     const ek_scan_parameters parameters = {ORIGIN, EK_R(0.1), EK_R(10.0), EK_R(0.0)};
-    ek_sweep sweep = sweep_of_two();
+    ek_sweep sweep = sweep_of(2u, 100);
     ek_motion motion;
     memset(&motion, 0, sizeof motion);
     for (size_t k = 0; k < 3u; k++) {
@@ -448,7 +442,7 @@ static void sweeps_less_than_half_a_sweep_apart_tell_no_velocity(void)
 {
     static const double soon[] = {0.2, 0.4};
     const ek_scan_parameters parameters = {ORIGIN, EK_R(0.1), EK_R(10.0), EK_R(0.0)};
-    const ek_sweep sweep = sweep_of_two();
+    const ek_sweep sweep = sweep_of(2u, 100);
     for (size_t k = 0; k < 2u; k++) {
         const int64_t stamps[] = {0, 100, 149, 300};
         const double matched[] = {0.0, 0.2, soon[k], 0.7}, step[] = {0.0, 0.2, 0.2, 0.6};

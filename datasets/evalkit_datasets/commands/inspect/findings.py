@@ -110,12 +110,12 @@ def collect_findings(
 ) -> tuple[InspectionFinding, ...]:  # fmt: skip
     """Return all findings, most severe first; ``inside``: the ground truth in the recording, "" if none.
 
-    ``turns``: how the odometries turn against the lidar ``turned``.
+    ``turns``: how the odometries turn against the lidar ``turned``, "" if none does.
     """
     rank: dict[Level, int] = {"problem": 0, "warning": 1, "note": 2}
     found = [*_check_file(streams, inside), *_check_lidars(lidars), *_check_scan_steps(odometries, streams),
              *_check_odometry(odometries, turns, streams), *_check_standing(lidars, odometries),
-             *_check_direction(streams, turned if turns else "", tree), *_check_frames(tree, streams)]  # fmt: skip
+             *_check_direction(streams, turned, tree), *_check_frames(tree, streams)]  # fmt: skip
     return tuple(sorted(found, key=lambda finding: rank[finding.level]))
 
 
@@ -288,10 +288,8 @@ def check_body(lidar: LidarStats) -> Iterator[InspectionFinding]:
     ranges = " to ".join(dict.fromkeys([f"{body.nearest_m:.2f}", f"{body.farthest_m:.2f}"]))
     beams = f"{100 * body.share:.0f} % of the beams ({sectors} deg)"
     what = f"{beams} always have the same range, {ranges} m: the robot's own body?"
-    advice = (
-        f"set range_min_m = {body.range_min_m:g} (m; of a text log in [scan] of its layout): all methods then leave"
-    )
-    yield _warning(lidar.topic, what, f"{advice} them out, with all else that is nearer")
+    mend = f"set range_min_m = {body.range_min_m:g} (m; of a text log in [scan] of its layout)"
+    yield _warning(lidar.topic, what, f"{mend}: all methods then leave them out, with all else that is nearer")
 
 
 def is_default_code(low_m: float) -> bool:

@@ -66,13 +66,11 @@ def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] |
         comparison = compare_turns(wheels, mirror_if_upside_down(streams.lasers[best or 0], tree))
         if comparison is not None:
             turns[f"{wheels.topic} {wheels.child}"] = comparison
-    inside = _describe_truth_inside(streams)
+    inside, turned = _describe_truth_inside(streams), streams.lasers[best or 0].topic if turns else ""
     return Inspection(
         path, streams.kind, _count_bytes(path), tuple(streams.topics), lidars, odometries, turns, tree,
         streams.poses_from, inside, tuple(streams.remarks),
-        findings.collect_findings(
-            streams, inside, lidars, odometries, turns, "" if best is None else streams.lasers[best].topic, tree
-        ),
+        findings.collect_findings(streams, inside, lidars, odometries, turns, turned, tree),
         streams,
     )  # fmt: skip
 

@@ -203,9 +203,8 @@ def _try_layout(path: Path, layout: dict[str, Any], reasons: list[str]) -> Layou
             reasons.append("the scans turn against the odometry: the beams are taken as clockwise")
         elif turn is None or turn < 0.5:
             why = "the odometry does not turn measurably" if "pose" in layout else "no odometry is known"
-            why = (
-                why if turn is None else f"the scans turn {turn:.1f} times as much as the odometry (check heading_unit)"
-            )
+            if turn is not None:
+                why = f"the scans turn {turn:.1f} times as much as the odometry (check heading_unit)"
             reasons.append(f"direction not checked: {why}; counter-clockwise assumed, else clockwise = true in [scan]")
         reasons.append("mounting assumed: base_from_sensor (m, m, deg), the lidar at the robot's centre, 0 deg forward")
         scans = len(Columns(str(path), layout))

@@ -37,9 +37,16 @@ typedef struct {
     ek_real *angle, *cosine, *sine; /* cached directions of the last sweep */
 } ek_scan;
 
+#define ek_is_hit EK_NAME(is_hit)
 #define ek_scan_check EK_NAME(scan_check)
 #define ek_scan_init EK_NAME(scan_init)
 #define ek_scan_project EK_NAME(scan_project)
+
+/* 1 if a range is that of a hit, which nan is not. */
+static inline int ek_is_hit(ek_real range, ek_real low, ek_real high)
+{
+    return range >= low && range <= high;
+}
 
 /* Check parameters: EK_OK, EK_NOT_FINITE or EK_OUT_OF_RANGE. */
 ek_status ek_scan_check(const ek_scan_parameters *parameters);
