@@ -283,7 +283,7 @@ def lost_pill(
 DISTURBANCES = {
     "other_percent": (rf"other programs: (?:up to )?({NUMBER}) % of the core", 5.0),
     "steal_percent": (rf"the hypervisor: (?:up to )?({NUMBER}) % of the core", 2.0),
-    "waited_percent": (rf"waiting for the core: (?:up to )?({NUMBER}) % of the time", 5.0),
+    "waited_percent": (rf"waiting: (?:up to )?({NUMBER}) % of the time", 5.0),
 }
 """How a pill states each cause, and the limit beyond which it is one."""
 

@@ -286,7 +286,7 @@ def test_a_busy_machine_is_named_and_an_idle_one_is_not(build, three):
     low = RunConditions(load=0.26, other_percent=7.04)
     once = "times from a busy machine (1 of 18 runs disturbed, 1 by other programs: 7.0 % of the core)"
     assert once in under(low)
-    most = "times from a busy machine (3 of 18 runs disturbed, 2 by waiting for the core: up to 40 % of the time)"
+    most = "times from a busy machine (3 of 18 runs disturbed, 2 by waiting: up to 40 % of the time)"
     others = RunConditions(steal_percent=2.4, waited_percent=40.0), RunConditions(waited_percent=6.0)
     assert most in under(low, *others)
     equal = "times from a busy machine (2 of 18 runs disturbed, 1 by other programs: 7.0 % of the core)"

@@ -26,7 +26,7 @@ MAX_GROUPS = 2
 DISTURBANCES: Mapping[str, tuple[str, str]] = {
     "other_percent": ("other programs", "the core"),
     "steal_percent": ("the hypervisor", "the core"),
-    "waited_percent": ("waiting for the core", "the time"),
+    "waited_percent": ("waiting", "the time"),
 }
 """What disturbs a run, and of what its share is, by the names of ``RunConditions.disturbances``."""
 
