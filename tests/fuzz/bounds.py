@@ -12,9 +12,10 @@ from pathlib import Path
 
 from evalkit.core.errors import EvalkitError
 
-SPARE_BYTES = 64 * 2**20
+SPARE_BYTES = 256 * 2**20
 BYTES_EACH = 50
-"""Limits of additional memory of a reader: a constant, and bytes per byte of input."""
+"""Limits of additional memory of a reader: a constant, and bytes per byte of input. The C library reserves 128 MiB of
+address space at once for the memory of another thread."""
 
 SECONDS = 1.0
 PIECE = 100_000
