@@ -18,6 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from evalkit.core import se2
+from evalkit.core.pose import Pose
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit_baselines import embedded
@@ -34,6 +36,7 @@ PARAMETERS = {
 }  # fmt: skip
 MAP = {"resolution": 0.05, "l_occ": 0.8, "l_free": -0.8, "l_min": -5.0, "l_max": 5.0, "range_max": 12.0}
 EXTENT = (-64, -64, 128, 128)
+NO_LOG = "the file is not an evalkit scan log of this version or is truncated"
 HEADER_BYTES = 4 + 2 * 4 + 5 * 8  # of a scan log (scanlog.h)
 TABLES = (registration.PARAMETERS, frontend.PARAMETERS, mapper.PARAMETERS)
 LAB = {p.name: p.default for p in registry.dataset("lab").parameters} | {"laps": 0.12, "seed": 5}
@@ -491,6 +494,58 @@ def test_evalkit_run_gives_the_poses_of_the_method(core_programs, tmp_path, opti
     assert np.hypot(*np.diff(found[:, :2], axis=0).T).sum() > 1.0  # a moving robot, not one at rest
 
 
+def read_tum(path):
+    rows = np.loadtxt(path)
+    return np.column_stack([rows[:, 1:3], 2.0 * np.arctan2(rows[:, 6], rows[:, 7])])
+
+
+@needs_core
+def test_evalkit_run_gives_the_corrected_poses_of_the_slam(core_programs, tmp_path):
+    """A drive that closes a loop: the poses are those after the correction, which the poses at the time were not."""
+    sequence = {p.name: p.default for p in registry.dataset("loop").parameters} | {"speed_mps": 0.8, "rate_hz": 5.0}
+    frames = list(registry.dataset("loop").make(**sequence | {"laps": 1.3, "seed": 1}).frames())
+    scanlog.write_scan_log(tmp_path / "log", frames)
+    run_tool(str(core_programs / "evalkit-run"), "--slam", str(tmp_path / "log"), str(tmp_path / "poses.tum"))
+    spec = registry.backend("embedded-slam")
+    # memory for this log, as evalkit-run takes it; it decides what is computed only where it is used up
+    sizes = {"beams": len(frames[0].scan.ranges), "keyframes": len(frames)}
+    slam = spec.make(**{p.name: p.default for p in spec.parameters} | sizes)
+    online = np.array([slam.update(as_stored(frame)).pose.row for frame in frames])
+    final = slam.trajectory().poses
+    np.testing.assert_allclose(read_tum(tmp_path / "poses.tum"), final, rtol=0.0, atol=1e-7)
+    assert any(closure.accepted for closure in slam.loop_closures())
+    assert np.abs(online - final)[:, :2].max() > 1e-3
+
+
+def turn_in_room(beams=360, scans=40, turn=0.2, period_ns=100_000_000):
+    """Sweeps of a robot that turns in place by `turn` (rad) a sweep in a room of 6 x 4 m, each beam at its own time."""
+    first = next(iter(registry.dataset("room").make().frames()))
+    angles = np.linspace(-np.pi, np.pi, beams, endpoint=False)
+    for number in range(scans):
+        bearings = angles + turn * (number + np.arange(beams) / beams)
+        with np.errstate(divide="ignore"):
+            ranges = np.minimum(3.0 / np.abs(np.cos(bearings)), 2.0 / np.abs(np.sin(bearings)))
+        scan = replace(
+            first.scan, stamp_ns=number * period_ns, time_increment_ns=period_ns // beams, ranges=ranges, angles=angles
+        )
+        wheels = Pose(0.0, 0.0, se2.wrap(turn * number))
+        turned = Pose(0.0, 0.0, turn * (1.0 - 1.0 / beams))
+        yield replace(first, scan=scan, base_from_sensor=Pose(), odom_from_base=wheels, start_from_end=turned)
+
+
+@needs_core
+def test_the_map_of_a_slam_is_drawn_from_its_path(core_programs, tmp_path):
+    """Sweeps of a turning robot, deskewed, draw walls within a cell (0.05 m) of the sides of the room."""
+    scanlog.write_scan_log(tmp_path / "log", turn_in_room())
+    run_tool(str(core_programs / "evalkit-run"), "--slam", *(str(tmp_path / end) for end in ("log", "tum", "map")))
+    cells = np.frombuffer((tmp_path / "map").read_bytes()[-(1024 * 1024) :], dtype=np.uint8).reshape(1024, 1024)
+    rows, columns = np.nonzero(cells[::-1] == 0)
+    x, y = 0.05 * (columns - 511.5), 0.05 * (rows - 511.5)
+    off = np.minimum(np.abs(np.abs(x) - 3.0), np.abs(np.abs(y) - 2.0))
+    assert len(x) > 400
+    assert off.max() < 0.05
+
+
 @needs_core
 def test_the_map_of_an_outline_has_the_walls_of_the_beams_and_frees_more(core_programs, tmp_path):
     """Every third beam of a scan, twice at one place: neighbouring beams skip cells, which the outline frees."""
@@ -510,9 +565,15 @@ def test_the_map_of_an_outline_has_the_walls_of_the_beams_and_frees_more(core_pr
     ("names", "says"),
     [
         (("absent", "poses"), "absent: the scan log cannot be opened: No such file or directory"),
-        (("text", "poses"), "text: the file is not an evalkit scan log of this version or is truncated"),
+        (("text", "poses"), f"text: {NO_LOG}"),
         (("empty", "poses"), "empty: a scan log without scans"),
         (("torn", "poses"), "torn: scan 2: the file is not an evalkit scan log of this version or is truncated"),
+        (
+            ("--slam", "torn", "poses", "map"),
+            "torn: scan 2: the file is not an evalkit scan log of this version or is truncated",
+        ),
+        (("--slam", "empty", "poses"), "empty: a scan log without scans"),
+        (("--slam", "log", "/dev/full", "map"), "/dev/full: poses cannot be written: No space left on device"),
         (("log", "no/poses"), "no/poses: cannot be opened for the poses: No such file or directory"),
         (("log", "/dev/full"), "/dev/full: poses cannot be written: No space left on device"),
         (("log", "poses", "no/map"), "no/map: cannot be opened for the map: No such file or directory"),
@@ -531,6 +592,9 @@ def test_evalkit_run_names_the_file_and_what_is_wrong_with_it(core_programs, tmp
     command = [str(core_programs / "evalkit-run"), *names]
     answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (answer.returncode, answer.stderr) == (1, f"evalkit-run: {says}\n")
+    if "torn" in names:
+        assert len((tmp_path / "poses").read_text().splitlines()) == 1  # of the scan before
+        assert not (tmp_path / "map").exists()
 
 
 @pytest.mark.parametrize(
