@@ -8,8 +8,10 @@
  *     count random KIND SEED SESSIONS  sessions of 20 random scans with random parameters; KIND: points (and keyframes), or
  *                                      lines (most with lines and a lasting map, half of them with polygons)
  *     count bound KIND SEED SESSIONS   the same, and print only the number of scans and the largest share of each bound
+ *     count slam FILE                  on a board: a recording with ek_slam, in the memory of the smallest row of README.md
  *     count stack                      on a board: print the stack of ek_pipeline_bytes, _start and _update with points
- *                                      and keyframes, then with lines and a lasting map, and of ek_icp_register with a table
+ *                                      and keyframes, then with lines and a lasting map, of ek_icp_register with a table, and of
+ *                                      ek_slam_bytes and _start
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -17,6 +19,7 @@
 
 #include "ek/pipeline.h"
 #include "ek/scanlog.h"
+#include "ek/slam.h"
 #include "ek/table.h"
 #include "ek/tally.h"
 
@@ -285,21 +288,37 @@ static ek_status call_update(void *sweep)
     return ek_pipeline_update(&pipeline, (const ek_sweep *)sweep, &estimate);
 }
 
-static int update(const ek_sweep *sweep, int silent)
+/* Call `what` with a sweep, and print its instructions and stack. */
+static int measure(measured_call what, const ek_sweep *sweep, int silent)
 {
     ek_sweep copy = *sweep;
     ek_status status;
-    const unsigned long stack = stack_of(call_update, &copy, &status);
+    const unsigned long stack = stack_of(what, &copy, &status);
     if (!silent) {
         printf("%llu %lu\n", (unsigned long long)instructions, stack);
     }
     return status == EK_OK ? 0 : fail("update", status);
 }
+
+static int update(const ek_sweep *sweep, int silent)
+{
+    return measure(call_update, sweep, silent);
+}
 #else
 #error "compile with EK_TALLY or BOARD_COUNT"
 #endif
 
-static int run_log(const configuration *chosen, const char *path)
+typedef int (*begin_log)(const configuration *chosen, const ek_scan_parameters *scan);
+typedef int (*log_step)(const ek_sweep *sweep, int silent);
+
+static int begin_configured(const configuration *chosen, const ek_scan_parameters *scan)
+{
+    ek_pipeline_parameters parameters = configured(chosen);
+    parameters.scan = *scan;
+    return begin(&parameters);
+}
+
+static int run_log(begin_log first, log_step step, const configuration *chosen, const char *path)
 {
     ek_scanlog log;
     ek_sweep sweep;
@@ -308,14 +327,11 @@ static int run_log(const configuration *chosen, const char *path)
     if (status != EK_OK || log.max_beams > MAX_BEAMS) {
         return fail(path, status == EK_OK ? EK_TOO_MANY_POINTS : status);
     }
-    ek_pipeline_parameters parameters = configured(chosen);
-    parameters.scan.range_min = log.range_min;
-    parameters.scan.range_max = log.range_max;
-    parameters.scan.base_from_sensor = log.base_from_sensor;
-    int failed = begin(&parameters);
+    const ek_scan_parameters scan = {log.base_from_sensor, log.range_min, log.range_max, EK_R(0.0)};
+    int failed = first(chosen, &scan);
     while (!failed && status == EK_OK) {
         status = ek_scanlog_next(file, &log, ranges, angles, &sweep);
-        failed = status == EK_OK ? update(&sweep, 0) : status == EK_END_OF_FILE ? 0 : fail(path, status);
+        failed = status == EK_OK ? step(&sweep, 0) : status == EK_END_OF_FILE ? 0 : fail(path, status);
     }
     fclose(file);
     return failed;
@@ -548,17 +564,91 @@ static int print_stack_of_table(void)
     return status == EK_OK && r.table.blocks ? 0 : fail("registrations with a table", status);
 }
 
+static ek_slam slam;
+static size_t bytes_of_slam;
+
+static ek_status call_slam_bytes(void *parameters)
+{
+    return ek_slam_bytes((const ek_slam_parameters *)parameters, &bytes_of_slam);
+}
+
+static ek_status call_slam_start(void *parameters)
+{
+    return ek_slam_start(&slam, aligned, bytes_of_slam, (const ek_slam_parameters *)parameters);
+}
+
+static ek_status call_slam_update(void *sweep)
+{
+    static ek_slam_estimate estimate;
+    return ek_slam_update(&slam, (const ek_sweep *)sweep, &estimate);
+}
+
+static int update_slam(const ek_sweep *sweep, int silent)
+{
+    return measure(call_slam_update, sweep, silent);
+}
+
+/* Start the SLAM in the memory of the smallest row of README.md; stack: of ek_slam_bytes and of ek_slam_start. */
+static int start_slam(const ek_scan_parameters *scan, unsigned long stack[2])
+{
+    ek_slam_parameters parameters = ek_slam_default();
+    parameters.scan = scan ? *scan : parameters.scan;
+    parameters.points = 360u;
+    parameters.keyframes = 300u;
+    parameters.keyframe_points = 200u * parameters.keyframes;
+    parameters.loops = 16u;
+    parameters.voxels = 4096u;
+    parameters.map_points = 4096u;
+    parameters.loop_points = 8192u;
+    parameters.score_cells = 256u * 256u;
+    ek_status status;
+    stack[0] = stack_of(call_slam_bytes, &parameters, &status);
+    if (status == EK_OK) {
+        status = take_memory(bytes_of_slam) ? EK_OK : EK_TOO_LITTLE_MEMORY;
+        stack[1] = status == EK_OK ? stack_of(call_slam_start, &parameters, &status) : 0u;
+    }
+    return status == EK_OK ? 0 : fail("start", status);
+}
+
+static int begin_slam(const configuration *chosen, const ek_scan_parameters *scan)
+{
+    unsigned long stack[2];
+    (void)chosen;
+    return start_slam(scan, stack);
+}
+
+static int run_slam(const char *path)
+{
+    return run_log(begin_slam, update_slam, NULL, path);
+}
+
 static int print_stack(void)
 {
+    unsigned long stack[2] = {0u, 0u};
     state = 1u;
-    return print_stack_of_pipeline(configured(find("360"))) || print_stack_of_pipeline(configured(find("360-lines-polygon"))) ||
-           print_stack_of_table();
+    if (print_stack_of_pipeline(configured(find("360"))) || print_stack_of_pipeline(configured(find("360-lines-polygon"))) ||
+        print_stack_of_table() || start_slam(NULL, stack)) {
+        return 1;
+    }
+    printf("%lu %lu %lu %lu\n", stack[0], stack[1], (unsigned long)sizeof slam, (unsigned long)bytes_of_slam);
+    return 0;
 }
 #else
+static int say_board_only(void)
+{
+    fprintf(stderr, "count: slam and stack: on a board only\n");
+    return 1;
+}
+
+static int run_slam(const char *path)
+{
+    (void)path;
+    return say_board_only();
+}
+
 static int print_stack(void)
 {
-    fprintf(stderr, "count: stack: on a board only\n");
-    return 1;
+    return say_board_only();
 }
 #endif
 
@@ -574,14 +664,16 @@ int main(int argc, char **argv)
     int failed = 2;
     if (sizes || log) {
         const configuration *const chosen = find(argv[2]);
-        failed = !chosen ? 1 : sizes ? print_sizes(chosen) : run_log(chosen, argv[3]);
+        failed = !chosen ? 1 : sizes ? print_sizes(chosen) : run_log(begin_configured, update, chosen, argv[3]);
+    } else if (strcmp(what, "slam") == 0 && argc == 3) {
+        failed = run_slam(argv[2]);
     } else if (strcmp(what, "stack") == 0 && argc == 2) {
         failed = print_stack();
     } else if ((silent || strcmp(what, "random") == 0) && known && argc == 5) {
         failed = run_random(lines, strtoull(argv[3], NULL, 10), strtol(argv[4], NULL, 10), silent);
     } else {
         fprintf(stderr, "usage: count sizes CONFIGURATION | log CONFIGURATION FILE | "
-                        "random|bound points|lines SEED SESSIONS | stack\n");
+                        "random|bound points|lines SEED SESSIONS | slam FILE | stack\n");
     }
     free(memory);
     return failed;
