@@ -20,10 +20,30 @@ from typing import Any
 
 from evalkit.external.serial_line import BAUDS, BoardRefused, Line, LineError, Link, open_command, open_device
 
-VERSION = 2
-KINDS = {"r": "registration", "o": "odometry"}
+VERSION = 3
+KINDS = {"r": "registration", "o": "odometry", "s": "slam"}
 REALS = {4: "f", 8: "d"}
 HAS_ODOMETRY, HAS_MOTION = 1, 2
+POSES = 20
+"""Scans of a SLAM whose corrected poses one message asks for."""
+
+OUTCOMES = (
+    "chi2 {:.1f}, overlap {:.2f}",
+    "too few points: {:.0f}",
+    "low score: at most {:.2f}",
+    "ambiguous: another motion has {:.2f} of the score {:.2f}",
+    "little overlap: {:.2f}",
+    "degenerate: position known to {:.2f} m",
+    "chi2 too large: {:.1f}",
+)
+"""What decided on a candidate, with its numbers; the order is that of ek_loop_outcome (loop_finder.h)."""
+
+CLOSURE = "<2I5d2I"
+"""A candidate of a SLAM: later and earlier keyframe, pose, two numbers, what decided, flags."""
+
+ACCEPTED, FOUND_AGAIN = 1, 4
+REMARKS = {2: "not confirmed yet: ", 4: "found again after a lost track: ", 8: "withdrawn, contradicts other loops: ",
+           16: "no room for more loops: "}  # fmt: skip
 MIN_TIMEOUT_S, MAX_TIMEOUT_S = 0.001, 3600.0
 
 
@@ -38,7 +58,8 @@ class Firmware:
     targets: int
     kinds: str
     summary: str
-    parameters: tuple[tuple[str, bool | int | float], ...]
+    parameters: tuple[tuple[str, str, bool | int | float], ...]
+    """Kinds that take it, name and default of each."""
 
 
 def parse_hello(answer: bytes) -> Firmware:
@@ -46,7 +67,7 @@ def parse_hello(answer: bytes) -> Firmware:
     try:
         version, real, _, points, targets = struct.unpack_from("<HBBII", answer)
         kinds, summary, *lines = answer[12:].decode("ascii").splitlines()
-        parameters = tuple((name, parse_default(text)) for name, text in map(str.split, lines))
+        parameters = tuple((takers, name, parse_default(text)) for takers, name, text in map(str.split, lines))
         if version != VERSION or real not in REALS or not kinds or set(kinds) - set(KINDS):
             raise ValueError
     except (struct.error, ValueError):
@@ -72,6 +93,9 @@ class Board:
         if self._kind not in self.firmware.kinds:
             offered = ", ".join(KINDS[one] for one in self.firmware.kinds)
             raise LineError(f"the firmware is no {KINDS[self._kind]}; it offers: {offered}")
+        self._parameters = [one[1:] for one in self.firmware.parameters if self._kind in one[0]]
+        self._tracked: list[tuple[int, list[float]]] = []  # of a SLAM: keyframe and odom_from_base of each scan,
+        self._keyframe_stamps_ns: list[int] = []
 
     def answer(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Return the answer to a question; raises LineError where the board does not answer or refuses."""
@@ -84,6 +108,10 @@ class Board:
             return self._register(question)
         if ask == "update":
             return self._update(question)
+        if ask == "trajectory":
+            return {"poses": self._correct(question["from"], question["count"])}
+        if ask == "loop_closures":
+            return {"loop_closures": self._list_closures()[question["from"] :][: question["count"]]}
         raise LineError(f"no message for the question {ask}")
 
     def _ask(self, message: bytes) -> bytes:
@@ -106,12 +134,12 @@ class Board:
                     "unit": "m" if name.endswith("_m") else "",
                     "meaning": "of the firmware",
                 }
-                for name, default in self.firmware.parameters
+                for name, default in self._parameters
             ],
         }
 
     def _create(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        numbers = [float(values[name]) for name, _ in self.firmware.parameters]
+        numbers = [float(values[name]) for name, _ in self._parameters]
         self._ask(b"C" + self._kind.encode() + struct.pack(f"<{len(numbers)}d", *numbers))
         return {}
 
@@ -147,8 +175,51 @@ class Board:
         head += struct.pack("<2q2I", question["stamp_ns"], question["time_increment_ns"], len(ranges), flags)
         head += struct.pack(f"<{len(poses)}d", *poses)
         answer = self._ask(b"U" + head + self._reals(ranges) + self._reals(question["angles"]))
-        *pose, elapsed_ns = self._unpack("<3dQ", answer)
-        return {"pose": pose, "elapsed_ns": elapsed_ns}
+        if self._kind != "s":
+            *pose, elapsed_ns = self._unpack("<3dQ", answer)
+            return {"pose": pose, "elapsed_ns": elapsed_ns}
+        *pose, elapsed_ns, keyframe, x, y, theta, corrected = self._unpack("<3dQI3dI", answer)
+        self._tracked.append((keyframe, [x, y, theta]))
+        if keyframe == len(self._keyframe_stamps_ns):
+            self._keyframe_stamps_ns.append(question["stamp_ns"])
+        return {"pose": pose, "elapsed_ns": elapsed_ns, "corrected": bool(corrected)}
+
+    def _correct(self, first: int, count: int) -> list[float]:
+        """Return the corrected poses of scans, three numbers for each."""
+        poses: list[float] = []
+        wanted = self._tracked[first : first + count]
+        for begin in range(0, len(wanted), POSES):
+            some = wanted[begin : begin + POSES]
+            content = b"".join(struct.pack("<I3d", keyframe, *pose) for keyframe, pose in some)
+            poses += self._unpack(f"<{3 * len(some)}d", self._ask(b"T" + struct.pack("<I", len(some)) + content))
+        return poses
+
+    def _list_closures(self) -> list[dict[str, Any]]:
+        """Return all candidates for loops so far."""
+        closures: list[dict[str, Any]] = []
+        total = 1
+        while len(closures) < total:
+            answer = self._ask(b"L" + struct.pack("<I", len(closures)))
+            (total,) = self._unpack("<I", answer[:4])
+            if total and not answer[4:]:
+                raise LineError(f"the board has {total} candidates for loops and answers none")
+            try:
+                closures += [self._read_closure(*one) for one in struct.iter_unpack(CLOSURE, answer[4:])]
+            except (struct.error, IndexError):
+                raise LineError(f"the board answers {answer[:60]!r} to L, which are no candidates for loops") from None
+        return closures
+
+    def _read_closure(self, later: int, earlier: int, *numbers: Any) -> dict[str, Any]:
+        *pose, first, second, outcome, flags = numbers
+        remarks = "".join(text for flag, text in REMARKS.items() if flags & flag)
+        return {
+            "stamp_ns": self._keyframe_stamps_ns[later],
+            "other_stamp_ns": self._keyframe_stamps_ns[earlier],
+            "pose": pose,
+            "accepted": bool(flags & ACCEPTED),
+            "found_again": bool(flags & FOUND_AGAIN),
+            "reason": remarks + OUTCOMES[outcome].format(first, second),
+        }
 
     def _check(self, count: int, most: int, what: str) -> None:
         if count > most:

@@ -135,9 +135,9 @@ def stand_in(firmware):
         one.close()
 
 
-def frames(count, every=4):
-    lab = registry.dataset("lab")
-    sequence = lab.make(**{p.name: p.default for p in lab.parameters} | {"laps": 0.05, "seed": 5})
+def frames(count, every=4, world="lab", **changed):
+    spec = registry.dataset(world)
+    sequence = spec.make(**{p.name: p.default for p in spec.parameters} | {"laps": 0.05, "seed": 5} | changed)
     for frame in islice(sequence.frames(), count):
         scan = replace(frame.scan, ranges=frame.scan.ranges[::every], angles=frame.scan.angles[::every])
         yield replace(frame, scan=replace(scan, time_increment_ns=every * scan.time_increment_ns))
@@ -170,6 +170,33 @@ def test_poses_equal_those_of_the_core_to_the_bit_also_over_a_damaged_line(stand
     found = [Pose.of(board.answer(question(frame))["pose"]).row.tolist() for frame in scans]
     assert found == poses_of_the_core(scans)
     assert (line.harmed > 10 and link.repeats > 5) if harm else line.harmed == 0
+
+
+@needs_firmware
+def test_a_slam_on_the_board_gives_the_corrections_and_loops_of_the_core_to_the_bit(stand_in):
+    scans = list(frames(None, every=8, world="loop", laps=1.3, speed_mps=0.8, rate_hz=5.0, seed=1))
+    board = Board(Link(stand_in().line, timeout_s=5.0, tries=10), "s", "stand-in")
+    board.answer({"ask": "create", "parameters": {"work": 200_000}})
+    online = [board.answer(question(frame)) for frame in scans]
+    spec = registry.backend("embedded-slam")
+    memory = {
+        "beams": 256, "keyframes": 300, "keyframe_points": 60_000, "loops": 16, "voxels": 4096, "map_points": 4096,
+        "loop_points": 8192, "score_cells": 65_536,
+    }  # fmt: skip
+    slam = spec.make(**{p.name: p.default for p in spec.parameters} | memory)
+    estimates = [slam.update(frame) for frame in scans]
+    assert [Pose.of(one["pose"]).row.tolist() for one in online] == [one.pose.row.tolist() for one in estimates]
+    assert [one["corrected"] for one in online] == [one.corrected for one in estimates]
+    poses = board.answer({"ask": "trajectory", "from": 0, "count": len(scans)})["poses"]
+    assert poses == slam.trajectory().poses.ravel().tolist()
+    assert board.answer({"ask": "trajectory", "from": 30, "count": 2})["poses"] == poses[90:96]
+    loops = board.answer({"ask": "loop_closures", "from": 0, "count": 1000})["loop_closures"]
+    told = [(one["stamp_ns"], one["other_stamp_ns"], Pose.of(one["pose"]), one["accepted"]) for one in loops]
+    assert told == [
+        (one.stamp_ns, one.other_stamp_ns, one.other_from_base, one.accepted) for one in slam.loop_closures()
+    ]
+    assert sum(one["accepted"] for one in loops) >= 2
+    assert {one["reason"] for one in loops if one["accepted"]} <= {one.reason for one in slam.loop_closures()}
 
 
 @needs_firmware
@@ -358,7 +385,7 @@ def test_the_firmware_says_busy_before_it_answers(firmware):
     busy, *answers = [serial_line.decode_frame(one) for one in printed.split(b"\0")[:-1]]
     assert busy == (1, BUSY, b"")
     assert [answer[:2] for answer in answers] == 3 * [(1, LAST)]
-    assert {parse_hello(answer[2][1:]).kinds for answer in answers} == {"ro"}
+    assert {parse_hello(answer[2][1:]).kinds for answer in answers} == {"ros"}
 
 
 @pytest.mark.parametrize(
@@ -408,13 +435,13 @@ def test_no_frame_with_one_damaged_byte_is_taken():
 
 
 def test_a_greeting_of_another_version_is_refused():
-    assert parse_hello(b"\x02\x00\x04\x00" + bytes(8) + b"o\nmine\nsize 3\nlimit 0.5\n").parameters == (
-        ("size", 3), ("limit", 0.5),
+    assert parse_hello(b"\x03\x00\x04\x00" + bytes(8) + b"os\nmine\nos size 3\ns limit 0.5\n").parameters == (
+        ("os", "size", 3), ("s", "limit", 0.5),
     )  # fmt: skip
     assert parse_default("true") is True
     assert parse_default("-2") == -2
-    for answer in (b"", b"\x01\x00\x04\x00" + bytes(8) + b"o\nmine\n", b"\x02\x00\x04\x00" + bytes(8) + b"x\nmine\n"):
-        with pytest.raises(LineError, match="is this firmware for version 2"):
+    for answer in (b"", b"\x02\x00\x04\x00" + bytes(8) + b"o\nmine\n", b"\x03\x00\x04\x00" + bytes(8) + b"x\nmine\n"):
+        with pytest.raises(LineError, match="is this firmware for version 3"):
             parse_hello(answer)
 
 

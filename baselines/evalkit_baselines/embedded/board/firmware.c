@@ -1,21 +1,30 @@
-/* Example firmware: the core's registration and its pipeline behind a serial line, without a heap. To validate another
- * implementation, replace create_session, register_clouds and update_pose; `python -m evalkit.external.serial_board`
- * is the host's side.
+/* Example firmware: the core's registration, its pipeline and its SLAM behind a serial line, without a heap. To validate
+ * another implementation, replace create_session, register_clouds and update_pose, and of a SLAM correct_poses and
+ * list_closures; `python -m evalkit.external.serial_board` is the host's side.
  *
  * A message is a type and numbers without gaps, little-endian. An answer is 'a' and numbers, or 'f' and a text.
  *     H                                        -> u16 version, u8 bytes of a real, u8 0, u32 largest scan,
  *                                                 u32 largest target, text (see `about`)
- *     C  u8 kind ('r', 'o')  f64 parameters[]  -> u32 bytes of memory used
+ *     C  u8 kind ('r', 'o', 's')  f64 parameters[] of this kind
+ *                                              -> u32 bytes of memory used
  *     R  f64 guess[3]  u32 source, target  real source[2 x n], target[2 x m]
  *                                              -> f64 pose[3], error, u32 converged, iterations, inliers
  *                                                 u64 nanoseconds
  *     U  f64 range_min, range_max, base_from_sensor[3]  i64 stamp_ns, time_increment_ns  u32 beams, flags (scanlog.h)
  *        f64 odom_from_base[3], start_from_end[3] (as flagged)  real ranges[n], angles[n]
- *                                              -> f64 pose[3], u64 nanoseconds
+ *                                              -> f64 pose[3], u64 nanoseconds; of a SLAM also
+ *                                                 u32 keyframe, f64 odom_from_base[3], u32 corrected
+ *     T  u32 scans  {u32 keyframe  f64 odom_from_base[3]}[]: at most POSES scans of a SLAM, as U has answered
+ *                                              -> f64 pose[3] of each, corrected
+ *     L  u32 first                             -> u32 candidates for loops of a SLAM, and at most CLOSURES of them from
+ *                                                 `first` on: u32 later, earlier keyframe, f64 pose[3], number[2], u32 outcome
+ *                                                 (loop_finder.h), u32 flags (1: accepted, 2: not confirmed, 4: found again,
+ *                                                 8: withdrawn, 16: no room)
  */
 #include <string.h>
 
 #include "ek/pipeline.h"
+#include "ek/slam.h"
 #include "link.h"
 #include "port.h"
 
@@ -29,21 +38,27 @@
 #define BOARD_CELLS 0u /* of the index of the local map; 0: 16 per point */
 #endif
 #ifndef BOARD_BYTES
-#define BOARD_BYTES (3u << 20) /* for the method */
+#define BOARD_BYTES (8u << 20) /* for the method */
+#endif
+#ifndef BOARD_SLAM_KEYFRAMES
+#define BOARD_SLAM_KEYFRAMES 300u /* of 200 points in the mean */
 #endif
 #define BOARD_TARGETS (BOARD_POINTS * BOARD_KEYFRAMES)
 #define TARGET_CELLS ((size_t)1 << 16)
-#define PARAMETERS 5u
-#define VERSION 2u
+#define VERSION 3u
+#define POSES 20u
+#define CLOSURES 8u
 #define MESSAGE_BYTES (64u + 2u * sizeof(ek_real) * (BOARD_POINTS + BOARD_TARGETS))
 
-static const char about[] = "ro\n"
+/* Kinds of sessions, a summary, and a line for each parameter: the kinds that take it, its name and its default. */
+static const char about[] = "ros\n"
                             "the core of evalkit as firmware\n"
-                            "max_iterations 40\n"
-                            "min_pairs 3\n"
-                            "epsilon 1e-4\n"
-                            "max_correspondence_m 0.3\n"
-                            "one_to_one true\n";
+                            "ro max_iterations 40\n"
+                            "ro min_pairs 3\n"
+                            "ro epsilon 1e-4\n"
+                            "ro max_correspondence_m 0.3\n"
+                            "ro one_to_one true\n"
+                            "s work 200000\n";
 
 /* A message that is read from its begin to its end; `short_by` counts bytes that were not there. */
 typedef struct {
@@ -67,6 +82,7 @@ static ek_icp_parameters matching;
 static ek_icp icp;
 static ek_index target;
 static ek_pipeline pipeline;
+static ek_slam slam;
 static char kind; /* of the session; 0: none */
 static size_t needed; /* bytes of memory of the last session that was asked for */
 
@@ -197,22 +213,47 @@ static ek_status start_pipeline(size_t *bytes)
     return status == EK_OK ? ek_pipeline_start(&pipeline, memory.bytes, sizeof memory.bytes, &parameters) : status;
 }
 
-static ek_status create_session(reader *in, writer *out)
+/* As delivered, with little memory; a message has fewer points than a map (README.md). */
+static ek_status start_slam(int32_t work, size_t *bytes)
 {
-    const char wanted = (char)take_unsigned(in, 1u);
+    ek_slam_parameters parameters = ek_slam_default();
+    parameters.work = work;
+    parameters.points = BOARD_POINTS;
+    parameters.keyframes = BOARD_SLAM_KEYFRAMES;
+    parameters.keyframe_points = 200u * parameters.keyframes;
+    parameters.loops = 16u;
+    parameters.voxels = parameters.map_points = 4096u;
+    parameters.loop_points = 8192u;
+    parameters.score_cells = 256u * 256u;
+    const ek_status status = ek_slam_bytes(&parameters, bytes);
+    return status == EK_OK ? ek_slam_start(&slam, memory.bytes, sizeof memory.bytes, &parameters) : status;
+}
+
+static ek_status start_matching(char wanted, reader *in)
+{
     matching = ek_icp_default();
     matching.max_iterations = take_count(in);
     matching.min_pairs = take_count(in);
     matching.epsilon = (ek_real)take_double(in);
     matching.max_correspondence = (ek_real)take_double(in);
     matching.one_to_one = take_double(in) != 0.0;
-    kind = 0;
-    if (in->short_by || in->left || (wanted != 'r' && wanted != 'o')) {
+    if (in->short_by || in->left) {
         return EK_OUT_OF_RANGE;
     }
-    ek_status status = ek_icp_check(&matching);
-    if (status == EK_OK) {
-        status = wanted == 'r' ? start_registration(&needed) : start_pipeline(&needed);
+    const ek_status status = ek_icp_check(&matching);
+    return status != EK_OK ? status : wanted == 'r' ? start_registration(&needed) : start_pipeline(&needed);
+}
+
+static ek_status create_session(reader *in, writer *out)
+{
+    const char wanted = (char)take_unsigned(in, 1u);
+    ek_status status = EK_OUT_OF_RANGE;
+    kind = 0;
+    if (wanted == 'r' || wanted == 'o') {
+        status = start_matching(wanted, in);
+    } else if (wanted == 's') {
+        const int32_t work = take_count(in);
+        status = in->short_by || in->left ? EK_OUT_OF_RANGE : start_slam(work, &needed);
     }
     kind = status == EK_OK ? wanted : (char)0;
     put_unsigned(out, needed, 4u);
@@ -249,11 +290,30 @@ static ek_status register_clouds(reader *in, writer *out)
     return status;
 }
 
+/* Process a scan with the method of the session, and put its pose and time. */
+static ek_status update_method(const ek_sweep *sweep, writer *out)
+{
+    ek_estimate estimate;
+    ek_slam_estimate corrected;
+    const uint64_t begin = port_clock_ns();
+    const ek_status status = kind == 's' ? ek_slam_update(&slam, sweep, &corrected) : ek_pipeline_update(&pipeline, sweep, &estimate);
+    const uint64_t taken = port_clock_ns() - begin;
+    if (status == EK_OK) {
+        put_pose(out, kind == 's' ? corrected.start_from_base : estimate.start_from_base);
+        put_unsigned(out, taken, 8u);
+    }
+    if (status == EK_OK && kind == 's') {
+        put_unsigned(out, corrected.keyframe, 4u);
+        put_pose(out, corrected.odom_from_base);
+        put_unsigned(out, corrected.corrected != 0, 4u);
+    }
+    return status;
+}
+
 static ek_status update_pose(reader *in, writer *out)
 {
     ek_sweep sweep;
-    ek_estimate estimate;
-    ek_scan_parameters *const scan = &pipeline.parameters.scan;
+    ek_scan_parameters *const scan = kind == 's' ? &slam.parameters.scan : &pipeline.parameters.scan;
     memset(&sweep, 0, sizeof sweep);
     scan->range_min = (ek_real)take_double(in);
     scan->range_max = (ek_real)take_double(in);
@@ -284,15 +344,47 @@ static ek_status update_pose(reader *in, writer *out)
     }
     sweep.ranges = points;
     sweep.angles = points + sweep.beams;
-    ek_status status = ek_scan_check(scan);
-    const uint64_t begin = port_clock_ns();
-    status = status == EK_OK ? ek_pipeline_update(&pipeline, &sweep, &estimate) : status;
-    const uint64_t taken = port_clock_ns() - begin;
-    if (status == EK_OK) {
-        put_pose(out, estimate.start_from_base);
-        put_unsigned(out, taken, 8u);
+    const ek_status status = ek_scan_check(scan);
+    return status == EK_OK ? update_method(&sweep, out) : status;
+}
+
+static ek_status correct_poses(reader *in, writer *out)
+{
+    const size_t scans = (size_t)take_unsigned(in, 4u);
+    if (scans > POSES) {
+        return EK_TOO_MANY_POINTS;
     }
-    return status;
+    for (size_t k = 0; k < scans; k++) {
+        const uint32_t keyframe = (uint32_t)take_unsigned(in, 4u);
+        const ek_pose odom_from_base = take_pose(in);
+        if (in->short_by || !ek_se2_is_finite(odom_from_base)) {
+            return in->short_by ? EK_BAD_FILE : EK_NOT_FINITE;
+        }
+        put_pose(out, ek_slam_correct(&slam, keyframe, odom_from_base));
+    }
+    return in->left ? EK_BAD_FILE : EK_OK;
+}
+
+static ek_status list_closures(reader *in, writer *out)
+{
+    const size_t first = (size_t)take_unsigned(in, 4u);
+    if (in->short_by || in->left) {
+        return EK_BAD_FILE;
+    }
+    put_unsigned(out, slam.record_count, 4u);
+    for (size_t k = first; k < slam.record_count && k - first < CLOSURES; k++) {
+        const ek_loop_record *const now = slam.record + k;
+        const uint32_t flags = (now->accepted ? 1u : 0u) | (now->unconfirmed ? 2u : 0u) | (now->found_again ? 4u : 0u) |
+                               (now->withdrawn ? 8u : 0u) | (now->no_room ? 16u : 0u);
+        put_unsigned(out, now->candidate.edge.second, 4u);
+        put_unsigned(out, now->candidate.edge.first, 4u);
+        put_pose(out, now->candidate.edge.first_from_second);
+        put_double(out, (double)now->candidate.number[0]);
+        put_double(out, (double)now->candidate.number[1]);
+        put_unsigned(out, (uint64_t)now->candidate.outcome, 4u);
+        put_unsigned(out, flags, 4u);
+    }
+    return EK_OK;
 }
 
 static void answer_message(void)
@@ -309,8 +401,12 @@ static void answer_message(void)
         status = create_session(&in, &out);
     } else if (type == 'R' && kind == 'r') {
         status = register_clouds(&in, &out);
-    } else if (type == 'U' && kind == 'o') {
+    } else if (type == 'U' && (kind == 'o' || kind == 's')) {
         status = update_pose(&in, &out);
+    } else if (type == 'T' && kind == 's') {
+        status = correct_poses(&in, &out);
+    } else if (type == 'L' && kind == 's') {
+        status = list_closures(&in, &out);
     } else {
         out.count = 0u;
         put_text(&out, "funknown message, or before C");

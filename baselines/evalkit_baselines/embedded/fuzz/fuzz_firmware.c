@@ -14,6 +14,7 @@ static unsigned char message[MESSAGE], sent[2u * MESSAGE], answer[8u * LINK_CODE
 static size_t message_bytes, sent_bytes, sent_taken, answer_bytes;
 static unsigned char sequence;
 static uint32_t points, targets; /* that the firmware takes at most */
+static char session;             /* kind of the last one that began */
 
 void port_init(void)
 {
@@ -79,7 +80,12 @@ static void put_create(ek_input *input)
 {
     static const double odd[] = {NAN, INFINITY, -1.0, 0.5, 1e12, -1e300};
     const uint8_t kind = take_byte(input);
-    put(kind < 120u ? "r" : kind < 240u ? "o" : "x", 1u);
+    if (kind < 40u) {
+        put("s", 1u);
+        put_double(kind < 36u ? 1000.0 * kind : odd[kind % (sizeof odd / sizeof *odd)]);
+        return;
+    }
+    put(kind < 140u ? "r" : kind < 240u ? "o" : "x", 1u);
     for (int k = 0; k < 2; k++) { /* few iterations: the fuzzer has no patience */
         const uint8_t whole = take_byte(input);
         put_double(whole < 240u ? (double)(whole % 40u) : odd[whole % (sizeof odd / sizeof *odd)]);
@@ -114,10 +120,20 @@ static void put_update(ek_input *input)
     put_reals(input, 2u * (beams % 256u));
 }
 
+static void put_tracked(ek_input *input)
+{
+    const uint32_t scans = take_count(input, 20u);
+    put_whole(scans);
+    for (uint32_t k = 0; k < scans % 32u; k++) {
+        put_whole(take_count(input, 8u));
+        put_doubles(input, 3u);
+    }
+}
+
 /* Make the next message; its type. */
 static char make_message(ek_input *input)
 {
-    static const char types[] = "HCRUCRURU";
+    static const char types[] = "HCRUCRURUUTL";
     const uint8_t kind = take_byte(input), cut = take_byte(input);
     const char type = types[kind % (sizeof types - 1u)];
     message_bytes = 0u;
@@ -132,6 +148,10 @@ static char make_message(ek_input *input)
         put_register(input);
     } else if (type == 'U') {
         put_update(input);
+    } else if (type == 'T') {
+        put_tracked(input);
+    } else if (type == 'L') {
+        put_whole(take_count(input, 4u));
     }
     if (cut >= 250u) {
         put("surplus", (size_t)cut - 249u);
@@ -200,9 +220,22 @@ static void check_answer(char type, const unsigned char *data, size_t bytes)
         }
         return;
     }
-    HOLDS(type == 'H' || bytes == 1u + (type == 'C' ? 4u : type == 'R' ? 52u : 32u));
+    if (type == 'C') {
+        session = (char)message[1];
+    }
     if (type == 'R' || type == 'U') {
         check_pose(data + 1);
+    }
+    if (type == 'T') { /* a pose for each scan */
+        HOLDS(bytes == 1u + (message_bytes - 5u) / 28u * 24u);
+        for (const unsigned char *pose = data + 1; pose < data + bytes; pose += 24) {
+            check_pose(pose);
+        }
+    } else if (type == 'L') {
+        HOLDS(bytes >= 5u && (bytes - 5u) % 56u == 0u);
+    } else {
+        const size_t of_update = session == 's' ? 64u : 32u;
+        HOLDS(type == 'H' || bytes == 1u + (type == 'C' ? 4u : type == 'R' ? 52u : of_update));
     }
 }
 
