@@ -131,6 +131,13 @@ static void *take_memory(session *s, size_t bytes)
     return block + (EK_ALIGNMENT - (uintptr_t)block % EK_ALIGNMENT);
 }
 
+static void free_memory(session *s)
+{
+    while (s->block_count > 0u) {
+        free(s->blocks[--s->block_count]);
+    }
+}
+
 static ek_pipeline_parameters pipeline_parameters(const session *s)
 {
     ek_pipeline_parameters parameters = ek_pipeline_default();
@@ -365,8 +372,6 @@ int main(int argc, char **argv)
         return 2;
     }
     const int failed = process(&s, argv + first, count);
-    while (s.block_count > 0u) {
-        free(s.blocks[--s.block_count]);
-    }
+    free_memory(&s);
     return failed;
 }

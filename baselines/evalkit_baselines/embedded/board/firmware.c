@@ -357,12 +357,12 @@ static ek_status correct_poses(reader *in, writer *out)
     for (size_t k = 0; k < scans; k++) {
         const uint32_t keyframe = (uint32_t)take_unsigned(in, 4u);
         const ek_pose odom_from_base = take_pose(in);
-        if (in->short_by || !ek_se2_is_finite(odom_from_base)) {
-            return in->short_by ? EK_BAD_FILE : EK_NOT_FINITE;
+        if (!ek_se2_is_finite(odom_from_base)) {
+            return EK_NOT_FINITE;
         }
         put_pose(out, ek_slam_correct(&slam, keyframe, odom_from_base));
     }
-    return in->left ? EK_BAD_FILE : EK_OK;
+    return in->short_by || in->left ? EK_BAD_FILE : EK_OK;
 }
 
 static ek_status list_closures(reader *in, writer *out)

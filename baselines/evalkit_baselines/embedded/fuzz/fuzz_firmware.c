@@ -213,7 +213,7 @@ static void check_pose(const unsigned char *from)
 
 static void check_answer(char type, const unsigned char *data, size_t bytes)
 {
-    HOLDS(bytes > 1u && (data[0] == 'a' || data[0] == 'f'));
+    HOLDS(bytes >= (type == 'T' ? 1u : 2u) && (data[0] == 'a' || data[0] == 'f'));
     if (data[0] == 'f') {
         for (size_t k = 1; k < bytes; k++) {
             HOLDS(data[k] >= ' ' && data[k] <= '~');
