@@ -127,6 +127,20 @@ def test_an_interval_is_drawn_to_its_ends_or_its_cut_end_has_an_arrow(record, bu
     assert its_high - its_low > 10.0
 
 
+@pytest.mark.parametrize(
+    ("errors", "ticks"),
+    [((0.004, 0.03), ["5 mm", "20 mm"]), ((0.11, 0.15), ["110 mm", "160 mm"]), ((0.03, 3.0), ["50 mm", "2 m"])],
+)
+def test_two_labelled_values_tell_the_scale_of_each_column(record, build, errors, ticks):
+    """As round as possible, and far apart: one value does not tell whether a column spans a factor of 1.4 or 100."""
+    runs = [
+        record(name, "room", {"ate_rmse_m": error}, seed=seed)
+        for name, error in zip("ab", errors, strict=True) for seed in range(3)
+    ]  # fmt: skip
+    foot = dots(build(runs)).split('class="ticks"')[1]
+    assert [text.replace("\u00a0", " ") for text in re.findall(r'class="tick[a-z ]*"[^>]*>([^<]+)<', foot)] == ticks
+
+
 def test_methods_are_in_the_order_of_the_answer(room):
     names = re.findall(r'class="dots-row series[a-z ]*" data-of="(\w+)"', dots(room))
     assert names == [one.method for one in analyse(room).answer.standings]
