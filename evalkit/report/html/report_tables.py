@@ -28,6 +28,8 @@ from evalkit.stats.intervals import wilson_interval
 from evalkit.stats.runs import MIN_RUNS
 
 DASH = Cell("–", "")
+COVERED, MIN_COVERED = "relations_answered_percent", 95.0
+"""A metric, and the percentage from which on a result is compared with published ones, which are of all relations."""
 CHIPS: Mapping[str, Chips] = {"reference": (("reference", ""),), "baseline": (("baseline", ""),)}
 
 
@@ -239,6 +241,20 @@ def pairs_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes
             cells += [value, Cell(one.verdict), DASH if detectable is None else Cell(_format(metric, detectable))]
         rows.append([method_cell(analysis.comparison, strokes, label), *cells])
     return Table(columns, rows, label=f"Paired differences on {sequence.label}")
+
+
+def explain_no_published(sequence: SequenceAnalysis) -> str:
+    """Return why published results are not shown beside those of a sequence; "" without any, or if they are."""
+    excerpt = sequence.all_runs[0].spec.sequence.excerpt_scans
+    ranking = sequence.rankings.get(COVERED)
+    known = [score.median for score in ranking.scores if score.median is not None] if ranking else []
+    if not sequence.card.published or (not excerpt and (not known or max(known) >= MIN_COVERED)):
+        return ""
+    share = f" with {max(known):.{int(max(known) < 9.95)}f} % of its relations" if known else ""
+    part = f"excerpts of {excerpt} scans" if excerpt else "a part of it"
+    return (
+        f"Not compared with published results, which are of the whole {sequence.label}: the runs are of {part}{share}."
+    )
 
 
 def published_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes) -> Table | None:
