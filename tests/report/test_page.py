@@ -260,6 +260,7 @@ def test_published_results_are_sorted_among_the_measured_ones(tags):
         (5.4, 400, "the runs are of excerpts of 400 scans with 5.4 % of its relations."),
         (60.0, 0, "the runs are of a part of it with 60 % of its relations."),
         (97.0, 0, ""),
+        (97.0, 400, ""),
     ],
 )
 def test_a_part_of_a_recording_is_not_compared_with_published_results(demo, percent, excerpt, said):

@@ -248,7 +248,8 @@ def explain_no_published(sequence: SequenceAnalysis) -> str:
     excerpt = sequence.all_runs[0].spec.sequence.excerpt_scans
     ranking = sequence.rankings.get(COVERED)
     known = [score.median for score in ranking.scores if score.median is not None] if ranking else []
-    if not sequence.card.published or (not excerpt and (not known or max(known) >= MIN_COVERED)):
+    whole = max(known) >= MIN_COVERED if known else not excerpt
+    if not sequence.card.published or whole:
         return ""
     share = f" with {max(known):.{int(max(known) < 9.95)}f} % of its relations" if known else ""
     part = f"excerpts of {excerpt} scans" if excerpt else "a part of it"
