@@ -26,7 +26,7 @@ def records_table(analysis: Analysis, strokes: Strokes) -> Table:
         Column("Mean rank", "", True, "1 is the best on every sequence"),
         *(Column(f"A{share}", "", True, f"{share} % of all its runs have at most this deciding error")
           for share in (50, 75, 95)),
-        Column("A50 to A95 over", number=True, tip="runs with this error, and their sequences"),
+        Column("Runs of A50–A95", number=True, tip="and the number of their sequences"),
     )  # fmt: skip
     rows = [_record_row(analysis.comparison, strokes, one) for one in analysis.significance.records]
     return Table(columns, rows, label="Success and ranks")
