@@ -183,6 +183,21 @@ def test_the_map_strip_has_answer_peer_baseline_and_worst_in_one_window(room):
     assert tiles[0].link == "#sequence-1-player?by=plane&on=own&play=1"
 
 
+def test_the_caption_of_a_map_says_how_many_runs_lost_the_track_and_when_the_first_did(room):
+    """The value is the median of all runs, the loss is not that of the drawn run: the caption says so."""
+    at_s = {0: 27.0, 1: 5.0}
+    runs = [
+        replace(run, scores=replace(run.scores, lost=LostTrack(at_s[run.seed], "a jump")))
+        if run.method == "lost" and run.seed in at_s else run
+        for run in room.records
+    ]  # fmt: skip
+    tiles = {
+        tile.method: tile for tile in build_tiles(analyse(replace(room, records=tuple(runs))), 0, strokes_of(room))
+    }
+    assert tiles["lost"].caption == "2.52\u00a0m · lost in 2 of 3, first at 5 s"
+    assert "lost" not in tiles["plane"].caption
+
+
 def test_without_a_verdict_the_map_strip_names_no_best_and_no_worst(room):
     """One run each: the values are stated, and that the recording does not count."""
     once = replace(room, records=tuple(run for run in room.records if run.seed == 0))

@@ -16,9 +16,8 @@ from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import (
     capitalise,
     choose_decimals,
-    count_losses,
     format_amount,
-    format_loss,
+    format_losses,
     format_number,
 )
 from evalkit.report.html.blocks import Block, Cell, Chips, Column, Table, Text, Tone
@@ -72,7 +71,7 @@ def score_cell(ranking: Ranking, score: MethodScore | None, link: str = "", says
         return Cell("–", "", tip="not run here")
     partial = ", ".join(_format(metric, value) for value in score.partial)
     early = f"ended early: {partial}" if partial else ""
-    lost = format_loss(score.lost) if score.lost is not None and says_loss else ""
+    lost = f"lost {format_losses(score)}" if score.lost is not None and says_loss else ""
     if not score.values:
         return Cell("–", "", tip=score.reason, link=link, extent=early or lost)
     runs = f"median of {len(score.values)} of {score.expected} runs" if score.expected > 1 else ""
@@ -133,8 +132,7 @@ def _describe_state(sequence: SequenceAnalysis, label: str, repeated: bool) -> l
     score = sequence.deciding.of(label) if sequence.deciding else None
     chips: list[tuple[str, Tone]] = []
     if score is not None and score.lost is not None:
-        counted = count_losses(score.lost_runs, score.found_runs, score.expected)
-        chips.append(("; ".join(filter(None, (format_loss(score.lost), counted))), "bad"))
+        chips.append((f"lost {format_losses(score)}", "bad"))
     if sequence.is_behind(label):
         chips.append(("worse than the baseline", "warn"))
     if not repeated and (broken := select_unfinished(sequence.runs[label])):
