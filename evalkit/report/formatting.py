@@ -145,9 +145,17 @@ def format_loss_times(lost: LostTrack) -> str:
     return f"at {lost.at_s:.0f} s{found}"
 
 
-def count_losses(lost: int, found: int, runs: int) -> str:
-    """Return how many of several runs lost the track, and how many of these found it again."""
-    return f"{lost} of {runs} runs lost, {found} found again" if runs > 1 and lost else ""
+def format_losses(score: MethodScore) -> str:
+    """Return when a method lost the track, "" if it held it: "at 12 s, found at 20 s".
+
+    Of several runs: "in 1 of 3, at 12 s", "in 2 of 3, first at 12 s, 1 found again".
+    """
+    if score.lost is None:
+        return ""
+    if score.lost_runs < 2:
+        return f"{f'in 1 of {score.expected}, ' if score.expected > 1 else ''}{format_loss_times(score.lost)}"
+    found = f", {score.found_runs} found again" if score.found_runs else ""
+    return f"in {score.lost_runs} of {score.expected}, first at {score.lost.at_s:.0f} s{found}"
 
 
 def join_words(words: Iterable[str]) -> str:

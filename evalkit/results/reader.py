@@ -19,14 +19,14 @@ from evalkit.config.experiment import Experiment, Method, RunSpec, SequenceSpec
 from evalkit.core.arrays import Ints
 from evalkit.core.errors import StoreError, brief
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import DISTURBED, RunConditions, RunResult
+from evalkit.core.run_result import DISTURBED, LostTrack, RunConditions, RunResult
 from evalkit.core.se2 import Floats
 from evalkit.io import untrusted_io
 from evalkit.plugins.parameters import EXCERPT, NUISANCE
 from evalkit.results.results_schema import check_schema
 from evalkit.results.run_record import RunRecord
 from evalkit.results.seal import check_seal, read_sealed, read_vouched
-from evalkit.results.store import ERRORS, RESULT, SCORES, STEPS, Store, count_sound, whole_records
+from evalkit.results.store import ERRORS, RESULT, SCORES, STEPS, Store, count_sound, parse_lost, whole_records
 
 REPETITION = ("seed", NUISANCE, EXCERPT)
 """Parameters of a sequence that belong to one repetition."""
@@ -48,9 +48,11 @@ RunName = tuple[str, str, int | None]
 class StoredRun:
     """What comparisons of two folders need of one run.
 
-    ``parameters``: of the sequence, without the seed. ``scores``: values by metric, without those that have none.
+    ``parameters``: of the sequence, without the number of the repetition, with the scans of an excerpt. ``scores``:
+    values by metric, without those that have none.
     ``stamps_ns``, ``errors_m`` (N,): distance to the ground truth of each scan that has one; empty if not stored.
     ``key``: equal for equal code, data and parameters. ``conditions``: of the machine during the run, if known.
+    ``lost``: where it lost the track, None if it held it. ``perturbed``: it is a perturbation of a recording.
     """
 
     status: str
@@ -61,6 +63,8 @@ class StoredRun:
     errors_m: Floats = field(default_factory=lambda: np.zeros(0))
     key: str = ""
     conditions: RunConditions = field(default_factory=RunConditions)
+    lost: LostTrack | None = None
+    perturbed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,12 +239,18 @@ def _load_reported(folder: Path) -> StoredResults:
 
 
 def _entry_run(folder: Path, entry: Mapping[str, Any]) -> StoredRun:
-    parameters = {name: value for name, value in entry["dataset_parameters"].items() if name not in REPETITION}
+    given = entry["dataset_parameters"]
     own = folder / "runs" / Path(str(entry["key"])).name  # stays inside the folder, whatever the file says
     return StoredRun(
-        entry["status"], entry["reason"], parameters, _score_values(entry["scores"]), *_load_errors(own),
-        entry["key"], _parse_conditions(entry["conditions"]),
+        entry["status"], entry["reason"], _data_parameters(given), _score_values(entry["scores"]), *_load_errors(own),
+        entry["key"], _parse_conditions(entry["conditions"]), parse_lost(entry), NUISANCE in given,
     )  # fmt: skip
+
+
+def _data_parameters(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what makes runs comparable: all parameters but the number of the repetition; 0 scans: the whole."""
+    kept = {name: value for name, value in given.items() if name not in ("seed", NUISANCE)}
+    return {EXCERPT: 0, **kept} if NUISANCE in given else kept
 
 
 def _parse_conditions(values: Mapping[str, Any] | None) -> RunConditions:
@@ -258,15 +268,16 @@ def _load_unreported(folder: Path) -> StoredResults:
             continue
         try:
             result = read_sealed(own / RESULT)
-            scores = read_sealed(own / SCORES)["scores"] if (own / SCORES).exists() else {}
-            provenance, parameters = result["provenance"], dict(result["dataset_parameters"])
+            scored = read_sealed(own / SCORES) if (own / SCORES).exists() else {"scores": {}, "lost_at_s": None}
+            provenance, given = result["provenance"], result["dataset_parameters"]
             when, processor = str(provenance.get("executed_at", "")), str(provenance.get("processor", processor))
-            name = _parse_name(result["method"], result["sequence"], parameters.pop("seed", None))
+            name = _parse_name(result["method"], result["sequence"], given.get("seed", given.get(NUISANCE)))
             errors = _load_errors(own)
             conditions = _parse_conditions(result.get("conditions"))
             run = StoredRun(
-                result["status"], result["reason"], parameters, _score_values(scores), *errors, own.name, conditions
-            )
+                result["status"], result["reason"], _data_parameters(given), _score_values(scored["scores"]), *errors,
+                own.name, conditions, parse_lost(scored), NUISANCE in given,
+            )  # fmt: skip
         except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
             raise StoreError(str(own), f"is not complete ({error!r})", "repeat the run") from error
         if name not in runs or runs[name][0] <= when:

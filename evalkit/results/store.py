@@ -17,7 +17,7 @@ import errno
 import hashlib
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from io import BytesIO
@@ -252,7 +252,7 @@ class Store:
                 content["alignment"],
                 _parse_grid(files[GRID]) if GRID in files else None,
                 untrusted_io.parse_floats(files[ERRORS], 1) if ERRORS in files else None,
-                _parse_lost(content) if content["lost_at_s"] is not None else None,
+                parse_lost(content),
                 _parse_alignment(content, files) if content["final_world_from_start"] is not None else None,
                 untrusted_io.parse_floats(files[FIT], 2) if FIT in files else None,
             )
@@ -294,7 +294,10 @@ def hash_answers(result: RunResult) -> str:
     return hashed.hexdigest()
 
 
-def _parse_lost(content: dict[str, Any]) -> LostTrack:
+def parse_lost(content: Mapping[str, Any]) -> LostTrack | None:
+    """Return where a run lost the track, from its stored scores; None if it held it."""
+    if content["lost_at_s"] is None:
+        return None
     return LostTrack(content["lost_at_s"], content["lost_reason"], content["recovered_at_s"])
 
 

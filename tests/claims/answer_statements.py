@@ -293,7 +293,9 @@ DISTURBANCES = {
     r"times from a busy machine \((?P<count>\d+) of (?P<all>\d+) runs disturbed, (?P<by>\d+) by (?P<cause>.+)\)$",
 )
 def busy(facts: Facts, count: str, cause: str, **said: str) -> Iterator[str]:
-    known = [run["conditions"] for run in facts.content["runs"] if run["conditions"] is not None]
+    never = ("not-installed", "data-missing", "interrupted", "skipped")
+    executed = [run for run in facts.content["runs"] if run["status"] not in never]
+    known = [run["conditions"] for run in executed if run["conditions"] is not None]
     disturbed = [one for one in known if one["disturbed"]]
     yield from same("runs", int(said["all"]), len(known))
     yield from same("disturbed", int(count), len(disturbed))

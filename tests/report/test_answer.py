@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from evalkit.core.run_result import LostTrack, RunConditions
+from evalkit.core.run_status import Cause
 from evalkit.metrics import all_metrics
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_amount, format_milliseconds
@@ -291,6 +292,11 @@ def test_a_busy_machine_is_named_and_an_idle_one_is_not(build, three):
     assert most in under(low, *others)
     equal = "times from a busy machine (2 of 18 runs disturbed, 1 by other programs: 7.0 % of the core)"
     assert equal in under(low, others[0])
+    absent = replace(three[0].result, cause=Cause.DATA_MISSING, reason="fetch it", conditions=low)
+    runs = [replace(three[0], result=replace(three[0].result, conditions=low)), replace(three[1], result=absent)]
+    assert "times from a busy machine (1 of 1 runs disturbed, 1 by other programs: 7.0 % of the core)" in pills(
+        build(runs)
+    )
     threads = RunConditions(waited_percent=40.0, busy_threads=2)  # its threads wait for each other
     calm = [*under(RunConditions(other_percent=0.5)), *under(threads), *pills(build(three))]
     assert not any("busy" in text for text in calm)

@@ -504,7 +504,7 @@ def test_a_long_remark_beside_a_method_fits_a_phone(open_page):
     chips = page.locator("#explore table.wrapping th .method")
     assert chips.count() > 0
     chips.evaluate_all("""all => all.forEach(one => one.insertAdjacentHTML("beforeend",
-        '<span class="chip bad">lost at 32 s; 4 of 6 runs lost, 0 found again</span>'))""")
+        '<span class="chip bad">lost in 4 of 6, first at 32 s, 1 found again</span>'))""")
     page.evaluate("document.querySelectorAll('details').forEach(one => one.open = true)")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
 

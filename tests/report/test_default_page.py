@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from evalkit.core.run_result import LostTrack
 from evalkit.report import write_report
 
 ROOT = Path(__file__).parents[2]
@@ -41,8 +42,27 @@ PAINT = "() => performance.getEntriesByName('first-contentful-paint')[0]?.startT
 
 
 @pytest.fixture(scope="module")
-def like_default(record, build, tmp_path_factory):
-    """The page of a comparison with the methods and data sets of the default report, two of them missing here."""
+def like_default(compared, tmp_path_factory):
+    """Return the page of a comparison like the default report."""
+    return write_report(compared, tmp_path_factory.mktemp("default"))
+
+
+@pytest.fixture(scope="module")
+def lost_here(compared, tmp_path_factory):
+    """Return the page of the same comparison where KISS-ICP lost the track in the room."""
+    lost = LostTrack(5.0, "1.2 m away")
+    runs = tuple(
+        replace(run, scores=replace(run.scores, lost=lost))
+        if (run.method, run.sequence) == ("kiss-icp", "room")
+        else run
+        for run in compared.records
+    )
+    return write_report(replace(compared, records=runs), tmp_path_factory.mktemp("lost"))
+
+
+@pytest.fixture(scope="module")
+def compared(record, build):
+    """Return a comparison with the methods and data sets of the default report, two of them missing here."""
     with (ROOT / "reports" / "default.toml").open("rb") as file:
         experiment = tomllib.load(file)
     methods = [one.get("label", one["use"]) for one in experiment["method"]]
@@ -62,8 +82,7 @@ def like_default(record, build, tmp_path_factory):
     tuned = {one.get("label", one["use"]): tuple(one.get("tuned_on", ())) for one in experiment["method"]}
     cards = {name: replace(card, tuned_on=tuned[name]) for name, card in comparison.methods.items()}
     degenerate = {"corridor": replace(comparison.sequences["corridor"], degenerate="a bare corridor")}
-    made = replace(comparison, methods=cards, sequences={**comparison.sequences, **degenerate})
-    return write_report(made, tmp_path_factory.mktemp("default"))
+    return replace(comparison, methods=cards, sequences={**comparison.sequences, **degenerate})
 
 
 def is_current(page):
@@ -142,6 +161,33 @@ def test_nothing_moves_while_the_page_arrives(browser, like_default, width):
         assert page.evaluate("window.shifts") == 0.0
         context.close()
         server.shutdown()
+
+
+PHONE = """() => {
+    const box = (one) => one.getBoundingClientRect();
+    const lost = document.querySelector('.dots-row[data-of="kiss-icp"] .panel');
+    const names = [...document.querySelectorAll('.dots .own-name')];
+    const counts = [...document.querySelectorAll('.dots .count')].filter((one) => /[0-9]/.test(one.textContent));
+    return {
+        key: box(document.querySelector('.legend-line')).bottom, panels: box(lost).top,
+        cut: names.filter((one) => one.scrollWidth > one.clientWidth + 1).length, names: names.length,
+        counts: counts.filter((one) => one.checkVisibility() && box(one).width > 0).length,
+        lost: lost.querySelector('.own-value').innerText,
+    };
+}"""
+
+
+def test_on_a_phone_the_key_is_above_names_are_whole_and_losses_are_said(browser, lost_here):
+    context = browser.new_context(viewport={"width": 390, "height": 844})
+    page = context.new_page()
+    page.goto(lost_here.as_uri())
+    found = page.evaluate(PHONE)
+    context.close()
+    assert found["key"] < found["panels"]
+    assert found["names"] > 0
+    assert found["cut"] == 0
+    assert found["counts"] == 12  # all methods but the one that is missing
+    assert found["lost"].endswith("lost")
 
 
 def test_what_is_missing_is_one_pill_and_no_dashes(like_default):

@@ -127,6 +127,20 @@ def test_an_interval_is_drawn_to_its_ends_or_its_cut_end_has_an_arrow(record, bu
     assert its_high - its_low > 10.0
 
 
+@pytest.mark.parametrize(
+    ("errors", "ticks"),
+    [((0.004, 0.03), ["5 mm", "20 mm"]), ((0.11, 0.15), ["110 mm", "160 mm"]), ((0.03, 3.0), ["50 mm", "2 m"])],
+)
+def test_two_labelled_values_tell_the_scale_of_each_column(record, build, errors, ticks):
+    """As round as possible, and far apart: one value does not tell whether a column spans a factor of 1.4 or 100."""
+    runs = [
+        record(name, "room", {"ate_rmse_m": error}, seed=seed)
+        for name, error in zip("ab", errors, strict=True) for seed in range(3)
+    ]  # fmt: skip
+    foot = dots(build(runs)).split('class="ticks"')[1]
+    assert [text.replace("\u00a0", " ") for text in re.findall(r'class="tick[a-z ]*"[^>]*>([^<]+)<', foot)] == ticks
+
+
 def test_methods_are_in_the_order_of_the_answer(room):
     names = re.findall(r'class="dots-row series[a-z ]*" data-of="(\w+)"', dots(room))
     assert names == [one.method for one in analyse(room).answer.standings]
@@ -167,6 +181,21 @@ def test_the_map_strip_has_answer_peer_baseline_and_worst_in_one_window(room):
     assert len({tile.figure.size for tile in tiles}) == 1
     assert tiles[0].caption == "10\u00a0mm · 0.10\u00a0ms"
     assert tiles[0].link == "#sequence-1-player?by=plane&on=own&play=1"
+
+
+def test_the_caption_of_a_map_says_how_many_runs_lost_the_track_and_when_the_first_did(room):
+    """The value is the median of all runs, the loss is not that of the drawn run: the caption says so."""
+    at_s = {0: 27.0, 1: 5.0}
+    runs = [
+        replace(run, scores=replace(run.scores, lost=LostTrack(at_s[run.seed], "a jump")))
+        if run.method == "lost" and run.seed in at_s else run
+        for run in room.records
+    ]  # fmt: skip
+    tiles = {
+        tile.method: tile for tile in build_tiles(analyse(replace(room, records=tuple(runs))), 0, strokes_of(room))
+    }
+    assert tiles["lost"].caption == "2.52\u00a0m · lost in 2 of 3, first at 5 s"
+    assert "lost" not in tiles["plane"].caption
 
 
 def test_without_a_verdict_the_map_strip_names_no_best_and_no_worst(room):

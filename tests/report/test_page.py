@@ -11,6 +11,8 @@ from PIL import Image
 
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
+from evalkit.core.run_result import Score
+from evalkit.metrics import all_metrics
 from evalkit.metrics.validated import load_validation
 from evalkit.report import MethodCard, SequenceCard, write_report
 from evalkit.report.analysis.analysis import analyse
@@ -250,6 +252,32 @@ def test_published_results_are_sorted_among_the_measured_ones(tags):
     places = [table.index(f"{name} {value}") for name, value in (("plane", "51 mm"), ("graph mapping", "56 mm"))]
     assert places == sorted(places)
     assert table.index("scan matching 258 mm") < table.index("paper reference 270 mm")
+
+
+@pytest.mark.parametrize(
+    ("percent", "excerpt", "said"),
+    [
+        (5.4, 400, "the runs are of excerpts of 400 scans with 5.4 % of its relations."),
+        (60.0, 0, "the runs are of a part of it with 60 % of its relations."),
+        (97.0, 0, ""),
+        (97.0, 400, ""),
+    ],
+)
+def test_a_part_of_a_recording_is_not_compared_with_published_results(demo, percent, excerpt, said):
+    covered = "relations_answered_percent"
+    runs = [
+        replace(
+            run,
+            scores=replace(run.scores, by_metric={**run.scores.by_metric, covered: Score(percent, 100)}),
+            spec=replace(run.spec, sequence=replace(run.spec.sequence, excerpt_scans=excerpt)),
+        )
+        for run in demo.records
+    ]
+    metric = next(one for one in all_metrics() if one.name == covered)
+    text = render_report(analyse(replace(demo, records=tuple(runs), metrics=(*demo.metrics, metric))))
+    assert ("Comparison with published results" in text) == (not said)
+    assert ("Not compared with published results, which are of the whole" in text) == bool(said)
+    assert said in text
 
 
 @pytest.mark.parametrize(

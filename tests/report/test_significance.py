@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from evalkit.report.analysis.analysis import analyse
 from evalkit.report.analysis.pairwise import compute_difference, separation
 from evalkit.report.analysis.record_bootstrap import RecordBootstrap
 from evalkit.report.analysis.sequence import analyse_sequence
+from evalkit.report.html.report_page import render_report
 from evalkit.stats.bootstrap import Series, bootstrap_score
 from evalkit.stats.ranks import FriedmanTest, NotTested
 
@@ -165,6 +167,29 @@ def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(r
     assert duel.ratio == pytest.approx(2.0)
     assert duel.p == pytest.approx(2 * 2 / 2**10)
     assert duel.detectable == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_probability_of_a_larger_error_is_compared_within_each_sequence(record, build):
+    """b is always worse on two runs of the room, equal on four of the hall, which is harder: (2 * 1 + 4 * 0.5) / 6."""
+    errors = {("a", "room"): 0.01, ("b", "room"): 0.02, ("a", "hall"): 1.0, ("b", "hall"): 1.0}
+    made = [
+        record(who, sequence, {ATE: error}, seed=seed)
+        for (who, sequence), error in errors.items() for seed in range(2 if sequence == "room" else 4)
+    ]  # fmt: skip
+    (duel,) = analyse(build(made)).significance.comparisons
+    assert (duel.method, duel.reference) == ("b", "a")
+    assert duel.larger == pytest.approx(2.0 / 3.0)
+
+
+def test_the_runs_of_the_quantiles_are_counted(record, build):
+    """The quantiles of a are over ten runs of two sequences, those of b over one sequence: not the same data."""
+    made = [record(who, "room", {ATE: 0.01}, seed=seed) for who in "ab" for seed in range(4)]
+    made += [record("a", "hall", {ATE: 1.0}, seed=seed) for seed in range(6)]
+    comparison = build(made)
+    found = {one.method: one for one in analyse(comparison).significance.records}
+    assert [(found[who].measured, found[who].sequences) for who in "ab"] == [(10, 2), (4, 1)]
+    text = render_report(analyse(comparison))
+    assert re.search(r"10 runs\s*<span class=\"extent\">2 sequences", text)
 
 
 def test_five_runs_are_too_few_for_significance(record, build):

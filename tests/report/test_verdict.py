@@ -15,7 +15,7 @@ from evalkit.report.analysis.scores import NuisanceBand
 from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.report.analysis.statements.pills import Pill
 from evalkit.report.analysis.statements.verdict import compute_verdict
-from evalkit.report.formatting import count_losses, format_gap, join_words
+from evalkit.report.formatting import format_gap, format_losses, join_words
 from evalkit.report.results_json import build_results
 
 
@@ -288,8 +288,9 @@ def test_methods_that_found_a_lost_track_again_are_counted(record, build):
     assert (score.lost_runs, score.found_runs) == (2, 1)
     said = _verdict_text(comparison)
     assert "Lost the track and not ranked: a at 9 s (a jump). Found the track again: a in 1 of 2." in said
-    assert count_losses(score.lost_runs, score.found_runs, score.expected) == "2 of 3 runs lost, 1 found again"
-    assert count_losses(1, 1, 1) == count_losses(0, 0, 3) == ""
+    assert format_losses(replace(score, expected=1, lost_runs=1)) == "at 9 s, found at 20 s"
+    assert format_losses(replace(score, lost_runs=1)) == "in 1 of 3, at 9 s, found at 20 s"
+    assert format_losses(replace(score, lost=None)) == ""
 
 
 def test_methods_that_lost_the_track_are_not_ranked(record, build):

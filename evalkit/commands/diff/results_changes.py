@@ -12,6 +12,7 @@ import numpy as np
 
 from evalkit.commands.diff.changes import MARKS, SAME, ChangeText, ChangeVerdict
 from evalkit.core.errors import StoreError
+from evalkit.core.run_result import LostTrack
 from evalkit.core.run_status import NOT_EXECUTED
 from evalkit.metrics.metric import Metric
 from evalkit.metrics.runtime import COST
@@ -23,9 +24,10 @@ from evalkit.report.analysis.pairwise import (
     noise_floor,
 )
 from evalkit.report.analysis.scores import DECIDING, MethodScore
-from evalkit.report.formatting import format_number
+from evalkit.report.formatting import format_loss_times, format_number
 from evalkit.results.reader import RunName, StoredResults, StoredRun
 from evalkit.stats.bootstrap import BootstrapDraws, Series, bootstrap_score
+from evalkit.stats.runs import FEW_RUNS
 
 ATE = "ate_rmse_m"
 TICK_MS = 0.01
@@ -42,7 +44,10 @@ MAX_MHZ_RATIO = 1.1
 ONE_RUN = 2.0
 """Factor on a limit for a single run, whose noise is unknown: of a time that of its session, of an error its own."""
 
-COLUMNS = ("method", "sequence", "metric", "old", "new", "change", "95 % interval", "verdict")
+MAX_CHANCE = 0.05
+"""Track losses of a method before and after: runs that all change in one direction with a smaller probability."""
+
+COLUMNS = ("method", "sequence", "metric", "old", "new", "change", "interval", "verdict")
 COUNTED: tuple[ChangeVerdict, ...] = ("unchanged", "within the limit")
 """These changes are counted, not listed."""
 ORDER: tuple[ChangeVerdict, ...] = (
@@ -62,7 +67,7 @@ class DiffLimits:
 class MetricChange:
     """One metric of one method over one sequence, before and after: medians over the runs that both folders have.
 
-    ``low``, ``high``: bounds of the 95 % interval of the difference new - old, None without an interval.
+    ``low``, ``high``: bounds of the interval of the difference new - old at ``confidence``, None without an interval.
     """
 
     method: str
@@ -73,6 +78,7 @@ class MetricChange:
     new: float
     low: float | None
     high: float | None
+    confidence: float | None
     runs: int
     verdict: ChangeVerdict
     reason: str
@@ -92,6 +98,30 @@ class StatusChange:
 
 
 @dataclass(frozen=True, slots=True)
+class LostRun:
+    """A run that lost the track."""
+
+    seed: int | None
+    lost: LostTrack
+
+
+@dataclass(frozen=True, slots=True)
+class TrackChange:
+    """The runs of one method over one sequence that lost the track before and after.
+
+    ``runs``: how many completed on both sides. Only for a method that lost the track in any of them.
+    """
+
+    method: str
+    sequence: str
+    old: tuple[LostRun, ...]
+    new: tuple[LostRun, ...]
+    runs: int
+    verdict: ChangeVerdict
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class ResultsDiff:
     """All changes. ``only_old``, ``only_new``: "method over sequence" that one folder alone has.
 
@@ -102,6 +132,7 @@ class ResultsDiff:
     new: str
     limits: DiffLimits
     statuses: tuple[StatusChange, ...]
+    tracks: tuple[TrackChange, ...]
     changes: tuple[MetricChange, ...]
     only_old: tuple[str, ...]
     only_new: tuple[str, ...]
@@ -110,9 +141,9 @@ class ResultsDiff:
 
     @property
     def regressions(self) -> int:
-        """The number of regressions among statuses and metrics."""
-        verdicts = [one.verdict for one in self.statuses] + [one.verdict for one in self.changes]
-        return verdicts.count("regression")
+        """The number of regressions among statuses, losses of the track and metrics."""
+        groups = [one.verdict for one in self.statuses], [one.verdict for one in self.tracks]
+        return sum(group.count("regression") for group in (*groups, [one.verdict for one in self.changes]))
 
 
 def compare_results(
@@ -136,6 +167,7 @@ def compare_results(
         new.folder,
         limits,
         tuple(one for pair in comparable for one in _status_changes(old, new, pair)),
+        tuple(one for pair in comparable if (one := _track_change(old, new, pair)) is not None),
         tuple(one for pair in comparable for one in _metric_changes(old, new, pair, metrics, limits, session)),
         tuple(f"{method} over {sequence}" for method, sequence in pairs if (method, sequence) not in after),
         tuple(f"{method} over {sequence}" for method, sequence in pairs if (method, sequence) not in before),
@@ -145,12 +177,14 @@ def compare_results(
 
 
 def describe_results_diff(diff: ResultsDiff, metrics: Mapping[str, Metric], everything: bool = False) -> ChangeText:
-    """Return the comparison as text, worst first: changed statuses, then metrics.
+    """Return the comparison as text, worst first: changed statuses, lost tracks, then metrics.
 
     ``everything``: list also what did not change.
     """
     shown = [one for one in diff.changes if everything or one.verdict not in COUNTED]
+    tracks = [one for one in diff.tracks if everything or one.verdict not in COUNTED]
     rows = [_status_row(one) for one in sorted(diff.statuses, key=lambda one: ORDER.index(one.verdict))]
+    rows += [_track_row(one) for one in sorted(tracks, key=lambda one: ORDER.index(one.verdict))]
     rows += [_metric_row(one, metrics[one.metric]) for one in sorted(shown, key=lambda one: ORDER.index(one.verdict))]
     verdicts = [one.verdict for one in diff.changes]
     count = diff.regressions
@@ -224,6 +258,39 @@ def _status_changes(old: StoredResults, new: StoredResults, pair: tuple[str, str
             yield StatusChange(*name, before[name].status, run.status, run.reason, verdict)
 
 
+def _track_change(old: StoredResults, new: StoredResults, pair: tuple[str, str]) -> TrackChange | None:
+    """Compare which runs lost the track, among those that completed on both sides; None if none did."""
+    both = _complete_in_both(old, new, pair)
+    before, after = (
+        tuple(LostRun(name[2], lost) for name in both if (lost := one.runs[name].lost)) for one in (old, new)
+    )
+    if not before and not after:
+        return None
+    return TrackChange(*pair, before, after, len(both), *_judge_tracks(before, after))
+
+
+def _judge_tracks(old: Sequence[LostRun], new: Sequence[LostRun]) -> tuple[ChangeVerdict, str]:
+    """Any loss where all runs held the track is a regression; further losses must be more than chance (sign test)."""
+    more = [one for one in new if one.seed not in [other.seed for other in old]]
+    fewer = [one for one in old if one.seed not in [other.seed for other in new]]
+    if not more and not fewer:
+        return "unchanged", "lost in the same runs"
+    said = "; ".join(
+        f"{what}: {', '.join(f'{_name_seed(one.seed)} {format_loss_times(one.lost)}' for one in runs)}"
+        for what, runs in (("newly lost", more), ("no longer lost", fewer)) if runs
+    )  # fmt: skip
+    changed = len(more) + len(fewer)
+    chance = sum(math.comb(changed, count) for count in range(max(len(more), len(fewer)), changed + 1)) / 2**changed
+    if old and new and chance > MAX_CHANCE:
+        return "no difference shown", said
+    return ("regression" if len(more) > len(fewer) else "improvement"), said
+
+
+def _complete_in_both(old: StoredResults, new: StoredResults, pair: tuple[str, str]) -> list[RunName]:
+    before, after = _runs_of(old, pair), _runs_of(new, pair)
+    return [name for name in before if name in after and before[name].status == after[name].status == "complete"]
+
+
 def _metric_changes(
     old: StoredResults,
     new: StoredResults,
@@ -234,7 +301,7 @@ def _metric_changes(
 ) -> Iterator[MetricChange]:
     """Compare every headline metric of the estimate's quality, and the CPU time."""
     before, after = _runs_of(old, pair), _runs_of(new, pair)
-    both = [name for name in before if name in after and before[name].status == after[name].status == "complete"]
+    both = _complete_in_both(old, new, pair)
     for metric in metrics:
         if metric.headline and metric.better and (metric.group in DECIDING or metric.name == COST):
             runs = [
@@ -264,9 +331,12 @@ def _metric_change(
     else:
         difference = compute_difference(after, before)
         verdict, reason = _judge_error(metric, before, after, difference, limits)
-    low, high = (difference.interval.low, difference.interval.high) if difference else (None, None)
-    medians = median(before.values), median(after.values)
-    return MetricChange(*pair, metric.name, metric.unit, *medians, low, high, len(runs), verdict, reason)
+    interval = difference.interval if difference else None
+    low, high, confidence = (interval.low, interval.high, interval.confidence) if interval else (None, None, None)
+    old, new = median(before.values), median(after.values)
+    return MetricChange(
+        *pair, metric.name, metric.unit, old, new, low, high, confidence, len(runs), verdict, reason
+    )  # fmt: skip
 
 
 def _judge_error(
@@ -280,8 +350,11 @@ def _judge_error(
     if abs(after - before) <= max(limit * abs(before), noise_floor(metric), points):
         floor = f"{points:g} percentage point" if points else "the accuracy of the ground truth"
         return "within the limit", f"at most {100 * limit:g} %, or less than {floor}"
+    if new.perturbed and 1 < len(new.values) < FEW_RUNS:
+        return "no difference shown", f"{len(new.values)} perturbed runs, {FEW_RUNS} give a verdict"
     if difference is not None and not difference.interval.excludes(0.0):
-        return "no difference shown", "the 95 % interval of the difference contains zero"
+        percent = 100 * difference.interval.confidence
+        return "no difference shown", f"the {percent:.0f} % interval of the difference contains zero"
     worse = after > before if metric.better == "lower" else after < before
     noise = "beyond the noise" if difference is not None else "of one run, whose noise is not known"
     return ("regression" if worse else "improvement"), f"more than {100 * limit:g} %, {noise}"
@@ -336,8 +409,9 @@ def _score(method: str, metric: str, runs: Sequence[tuple[RunName, StoredRun, St
     """
     draws = tuple(_draws(metric, own, other) for _, own, other in runs)
     values = tuple(own.scores[metric] for _, own, _ in runs)
-    count = len(runs)
-    return MethodScore(method, values, (), count, count, 0, "", tuple(name[2] for name, *_ in runs), draws=draws)
+    count, seeds = len(runs), tuple(name[2] for name, *_ in runs)
+    perturbed = any(side.perturbed for _, *both in runs for side in both)
+    return MethodScore(method, values, (), count, count, 0, "", seeds, draws=draws, perturbed=perturbed)
 
 
 def _draws(metric: str, own: StoredRun, other: StoredRun) -> BootstrapDraws | None:
@@ -377,10 +451,20 @@ def _list_seeds(runs: Mapping[RunName, StoredRun]) -> str:
     return ", ".join("none" if seed is None else str(seed) for *_, seed in runs)
 
 
+def _name_seed(seed: int | None) -> str:
+    return "run" if seed is None else f"seed {seed}"
+
+
 def _status_row(one: StatusChange) -> tuple[str, ...]:
     seed = "" if one.seed is None else f" seed {one.seed}"
     verdict = f"{MARKS.get(one.verdict, '')}{one.verdict}{f': {one.reason}' if one.reason else ''}"
     return (one.method, one.sequence, f"run{seed}", one.old, one.new, "", "", verdict)
+
+
+def _track_row(one: TrackChange) -> tuple[str, ...]:
+    counts = [f"lost in {len(side)} of {one.runs}" if side else "held" for side in (one.old, one.new)]
+    verdict = f"{MARKS.get(one.verdict, '')}{one.verdict}: {one.reason}"
+    return (one.method, one.sequence, "track", *counts, "", "", verdict)
 
 
 def _metric_row(one: MetricChange, metric: Metric) -> tuple[str, ...]:
@@ -388,7 +472,8 @@ def _metric_row(one: MetricChange, metric: Metric) -> tuple[str, ...]:
     old, new = (format_number(value, metric.digits + 1) for value in (one.old, one.new))
     share = f"{100.0 * (one.new - one.old) / abs(one.old):+.1f} %".replace("-", "−") if one.old else ""
     bounds = ""
-    if one.low is not None and one.high is not None:
+    if one.low is not None and one.high is not None and one.confidence is not None:
         bounds = f"{format_number(one.low, metric.digits + 1)} to {format_number(one.high, metric.digits + 1)}"
+        bounds = f"{100 * one.confidence:.0f} %: {bounds}"
     verdict = f"{MARKS.get(one.verdict, '')}{one.verdict}: {one.reason}"
     return (one.method, one.sequence, f"{metric.label}{unit}", old, new, share, bounds, verdict)

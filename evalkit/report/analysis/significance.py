@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
@@ -39,8 +40,8 @@ class MethodRecord:
     """One method over all sequences.
 
     ``finished`` of the ``runs`` that could start, with the interval of that ``share``. ``rank``: mean rank over the
-    sequences, None if a sequence is missing. ``quantiles``: errors (m) that 50, 75 and 95 % of its runs do not exceed,
-    infinite if more failed; none if no sequence is decided in metres.
+    sequences, None if a sequence is missing. ``quantiles``: errors (m) that 50, 75 and 95 % of its ``measured`` runs
+    over ``sequences`` do not exceed, infinite if more failed; none if no sequence is decided in metres.
     """
 
     method: str
@@ -49,6 +50,8 @@ class MethodRecord:
     share: Interval | None
     rank: float | None
     quantiles: tuple[float, ...]
+    measured: int
+    sequences: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +59,8 @@ class PairedComparison:
     """One method against a reference over all runs that both have.
 
     ``ratio``: median of its error divided by the reference's, None if one of them failed in the median run. ``larger``:
-    probability that its error is the larger one (A12). ``detectable``: the ratio that so many runs can detect.
+    probability that its error is the larger one on the same sequence (A12), the mean over the sequences by their runs.
+    ``detectable``: the ratio that so many runs can detect.
     """
 
     method: str
@@ -176,17 +180,20 @@ def _method_record(
     started = [run for run in comparison.records if run.method == method and run.result.status not in NOT_EXECUTED]
     finished = sum(run.result.is_complete for run in started)
     share = wilson_interval(finished, len(started)) if started else None
-    measured = [error for (sequence, _), error in errors.items() if sequence in metres]
-    return MethodRecord(
-        method, finished, len(started), share, rank, success_quantiles(measured) if measured else ()
-    )  # fmt: skip
+    measured = {run: error for run, error in errors.items() if run[0] in metres}
+    quantiles = success_quantiles(list(measured.values())) if measured else ()
+    where = {sequence for sequence, _ in measured}
+    return MethodRecord(method, finished, len(started), share, rank, quantiles, len(measured), len(where))
 
 
 def _compare_pairs(errors: Mapping[str, ErrorsByRun], named: Sequence[tuple[str, str]]) -> tuple[PairedComparison, ...]:
     pairs = {(method, reference): _pair_errors(errors[method], errors[reference]) for method, reference in named}
     pairs = {names: both for names, both in pairs.items() if len(both[0])}
     tests = signed_rank_tests({" ".join(names): both for names, both in pairs.items()})
-    return tuple(_compare_pair(*names, *both, tests[" ".join(names)]) for names, both in pairs.items())
+    return tuple(
+        _compare_pair(*names, *both, _larger(errors[names[0]], errors[names[1]]), tests[" ".join(names)])
+        for names, both in pairs.items()
+    )
 
 
 def _pair_errors(one: ErrorsByRun, other: ErrorsByRun) -> tuple[Floats, Floats]:
@@ -198,12 +205,25 @@ def _pair_errors(one: ErrorsByRun, other: ErrorsByRun) -> tuple[Floats, Floats]:
     return _logarithms([one[run] for run in common]), _logarithms([other[run] for run in common])
 
 
+def _larger(one: ErrorsByRun, other: ErrorsByRun) -> float:
+    """Return A12 of the common runs of each sequence, its mean weighted by their number.
+
+    Over the runs of all sequences, how far the sequences differ would hide how far the methods do.
+    """
+    counts = Counter(sequence for sequence, seed in one if (sequence, seed) in other)
+    total = 0.0
+    for sequence, count in counts.items():
+        own, its = ({run: error for run, error in errors.items() if run[0] == sequence} for errors in (one, other))
+        total += count * vargha_delaney_a12(*_pair_errors(own, its))
+    return total / counts.total()
+
+
 def _logarithms(errors: Sequence[float]) -> Floats:
     return np.asarray(np.round(np.log(np.maximum(np.array(errors, dtype=np.float64), 1e-12)), 9), dtype=np.float64)
 
 
 def _compare_pair(
-    method: str, reference: str, own: Floats, other: Floats, test: SignedRankTest
+    method: str, reference: str, own: Floats, other: Floats, larger: float, test: SignedRankTest
 ) -> PairedComparison:  # fmt: skip
     both = np.isfinite(own) & np.isfinite(other)
     differences = own[both] - other[both]
@@ -218,7 +238,7 @@ def _compare_pair(
         int((own < other).sum()),
         int((own > other).sum()),
         math.exp(middle) if abs(middle) < 1e2 else None,
-        vargha_delaney_a12(own, other),
+        larger,
         test.p_holm,
         math.exp(detectable) if detectable < 1e2 else math.inf,
         _verdict(middle, test, len(own)),

@@ -55,10 +55,11 @@ PAIRS = (
 TESTS = (
     "This table predicts a further sequence of the same kind and needs more runs than the verdicts, which describe "
     "these sequences. One pair per sequence and seed. Ratio: median of the error divided by the reference's; below 1 "
-    "is better. Larger: probability that a run's error exceeds the reference's (A12 of Vargha and Delaney; 50 % is "
-    "no difference). p: Wilcoxon's signed-rank test, adjusted for all rows by Holm. Detectable: the ratio that so "
-    "many runs detect in four cases of five. Seeds of one sequence are similar, so p is too small rather than too "
-    "large. “No difference shown” means that there is no difference, or too few runs to show one."
+    "is better. Larger: probability that a run's error exceeds that of a run of the reference on the same sequence "
+    "(A12 of Vargha and Delaney, its mean over the sequences weighted by their pairs; 50 % is no difference). p: "
+    "Wilcoxon's signed-rank test, adjusted for all rows by Holm. Detectable: the ratio that so many runs detect in "
+    "four cases of five. Seeds of one sequence are similar, so p is too small rather than too large. “No difference "
+    "shown” means that there is no difference, or too few runs to show one."
 )
 FILES = Markup(
     '<p class="note">The same numbers in other formats: <a href="results.json">results.json</a> (<a '
@@ -66,8 +67,9 @@ FILES = Markup(
     'href="summary.csv">summary.csv</a>.</p>'
 )
 QUANTILES = (
-    "A50, A75 and A95: the error (in the deciding metric of each sequence) that 50, 75 and 95 % of all runs do not "
-    "exceed."
+    "A50, A75 and A95: the error (in the deciding metric of each sequence) that 50, 75 and 95 % of a method's runs "
+    "do not exceed. Compare them only between methods with the same runs: the column beside them states how many, and "
+    "on how many sequences."
 )
 
 

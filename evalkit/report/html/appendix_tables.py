@@ -26,6 +26,7 @@ def records_table(analysis: Analysis, strokes: Strokes) -> Table:
         Column("Mean rank", "", True, "1 is the best on every sequence"),
         *(Column(f"A{share}", "", True, f"{share} % of all its runs have at most this deciding error")
           for share in (50, 75, 95)),
+        Column("Runs of A50–A95", number=True, tip="and the number of their sequences"),
     )  # fmt: skip
     rows = [_record_row(analysis.comparison, strokes, one) for one in analysis.significance.records]
     return Table(columns, rows, label="Success and ranks")
@@ -40,7 +41,9 @@ def _record_row(comparison: Comparison, strokes: Strokes, one: MethodRecord) -> 
     errors = [
         Cell("failed", error) if error > 1e9 else Cell(_format_metres(error), error) for error in one.quantiles
     ] or [DASH] * 3  # fmt: skip
-    return [method_cell(comparison, strokes, one.method), finished, rank, *errors]
+    extent = f"{one.sequences} sequence{'s' * (one.sequences != 1)}"
+    over = Cell(f"{one.measured} run{'s' * (one.measured != 1)}", one.measured, extent=extent)
+    return [method_cell(comparison, strokes, one.method), finished, rank, *errors, over if one.measured else DASH]
 
 
 def comparisons_table(analysis: Analysis, strokes: Strokes) -> Table:

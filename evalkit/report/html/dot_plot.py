@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from statistics import median
 
@@ -20,8 +21,16 @@ from evalkit.report.html.svg import AxisScale, element, join, log_scale
 ROW = 22
 """Height of a row of the dot plot (px)."""
 
-TICKS_PX, LETTER_PX = 560.0, 6.6
+TICKS_PX, LETTER_PX = 560.0, 7.6
 """Width of all columns on a usual screen, and of a letter of their labels."""
+
+DIGITS = (
+    (1.0, 2.0, 5.0), tuple(range(1, 10)), tuple(0.5 * n for n in range(2, 20)), tuple(0.1 * n for n in range(10, 100)),
+)  # fmt: skip
+"""Digits of labelled values, round ones first."""
+
+MIN_APART = 0.55
+"""Share of the width that lies at least between the two labelled values."""
 
 USED = 0.86
 """Share of the width of a column between the smallest and the largest value."""
@@ -63,12 +72,13 @@ def draw_dots(analysis: Analysis, strokes: Strokes) -> Markup | None:
     ticks = join(_cell("cell", at, last, _ticks(panel), "panel foot") for at, panel in enumerate(panels, 1))
     rows.append(element("div", ticks, role="row", class_="dots-row", aria_hidden="true"))
     style = f"--panels:{len(panels)};--rows:{last}"
-    return element("div", join(rows), role="table", class_="dots", style=style, aria_label=_describe_dots(analysis))
+    kind = "dots" if contests else "dots uncounted"
+    return element("div", join(rows), role="table", class_=kind, style=style, aria_label=_describe_dots(analysis))
 
 
 @dataclass(frozen=True, slots=True)
 class _Panel:
-    """One column of the dot plot."""
+    """One column of the dot plot. ``ticks``: labelled values on its scale."""
 
     sequence: str
     ranking: Ranking
@@ -76,22 +86,7 @@ class _Panel:
     scale: AxisScale
     runs: SequenceAnalysis
     width_px: float
-
-    @property
-    def ticks(self) -> tuple[float, ...]:
-        """Two round values if their labels fit beside each other, else the one nearest to the middle."""
-        found = self.scale.ticks(2)
-        if not found:
-            return found
-        widths = [LETTER_PX * len(self.label(tick)) for tick in found]
-        apart = (self.scale.share(found[-1]) - self.scale.share(found[0])) * USED * self.width_px
-        fits = len(found) > 1 and apart > widths[0] + widths[-1]  # also where both are moved to stay within the column
-        return found if fits else (min(found, key=lambda tick: abs(self.scale.share(tick) - 0.5)),)
-
-    def label(self, tick: float) -> str:
-        """Return a round value with its unit."""
-        unit = self.ranking.metric.unit
-        return format_tick(tick) if unit == "m" else f"{tick:g} {unit}".strip()
+    ticks: tuple[float, ...]
 
 
 def _panel(sequence: SequenceAnalysis, contest: Contest | None, width_px: float) -> _Panel:
@@ -102,7 +97,25 @@ def _panel(sequence: SequenceAnalysis, contest: Contest | None, width_px: float)
     low, high = min(medians) / REACH, max(medians) * REACH
     spreads = [score.spread for score in ranking.scores if score.spread is not None]
     ends = [min(max(end, low), high) for spread in spreads for end in (spread.low, spread.high)]
-    return _Panel(sequence.label, ranking, contest, log_scale([*medians, *ends]), sequence, width_px)
+    scale = log_scale([*medians, *ends])
+    return _Panel(sequence.label, ranking, contest, scale, sequence, width_px, _choose_ticks(scale))
+
+
+def _choose_ticks(scale: AxisScale) -> tuple[float, ...]:
+    """Return two values far apart, as round as possible: they tell the scale of a column."""
+    powers = range(math.floor(math.log10(scale.low)), math.ceil(math.log10(scale.high)) + 1)
+    for digits in DIGITS:
+        values = (float(f"{digit * 10.0**power:.2g}") for power in powers for digit in digits)
+        inside = sorted(value for value in values if scale.low <= value <= scale.high)
+        if inside and scale.share(inside[-1]) - scale.share(inside[0]) >= MIN_APART:
+            return inside[0], inside[-1]
+    return scale.ticks(1)
+
+
+def _label(panel: _Panel, tick: float) -> str:
+    """Return a round value with its unit."""
+    unit = panel.ranking.metric.unit
+    return format_tick(tick) if unit == "m" else f"{tick:g} {unit}".strip()
 
 
 def _head(panel: _Panel) -> Markup:
@@ -148,7 +161,8 @@ def _dot(panel: _Panel, method: str) -> Markup:
     value = format_amount(panel.ranking.metric, median(score.values))
     title = element("title", f"{method} on {panel.sequence}: {value}, {words}")
     drawing = element("svg", join((title, *parts)), width="100%", height=ROW, role="img")
-    return join((name, drawing, element("span", value, class_="own-value", aria_hidden="true")))
+    beside = f"{value} lost" if kind == "lost" else value
+    return join((name, drawing, element("span", beside, class_="own-value", aria_hidden="true")))
 
 
 def _mark(panel: _Panel, score: MethodScore) -> tuple[str, str]:
@@ -177,7 +191,7 @@ def _explain(panel: _Panel, method: str) -> str:
 
 def _ticks(panel: _Panel) -> Markup:
     spans = [
-        element("span", panel.label(tick), class_=f"tick {_anchor(panel, tick)}".strip(),
+        element("span", _label(panel, tick), class_=f"tick {_anchor(panel, tick)}".strip(),
                 style=f"left:{_percent(panel.scale.share(tick))}")
         for tick in panel.ticks
     ]  # fmt: skip
@@ -186,7 +200,7 @@ def _ticks(panel: _Panel) -> Markup:
 
 def _anchor(panel: _Panel, tick: float) -> str:
     """Return on which side of its tick a label begins or ends, so that it stays within its column."""
-    half = 0.5 * LETTER_PX * len(panel.label(tick)) / panel.width_px
+    half = 0.5 * LETTER_PX * len(_label(panel, tick)) / panel.width_px
     share = 0.5 - 0.5 * USED + USED * panel.scale.share(tick)
     return "first" if share < half else "last" if share > 1.0 - half else ""
 

@@ -12,7 +12,7 @@ from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.ranking import Mark, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.statements.pills import find_left_out
-from evalkit.report.formatting import format_amount, format_loss, format_milliseconds
+from evalkit.report.formatting import format_amount, format_losses, format_milliseconds
 from evalkit.report.html.blocks import Figure
 from evalkit.report.html.maps import find_window, measure_image, render_map
 from evalkit.report.html.method_colours import Stroke, Strokes
@@ -104,7 +104,7 @@ def build_tiles(analysis: Analysis, number: int, strokes: Strokes) -> list[Tile]
         value = format_amount(ranking.metric, median(score.values)) if ranking and score and score.values else ""
         cost = sequence.rankings[COST].of(method) if COST in sequence.rankings else None
         times = format_milliseconds(cost.median) if cost is not None and cost.median is not None else ""
-        lost = format_loss(score.lost) if score is not None and score.lost is not None else ""
+        lost = f"lost {format_losses(score)}" if score is not None and score.lost is not None else ""
         corrected = sequence.final.of(method) if sequence.final else None
         if ranking and corrected is not None and corrected.values:
             value += f", corrected {format_amount(ranking.metric, median(corrected.values))}"

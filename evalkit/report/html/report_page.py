@@ -191,14 +191,7 @@ def _build_tables(analysis: Analysis, number: int, strokes: Mapping[str, Stroke]
     ]  # fmt: skip
     if failures := report_tables.failure_texts(sequence.all_runs):
         blocks.append(Fold("Runs that did not complete", [Bullets(failures)], f"{anchor}-failures", is_open=True))
-    published = report_tables.published_table(analysis, sequence, strokes)
-    if published is not None:
-        blocks += [
-            Heading("Comparison with published results", f"{anchor}-published"),
-            Text("Means over the relations, with the standard deviation as spread. The publications used other sensor "
-                 "models, priors and loop closures: the table gives a range to expect, not a ranking.", "note"),
-            published,
-        ]  # fmt: skip
+    blocks += _build_published(analysis, sequence, strokes, anchor)
     pairs = report_tables.pairs_table(analysis, sequence, strokes)
     if pairs is not None and sequence.pairwise is not None:
         references = " and ".join(sequence.pairwise.references)
@@ -209,6 +202,23 @@ def _build_tables(analysis: Analysis, number: int, strokes: Mapping[str, Stroke]
         absent = report_tables.absent_note(list(sequence.rankings.values()))
         blocks.append(Fold("All metrics", [*tables, *absent], f"{anchor}-everything"))
     return blocks
+
+
+def _build_published(
+    analysis: Analysis, sequence: SequenceAnalysis, strokes: Mapping[str, Stroke], anchor: str
+) -> list[Block]:
+    """Return the published results beside those of this report, or why they are left out; nothing without any."""
+    if why := report_tables.explain_no_published(sequence):
+        return [Text(why, "note")]
+    table = report_tables.published_table(analysis, sequence, strokes)
+    if table is None:
+        return []
+    return [
+        Heading("Comparison with published results", f"{anchor}-published"),
+        Text("Means over the relations, with the standard deviation as spread. The publications used other sensor "
+             "models, priors and loop closures: the table gives a range to expect, not a ranking.", "note"),
+        table,
+    ]  # fmt: skip
 
 
 def true_grid(runs: Sequence[RunRecord]) -> OccupancyGrid | None:

@@ -16,9 +16,8 @@ from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.formatting import (
     capitalise,
     choose_decimals,
-    count_losses,
     format_amount,
-    format_loss,
+    format_losses,
     format_number,
 )
 from evalkit.report.html.blocks import Block, Cell, Chips, Column, Table, Text, Tone
@@ -28,6 +27,8 @@ from evalkit.stats.intervals import wilson_interval
 from evalkit.stats.runs import MIN_RUNS
 
 DASH = Cell("–", "")
+COVERED, MIN_COVERED = "relations_answered_percent", 95.0
+"""A metric, and the percentage from which on a result is compared with published ones, which are of all relations."""
 CHIPS: Mapping[str, Chips] = {"reference": (("reference", ""),), "baseline": (("baseline", ""),)}
 
 
@@ -70,7 +71,7 @@ def score_cell(ranking: Ranking, score: MethodScore | None, link: str = "", says
         return Cell("–", "", tip="not run here")
     partial = ", ".join(_format(metric, value) for value in score.partial)
     early = f"ended early: {partial}" if partial else ""
-    lost = format_loss(score.lost) if score.lost is not None and says_loss else ""
+    lost = f"lost {format_losses(score)}" if score.lost is not None and says_loss else ""
     if not score.values:
         return Cell("–", "", tip=score.reason, link=link, extent=early or lost)
     runs = f"median of {len(score.values)} of {score.expected} runs" if score.expected > 1 else ""
@@ -131,8 +132,7 @@ def _describe_state(sequence: SequenceAnalysis, label: str, repeated: bool) -> l
     score = sequence.deciding.of(label) if sequence.deciding else None
     chips: list[tuple[str, Tone]] = []
     if score is not None and score.lost is not None:
-        counted = count_losses(score.lost_runs, score.found_runs, score.expected)
-        chips.append(("; ".join(filter(None, (format_loss(score.lost), counted))), "bad"))
+        chips.append((f"lost {format_losses(score)}", "bad"))
     if sequence.is_behind(label):
         chips.append(("worse than the baseline", "warn"))
     if not repeated and (broken := select_unfinished(sequence.runs[label])):
@@ -239,6 +239,21 @@ def pairs_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes
             cells += [value, Cell(one.verdict), DASH if detectable is None else Cell(_format(metric, detectable))]
         rows.append([method_cell(analysis.comparison, strokes, label), *cells])
     return Table(columns, rows, label=f"Paired differences on {sequence.label}")
+
+
+def explain_no_published(sequence: SequenceAnalysis) -> str:
+    """Return why published results are not shown beside those of a sequence; "" without any, or if they are."""
+    excerpt = sequence.all_runs[0].spec.sequence.excerpt_scans
+    ranking = sequence.rankings.get(COVERED)
+    known = [score.median for score in ranking.scores if score.median is not None] if ranking else []
+    whole = max(known) >= MIN_COVERED if known else not excerpt
+    if not sequence.card.published or whole:
+        return ""
+    share = f" with {max(known):.{int(max(known) < 9.95)}f} % of its relations" if known else ""
+    part = f"excerpts of {excerpt} scans" if excerpt else "a part of it"
+    return (
+        f"Not compared with published results, which are of the whole {sequence.label}: the runs are of {part}{share}."
+    )
 
 
 def published_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes) -> Table | None:

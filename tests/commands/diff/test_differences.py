@@ -14,7 +14,7 @@ from evalkit import cli
 from evalkit.commands.diff.changes import format_markdown
 from evalkit.commands.diff.results_changes import DiffLimits, compare_results, describe_results_diff
 from evalkit.core.errors import StoreError
-from evalkit.core.run_result import RunConditions
+from evalkit.core.run_result import LostTrack, RunConditions
 from evalkit.metrics import all_metrics
 from evalkit.report import write_report
 from evalkit.results.reader import StoredResults, StoredRun, load_stored_results
@@ -65,6 +65,59 @@ def test_equal_numbers_are_no_change():
 def test_an_error_must_change_by_more_than_the_limit_and_the_noise(new, said):
     found = _between(_seeds([0.02, 0.02, 0.02]), _seeds(new))
     assert (_verdict(found), found.regressions) == (said, int(said == "regression"))
+
+
+@pytest.mark.parametrize(("runs", "percent"), [(3, 99), (6, 97)])
+def test_the_confidence_of_an_interval_is_stated(runs, percent):
+    found = _between(_seeds([0.02] * runs), _seeds([0.01, 0.04, 0.06, 0.07, 0.02, 0.01][:runs]))
+    (change,) = (one for one in found.changes if one.metric == ATE)
+    assert (change.verdict, change.confidence) == ("no difference shown", percent / 100)
+    assert change.reason == f"the {percent} % interval of the difference contains zero"
+    text = describe_results_diff(found, METRICS)
+    assert (text.columns[6], text.rows[0][6][:6]) == ("interval", f"{percent} %: ")
+
+
+@pytest.mark.parametrize(("runs", "said"), [(5, "no difference shown"), (6, "regression")])
+def test_perturbed_runs_give_a_verdict_from_six_on(runs, said):
+    """A perturbation hardly changes a run: five differences of one sign are no evidence, and no verdict in a report."""
+    old, new = (
+        {name: replace(run, perturbed=True) for name, run in _seeds([ate] * runs).items()} for ate in (0.02, 0.03)
+    )
+    found = _between(old, new)
+    (change,) = (one for one in found.changes if one.metric == ATE)
+    assert (change.verdict, found.regressions) == (said, int(said == "regression"))
+    assert ("5 perturbed runs, 6 give a verdict" in change.reason) == (runs == 5)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [([], [2, 4], "regression"), ([2], [], "improvement"), ([2], [2], "unchanged"),
+     ([2], [2, 4], "no difference shown"), ([0], [1, 2], "no difference shown"),
+     ([0], [0, 1, 2, 3, 4, 5], "regression"),
+     ([0, 1, 2, 3, 4, 5], [0], "improvement"), ([0, 1, 2, 3], [0, 4, 5], "no difference shown")],
+)  # fmt: skip
+def test_a_method_that_newly_loses_the_track_is_a_regression(before, after, said):
+    """The first loss counts. Of further ones, five in one direction are no chance: 1/32 is below 5 %."""
+    old, new = (
+        {
+            name: replace(run, lost=LostTrack(12.0 + name[2], "1.5 m away") if name[2] in lost else None)
+            for name, run in _seeds([0.02] * 6).items()
+        }
+        for lost in (before, after)
+    )
+    found = _between(old, new)
+    (track,) = found.tracks
+    assert (track.verdict, found.regressions) == (said, int(said == "regression"))
+    text = describe_results_diff(found, METRICS)
+    assert len(text.rows) == (said != "unchanged")
+    if (before, after) == ([], [2, 4]):
+        assert text.rows[0][2:5] == ("track", "held", "lost in 2 of 6")
+        assert text.rows[0][-1] == "❌ regression: newly lost: seed 2 at 14 s, seed 4 at 16 s"
+        assert json.loads(json.dumps(text.content))["tracks"][0]["new"][1]["lost"]["at_s"] == 16.0
+
+
+def test_a_track_that_is_held_is_no_change():
+    assert _between(_seeds([0.02] * 6), _seeds([0.02] * 6)).tracks == ()
 
 
 @pytest.mark.parametrize(("after", "said"), [(1.1, "within the limit"), (1.3, "regression")])
@@ -177,6 +230,19 @@ def test_changed_parameters_make_another_sequence_and_new_ones_at_their_default_
         )  # fmt: skip
 
 
+def test_excerpts_of_another_length_are_another_sequence(tmp_path, record, build):
+    def write(name, scans):
+        one = record("a", "hall", {ATE: 0.02}, seed=1)
+        sequence = replace(one.spec.sequence, perturbed=True, excerpt_scans=scans)
+        write_report(build([replace(one, spec=replace(one.spec, sequence=sequence))]), tmp_path / name)
+        return load_stored_results(tmp_path / name)
+
+    whole, short = write("whole", 0), write("short", 50)
+    assert whole.runs[("a", "hall", 1)].perturbed
+    with pytest.raises(StoreError, match="the sequence differs: nuisance_scans 0 against 50"):
+        compare_results(whole, short, tuple(METRICS.values()), DiffLimits())
+
+
 def test_results_without_common_seeds_are_not_comparable():
     with pytest.raises(StoreError, match="seeds 0 against 7"):
         _between({("a", "room", 0): _run()}, {("a", "room", 7): _run()})
@@ -190,7 +256,7 @@ def test_markdown_output_is_a_table_with_the_worst_first():
     assert lines[0].startswith("**1 regression beyond 5 % of an error, 10 % of CPU time and the noise; 1 improved")
     assert lines[2].startswith("| method | sequence | metric |")
     assert lines[4].startswith(
-        "| a | room | ATE RMSE [m] | 0.0200 | 0.0300 | +50.0 % | 0.0100 to 0.0100 | ❌ regression"
+        "| a | room | ATE RMSE [m] | 0.0200 | 0.0300 | +50.0 % | 99 %: 0.0100 to 0.0100 | ❌ regression"
     )
     assert "✅ improvement" in lines[5]
 
@@ -256,6 +322,7 @@ def test_a_folder_of_runs_without_a_report_is_read(tmp_path, record):
     result = {"method": "a", "sequence": "room", "status": "complete", "reason": "", "provenance": {}}
     result["dataset_parameters"] = {"laps": 1.0, "seed": 3}
     scores = {"scores": {ATE: {"value": 0.02, "support": 60, "reason": ""}}}
+    scores |= {"lost_at_s": 3.0, "lost_reason": "1.2 m away", "recovered_at_s": None}
     (own / "result.json").write_text(seal(result, files), encoding="utf-8")
     (own / "scores.json").write_text(seal(scores, files), encoding="utf-8")
     for name, content in files.items():
@@ -264,7 +331,12 @@ def test_a_folder_of_runs_without_a_report_is_read(tmp_path, record):
     found = load_stored_results(tmp_path)
     run = found.runs[("a", "room", 3)]
     assert (run.status, run.parameters, run.scores, found.unfinished) == ("complete", {"laps": 1.0}, {ATE: 0.02}, 1)
+    assert (run.lost, run.perturbed) == (LostTrack(3.0, "1.2 m away"), False)
     assert len(run.errors_m) == len(run.stamps_ns) == 60
+    result["dataset_parameters"] = {"laps": 1.0, "nuisance": 2}
+    (own / "result.json").write_text(seal(result, files), encoding="utf-8")
+    run = load_stored_results(tmp_path).runs[("a", "room", 2)]
+    assert (run.perturbed, run.parameters) == (True, {"laps": 1.0, "nuisance_scans": 0})
     for change in ({"method": [[]]}, {"sequence": 7}, {"dataset_parameters": {"seed": {}}}):
         (own / "result.json").write_text(seal(result | change, files), encoding="utf-8")
         with pytest.raises(StoreError, match=r"is not complete .*: not the name of a run"):

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from evalkit.core.run_status import BROKEN
+from evalkit.core.run_status import BROKEN, NOT_EXECUTED
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
@@ -135,8 +135,9 @@ def _group(what: str, found: Mapping[str, Sequence[str]]) -> list[Pill]:
 
 
 def _describe_load(runs: Sequence[RunRecord]) -> Pill | None:
-    """Return the runs during which other programs used the machine, and the most of what disturbed most of them."""
-    known = [run.result.conditions for run in runs if run.result.conditions is not None]
+    """Return the executed runs during which other programs used the machine, and what disturbed most of them."""
+    executed = [run.result for run in runs if run.result.status not in NOT_EXECUTED]
+    known = [one.conditions for one in executed if one.conditions is not None]
     found = [own for one in known if (own := one.disturbances)]
     if not found:
         return None
