@@ -68,8 +68,9 @@ _CORRELATED = 10.0
 _FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])
 """Covariance of the best closure: maps of noisy scans are no better (m^2, rad^2)."""
 
-_PART_VARIANCE = 3.0
-"""Further variance of a closure of maps that lie on each other in part, as a multiple of that: measured 2.5 cm."""
+_PART_VARIANCE = 15.0
+"""Further variance of a closure of maps that lie on each other in part, as a multiple of that: 6 cm and 1 deg in all.
+What only one of them saw, such as the other face of a thin wall, pulls at the match."""
 
 _CLEAR_RATIO = 0.3
 """From this ratio of eigenvalues on (see ``observability``) the position along a corridor is as good as across."""
@@ -339,11 +340,11 @@ class LoopFinder:
         normals = line_normals(tree, 8)[nearest[on_map]]
         covariance = _covariance(source[on_map], normals, motion, max(match.error, 0.01)) + _FLOOR
         covariance += _open_covariance(measure_openness(source[on_map]))
-        covariance += (_PART_VARIANCE if is_part else 0.0) * _FLOOR
         loosest = math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
         if loosest > settings.loop_degenerate_m * (_PART_DEGENERATE if is_part else 1.0):
             reason = f"degenerate: position known to {loosest:.2f} m"
             return Candidate(measured, False, reason, is_local=is_local), None
+        covariance += (_PART_VARIANCE if is_part else 0.0) * _FLOOR
         chi = _chi_square(motion, predicted.motion, predicted.covariance + covariance)
         information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         edge = Edge(guess.first, guess.second, motion, 0.5 * (information + information.T))

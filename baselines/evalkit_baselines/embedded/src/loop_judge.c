@@ -11,7 +11,7 @@
 #define POINT_WORK 20u
 #define PART EK_R(0.75)            /* share of the score and the overlap that is enough for maps that lie on each other in part, */
 #define PART_DEGENERATE EK_R(0.5)  /* and of the largest 1-sigma error that is then allowed */
-#define PART_VARIANCE EK_R(3.0)    /* and the further variance of such a match, as a multiple of FLOOR */
+#define PART_VARIANCE EK_R(15.0)   /* and the further variance of such a match, as a multiple of FLOOR */
 #define ALL 2u                 /* turns at which the next of all places is compared, */
 #define AROUND 3u              /* and a place around where the robot seems to be, whatever the graph believes */
 
@@ -328,13 +328,13 @@ void ek_loop_judge(ek_loop_finder *finder, ek_work *work)
         return;
     }
     ek_sym3 covariance = match_covariance(finder, &sum, work);
-    covariance = ek_sym3_sum(&covariance, &FLOOR, in_part ? PART_VARIANCE : EK_R(0.0));
     const ek_real mean = EK_R(0.5) * (covariance.xx + covariance.yy), half = EK_R(0.5) * (covariance.xx - covariance.yy);
     const ek_real loosest = EK_SQRT(mean + EK_SQRT(half * half + covariance.xy * covariance.xy));
     candidate->number[0] = loosest;
     candidate->outcome = EK_LOOP_DEGENERATE;
-    if (!(loosest <= settings->degenerate * (in_part ? PART_DEGENERATE : EK_R(1.0))) ||
-        !ek_sym3_inverse(&covariance, &candidate->edge.information)) {
+    const int is_known = loosest <= settings->degenerate * (in_part ? PART_DEGENERATE : EK_R(1.0));
+    covariance = ek_sym3_sum(&covariance, &FLOOR, in_part ? PART_VARIANCE : EK_R(0.0));
+    if (!is_known || !ek_sym3_inverse(&covariance, &candidate->edge.information)) {
         return;
     }
     covariance = ek_sym3_sum(&covariance, &finder->covariance, EK_R(1.0));
