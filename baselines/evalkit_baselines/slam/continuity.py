@@ -72,7 +72,7 @@ class Continuity:
             return False
         every = max(len(moved) // _SAMPLES, 1)
         asked = moved[::every]
-        seen = asked[_could_see(sensor.inverse().transform(before), sensor.inverse().transform(asked))]
+        seen = asked[could_see(sensor.inverse().transform(before), sensor.inverse().transform(asked), _BEHIND_M)]
         if len(seen) * every < MIN_POINTS:
             return not is_predicted
         distance, _ = cKDTree(before).query(seen, distance_upper_bound=NEAR_M)
@@ -102,8 +102,13 @@ class Continuity:
         self._last = None
 
 
-def _could_see(before: Floats, now: Floats) -> Bools:
-    """Return which points (N, 2) a sensor that saw others (M, 2) could have seen, both in its frame."""
+def could_see(before: Floats, now: Floats, behind_m: float) -> Bools:
+    """Return which points (N, 2) a sensor that saw others (M, 2) could have seen, both in its frame.
+
+    What lies more than ``behind_m`` behind what it saw was hidden.
+    """
+    if len(before) == 0:
+        return np.zeros(len(now), dtype=np.bool_)
     bearing, ahead = (np.arctan2(each[:, 1], each[:, 0]) for each in (before, now))
     order = np.argsort(bearing, kind="stable")
     around = np.r_[bearing[order][-1] - 2.0 * np.pi, bearing[order], bearing[order][0] + 2.0 * np.pi]
@@ -111,4 +116,4 @@ def _could_see(before: Floats, now: Floats) -> Bools:
     right = np.clip(np.searchsorted(around, ahead), 1, len(around) - 1)
     nearest = np.where(ahead - around[right - 1] < around[right] - ahead, right - 1, right)
     close = np.abs(around[nearest] - ahead) <= _GAP_RAD
-    return np.asarray(close & (np.hypot(now[:, 0], now[:, 1]) <= reach[nearest] + _BEHIND_M))
+    return np.asarray(close & (np.hypot(now[:, 0], now[:, 1]) <= reach[nearest] + behind_m))

@@ -25,7 +25,7 @@ from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded.compiled import compiled_missing, load_core, to_real
 from evalkit_baselines.embedded.pipeline import NOT_RUN, make_stage_estimate, read_beams, to_row
 from evalkit_baselines.embedded.registration import make_icp
-from evalkit_baselines.slam.loop_closure import LoopSettings, describe_low_score
+from evalkit_baselines.slam.loop_closure import LoopSettings, describe_contradiction, describe_low_score
 from evalkit_baselines.slam.paper_slam import SPEC as REFERENCE
 from evalkit_baselines.slam.second_try import FINE_CORRESPONDENCE_M
 from evalkit_baselines.slam.settings import SharedSettings
@@ -66,7 +66,7 @@ _LIMITS = (
 class _Outcome(IntEnum):
     """``ek_loop_outcome`` of the core."""
 
-    PASSED, FEW_POINTS, SCORE, AMBIGUOUS, OVERLAP, DEGENERATE, CHI = range(7)
+    PASSED, FEW_POINTS, SCORE, AMBIGUOUS, OVERLAP, DEGENERATE, CHI, CONTRADICTED = range(8)
 
 
 class _Flag(IntFlag):
@@ -197,11 +197,12 @@ class EmbeddedSlam:
         text = {
             _Outcome.PASSED: f"chi2 {first:.1f}, overlap {second:.2f}",
             _Outcome.FEW_POINTS: f"{first:.0f} points, fewer than 50",
-            _Outcome.SCORE: describe_low_score(first, settings.loop_score),
+            _Outcome.SCORE: describe_low_score(first, second),
             _Outcome.AMBIGUOUS: f"ambiguous: another motion has {first:.2f} of the score {second:.2f}",
-            _Outcome.OVERLAP: f"overlap {first:.2f} < {settings.loop_overlap:.2f}",
+            _Outcome.OVERLAP: f"overlap {first:.2f} < {second:.2f}",
             _Outcome.DEGENERATE: f"degenerate: position known to {first:.2f} m",
             _Outcome.CHI: f"chi2 {first:.1f} > {settings.loop_gate:.1f}",
+            _Outcome.CONTRADICTED: describe_contradiction(first, settings.loop_in_view, second),
         }[outcome]
         if flags & _Flag.UNCONFIRMED:
             return f"not confirmed yet: {text}"

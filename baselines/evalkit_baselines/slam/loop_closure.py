@@ -8,7 +8,12 @@ A candidate is rejected with the first of these reasons:
 2. *ambiguous*: another motion within the gate fits nearly as well (equal doors of a corridor);
 3. *overlap*: after ICP too few points lie on the other map;
 4. *degenerate*: the geometry does not fix the position (a bare corridor);
-5. *chi2*: the motion contradicts the graph: the squared Mahalanobis distance of its residual is above the gate.
+5. *chi2*: the motion contradicts the graph: the squared Mahalanobis distance of its residual is above the gate;
+6. *contradicted*: too many points are missing on the other map where its scans could see them.
+
+A robot that returns from another room sees only a part of the first map. Where the graph predicts the motion, three
+quarters of the score and of the overlap are therefore enough, if the walls fix the position twice as well and nearly
+nothing is contradicted.
 """
 
 from __future__ import annotations
@@ -20,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evalkit.core import se2
+from evalkit.core.arrays import Ints
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -38,6 +44,7 @@ from evalkit.plugins.parameters import parameter
 from evalkit.plugins.protocols import Registration
 from evalkit_baselines.paper.icp import line_normals
 from evalkit_baselines.slam import pose_graph
+from evalkit_baselines.slam.continuity import could_see
 from evalkit_baselines.slam.keyframes import DOUBTED_M, Edge, Keyframes
 from evalkit_baselines.slam.observability import Openness, measure_openness
 
@@ -52,10 +59,18 @@ _ALL, _AROUND = 2, 3
 """Turns at which the next of all places is compared, and a place around where the robot seems to be, whatever the graph
 believes."""
 
+_PART, _PART_DEGENERATE = 0.75, 0.5
+"""Share of ``loop_score`` and ``loop_overlap`` that is enough for maps that lie on each other in part, and share of
+``loop_degenerate_m`` that is then allowed: parts of a corridor are equal."""
+
 _CORRELATED = 10.0
 """Points near each other have the same error: so many count as one."""
 _FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])
 """Covariance of the best closure: maps of noisy scans are no better (m^2, rad^2)."""
+
+_PART_VARIANCE = 15.0
+"""Further variance of a closure of maps that lie on each other in part, as a multiple of that: 6 cm and 1 deg in all.
+What only one of them saw, such as the other face of a thin wall, pulls at the match."""
 
 _CLEAR_RATIO = 0.3
 """From this ratio of eigenvalues on (see ``observability``) the position along a corridor is as good as across."""
@@ -76,6 +91,13 @@ class LoopSettings:
     )
     loop_near_m: float = parameter(0.15, "m", "a point within this distance lies on the other map", low=0.01)
     loop_overlap: float = parameter(0.7, "", "smallest share of points on the other map", low=0.0, high=1.0)
+    loop_in_view: float = parameter(
+        0.95,
+        "",
+        "or three quarters of it and of the score, and so many of the points that the other map's scans could see",
+        low=0.0,
+        high=1.0,
+    )
     loop_degenerate_m: float = parameter(0.13, "m", "largest 1-sigma error of the matched position", low=0.0)
     loop_gate: float = parameter(pose_graph.SLOW_GATE, "", "largest chi-square of a confirmed closure", low=0.0)
     loop_quick_gate: float = parameter(
@@ -110,6 +132,20 @@ class _Prediction(NamedTuple):
     known: bool = True
     turned: bool = False
     apart: bool = False
+
+    @property
+    def part(self) -> float:
+        """Share of the least score and overlap that may be enough."""
+        return _PART if self.known and not self.apart else 1.0
+
+
+class _Found(NamedTuple):
+    """What branch and bound found: the motion and its score, or None and the reason; whether the window was small."""
+
+    motion: Pose | None
+    reason: str
+    is_local: bool
+    score: float = math.nan
 
 
 class _Place(NamedTuple):
@@ -211,13 +247,32 @@ class LoopFinder:
         guess = Edge(other, last, predicted.motion, np.eye(3))
         if len(source) < 50 or len(target) < 50:
             return Candidate(guess, False, f"{min(len(source), len(target))} points, fewer than 50")
-        found, reason, is_local = self._search(target, source, predicted)
-        if found is None:
-            return Candidate(guess, False, reason)
+        found = self._search(target, source, predicted)
+        if found.motion is None:
+            return Candidate(guess, False, found.reason)
         cloud = Cloud(target, "target")
-        coarse = self._coarse.register(cloud, Cloud(source, "source"), found)
+        coarse = self._coarse.register(cloud, Cloud(source, "source"), found.motion)
         match = self._fine.register(cloud, Cloud(source, "source"), coarse.target_from_source)
-        return self._judge(target, source, match, predicted, guess, is_local)
+        candidate, missing = self._judge(target, source, match, predicted, guess, found)
+        if not candidate.passed or missing is None:
+            return candidate
+        on_map = len(source) - len(missing)
+        hidden = self._count_hidden(keyframes, other, keyframes.near_in_time(other, reach), missing)
+        share = on_map / (len(source) - hidden)
+        if not share >= settings.loop_in_view:
+            reason = describe_contradiction(share, settings.loop_in_view, on_map / len(source))
+            return candidate._replace(passed=False, reason=reason)
+        return candidate
+
+    def _count_hidden(self, keyframes: Keyframes, at: int, rows: Ints, points: Floats) -> int:
+        """Return how many points (N, 2) in the frame of one keyframe the scans of several could not see."""
+        for row in rows:
+            mount = keyframes.mounts[row]
+            sensor = Pose(mount.x, mount.y, 0.0)
+            at_from_sensor = Pose.of(se2.between(keyframes.poses[at], keyframes.poses[row])) @ sensor
+            before, now = sensor.inverse().transform(keyframes.clouds[row]), at_from_sensor.inverse().transform(points)
+            points = points[~could_see(before, now, self._settings.loop_near_m)]
+        return len(points)
 
     def _predict(self, keyframes: Keyframes, place: _Place, last: int) -> _Prediction:
         other, apart = keyframes.pose(place.row), bool(keyframes.apart_m[place.row] >= DOUBTED_M)
@@ -230,8 +285,7 @@ class LoopFinder:
             return _Prediction(Pose(), anywhere, known=False, turned=True, apart=apart)
         return _Prediction(other.inverse() @ place.expected, anywhere, known=False, apart=apart)
 
-    def _search(self, target: Floats, source: Floats, predicted: _Prediction) -> tuple[Pose | None, str, bool]:
-        """Return the motion that branch and bound finds, or None and the reason, and whether the window was small."""
+    def _search(self, target: Floats, source: Floats, predicted: _Prediction) -> _Found:
         settings, motion = self._settings, predicted.motion
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
         turn = np.array([[cos, -sin], [sin, cos]])
@@ -246,10 +300,11 @@ class LoopFinder:
         thinned = source[:: max(len(source) // _SOURCE_POINTS, 1)]
         window = Window(motion, float(half[0]), float(half[1]), half_rad)
         weight = _weight(half / _SIGMAS, half_rad / _SIGMAS)
-        best, bound = bounded_search(grid, thinned, window, settings.loop_score, weight)
+        least = predicted.part * settings.loop_score
+        best, bound = bounded_search(grid, thinned, window, least, weight)
         is_local = bool(half.max() <= 0.75)
         if best is None:
-            return None, describe_low_score(bound, settings.loop_score), is_local
+            return _Found(None, describe_low_score(bound, least), is_local)
         bound = settings.loop_ambiguity * best.score
         turned = [] if predicted.known else [other_headings(best.target_from_source)]
         if not predicted.known:  # another place that fits may be farther away than where this one was sought
@@ -258,45 +313,55 @@ class LoopFinder:
             rival = branch_and_bound(grid, thinned, part, bound)
             if rival is not None and self._is_possible(rival.target_from_source, predicted):
                 share = f"{rival.score / best.score:.2f}"
-                return None, f"ambiguous: another motion has {share} of the score {best.score:.2f}", is_local
-        return best.target_from_source, "", is_local
+                reason = f"ambiguous: another motion has {share} of the score {best.score:.2f}"
+                return _Found(None, reason, is_local)
+        return _Found(best.target_from_source, "", is_local, best.score)
 
     def _is_possible(self, motion: Pose, predicted: _Prediction) -> bool:
         covariance = predicted.covariance + _FLOOR + np.diag([self._settings.loop_cell_m**2] * 2 + [1e-4])
         return _chi_square(motion, predicted.motion, covariance) <= 2.0 * self._settings.loop_gate
 
     def _judge(
-        self, target: Floats, source: Floats, match: Match, predicted: _Prediction, guess: Edge, is_local: bool
-    ) -> Candidate:
+        self, target: Floats, source: Floats, match: Match, predicted: _Prediction, guess: Edge, found: _Found
+    ) -> tuple[Candidate, Floats | None]:
+        """Return the candidate; where it passes in part only, also the points that are missing on the target."""
         from scipy.spatial import cKDTree  # noqa: PLC0415 - specs are listed without SciPy
 
-        settings, motion = self._settings, match.target_from_source
-        tree = cKDTree(target)
-        distance, nearest = map(
-            np.asarray, tree.query(motion.transform(source), distance_upper_bound=settings.loop_near_m)
-        )
+        settings, motion, is_local = self._settings, match.target_from_source, found.is_local
+        tree, moved = cKDTree(target), motion.transform(source)
+        distance, nearest = map(np.asarray, tree.query(moved, distance_upper_bound=settings.loop_near_m))
         on_map = np.isfinite(distance)
         overlap = float(on_map.mean())
         measured = Edge(guess.first, guess.second, motion, guess.information)
-        if not overlap >= settings.loop_overlap:
-            return Candidate(measured, False, f"overlap {overlap:.2f} < {settings.loop_overlap:.2f}", is_local=is_local)
+        least = predicted.part * settings.loop_overlap
+        if not overlap >= least:
+            return Candidate(measured, False, f"overlap {overlap:.2f} < {least:.2f}", is_local=is_local), None
+        is_part = not (found.score > settings.loop_score and overlap >= settings.loop_overlap)
         normals = line_normals(tree, 8)[nearest[on_map]]
         covariance = _covariance(source[on_map], normals, motion, max(match.error, 0.01)) + _FLOOR
         covariance += _open_covariance(measure_openness(source[on_map]))
         loosest = math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-        if loosest > settings.loop_degenerate_m:
-            return Candidate(measured, False, f"degenerate: position known to {loosest:.2f} m", is_local=is_local)
+        if loosest > settings.loop_degenerate_m * (_PART_DEGENERATE if is_part else 1.0):
+            reason = f"degenerate: position known to {loosest:.2f} m"
+            return Candidate(measured, False, reason, is_local=is_local), None
+        covariance += (_PART_VARIANCE if is_part else 0.0) * _FLOOR
         chi = _chi_square(motion, predicted.motion, predicted.covariance + covariance)
         information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         edge = Edge(guess.first, guess.second, motion, 0.5 * (information + information.T))
         if not chi <= settings.loop_gate:
-            return Candidate(edge, False, f"chi2 {chi:.1f} > {settings.loop_gate:.1f}", chi, is_local)
-        return Candidate(edge, True, f"chi2 {chi:.1f}, overlap {overlap:.2f}", chi, is_local, predicted.known)
+            return Candidate(edge, False, f"chi2 {chi:.1f} > {settings.loop_gate:.1f}", chi, is_local), None
+        candidate = Candidate(edge, True, f"chi2 {chi:.1f}, overlap {overlap:.2f}", chi, is_local, predicted.known)
+        return candidate, moved[~on_map] if is_part else None
 
 
 def describe_low_score(bound: float, least: float) -> str:
     """Return the reason of a candidate where no motion scores more than ``bound``, which is rounded upwards."""
     return f"score at most {math.ceil(1000.0 * bound) / 1000.0:.3f}, below {least:.2f}"
+
+
+def describe_contradiction(share: float, least: float, overlap: float) -> str:
+    """Return the reason of a candidate of whose points in view of the other map's scans too few lie on that map."""
+    return f"contradicted: {share:.2f} < {least:.2f} of what could be seen there, overlap {overlap:.2f}"
 
 
 def _chi_square(motion: Pose, predicted: Pose, covariance: Floats) -> float:

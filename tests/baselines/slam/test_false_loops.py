@@ -10,7 +10,7 @@ pytest.importorskip("evalkit_baselines.embedded._core64")
 script = runpy.run_path(str(Path(__file__).with_name("false_loops.py")))
 
 
-@pytest.mark.parametrize("world", [*script["ALIASING"], "loop"])
+@pytest.mark.parametrize("world", [*script["ALIASING"], "loop", "office"])
 def test_closures_are_true_and_correct_the_path(world):
     count = script["Count"]()
     script["drive"](count, world, 9001, "embedded-slam")

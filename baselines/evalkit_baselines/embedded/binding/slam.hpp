@@ -35,7 +35,8 @@ public:
         p.drift = {take("drift"), take("drift_angle")};
         p.loop = {take("loop_path"),  take("loop_spacing"),   take("loop_radius"), take("loop_submap"),
                   take("loop_cell"),  take("loop_score"),     take("loop_ambiguity"), take("loop_near"),
-                  take("loop_overlap"), take("loop_degenerate"), take("loop_gate"), take("loop_quick_gate")};
+                  take("loop_overlap"), take("loop_in_view"), take("loop_degenerate"), take("loop_gate"),
+                  take("loop_quick_gate")};
         p.use_odometry = size("use_odometry") != 0;
         p.work = nb::cast<int64_t>(number["work"]);
         p.points = size("beams");

@@ -101,7 +101,7 @@ static void begin_search(ek_loop_finder *finder)
         finder->sample[2u * finder->sample_count + 1u] = finder->source[2u * k + 1u];
     }
     ek_search_begin(&finder->search, &finder->grid, finder->sample, finder->sample_count, &window, &prior,
-                    finder->settings.score);
+                    ek_loop_part(finder) * finder->settings.score);
     finder->phase = EK_FINDER_SEARCH;
 }
 
@@ -188,7 +188,7 @@ static void search(ek_loop_finder *finder, ek_work *work)
         return;
     }
     if (!finder->search.found) {
-        judge_early(finder, EK_LOOP_SCORE, finder->search.left_out, EK_R(0.0));
+        judge_early(finder, EK_LOOP_SCORE, finder->search.left_out, ek_loop_part(finder) * finder->settings.score);
         return;
     }
     finder->best = finder->search.best;
@@ -236,6 +236,16 @@ static void match(ek_loop_finder *finder, ek_work *work)
     finder->phase = coarse ? EK_FINDER_FINE : EK_FINDER_JUDGE;
 }
 
+static void judge(ek_loop_finder *finder, const ek_keyframes *keyframes, ek_work *work)
+{
+    ek_loop_judge(finder, work);
+    if (finder->phase == EK_FINDER_LOOK) { /* the normals and the samples are not needed any more */
+        select_near(finder, keyframes, finder->candidate.edge.first, finder->settings.submap);
+        finder->sight.ray = (ek_sight_ray *)finder->sample;
+        finder->sight.other = (ek_sight_ray *)finder->normals;
+    }
+}
+
 int ek_loop_finder_work(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *work)
 {
     if (finder->phase == EK_FINDER_IDLE) {
@@ -258,7 +268,8 @@ int ek_loop_finder_work(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work
         case EK_FINDER_INDEX: index_target(finder, work); break;
         case EK_FINDER_COARSE:
         case EK_FINDER_FINE: match(finder, work); break;
-        default: ek_loop_judge(finder, work); break;
+        case EK_FINDER_JUDGE: judge(finder, keyframes, work); break;
+        default: ek_loop_look(finder, keyframes, work); break;
         }
     }
     return finder->phase == EK_FINDER_IDLE;

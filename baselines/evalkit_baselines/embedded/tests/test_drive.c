@@ -197,7 +197,7 @@ static void a_scan_is_lost_where_it_contradicts_the_one_before(void)
         continuity.before.count = 0u;
         CHECK(!is_lost(room(3.0, -3.14159, 3.14159, 400u), ORIGIN, has_odometry, NULL)); /* the first one never is */
         CHECK(!is_lost(room(3.0, -3.14159, 3.14159, 400u), moved, has_odometry, NULL));  /* on the walls */
-        CHECK(!is_lost(5u, away, has_odometry, NULL) && continuity.rays > 100u);         /* too few: not even kept */
+        CHECK(!is_lost(5u, away, has_odometry, NULL) && continuity.sight.rays > 100u);         /* too few: not even kept */
         for (size_t k = 0; k < 2u; k++) { /* the walls 0.9 and 0.7 m off; a scan that is not kept is not compared */
             const size_t count = room(3.0, -3.14159, 3.14159, 400u);
             CHECK(ask(count, away, has_odometry, NULL));
@@ -237,7 +237,7 @@ static void rays_are_sorted_by_bearing(void)
 {
     for (size_t count = 20u; count < 40u; count++) {
         for (size_t k = 0; k < POINTS; k++) {
-            continuity.ray[k].bearing = continuity.other[k].bearing = EK_R(-9.0);
+            continuity.sight.ray[k].bearing = continuity.sight.other[k].bearing = EK_R(-9.0);
         }
         for (size_t k = 0; k < count; k++) { /* on a circle of 3 m, in mixed order */
             const double angle = 2.0 * (double)EK_PI * (double)(k * 17u % 41u) / 41.0 - 3.0;
@@ -245,12 +245,12 @@ static void rays_are_sorted_by_bearing(void)
             xy[2u * k + 1u] = EK_R(3.0 * sin(angle));
         }
         continuity.before.count = 0u;
-        CHECK(!is_lost(count, ORIGIN, 0, NULL) && continuity.rays == count);
+        CHECK(!is_lost(count, ORIGIN, 0, NULL) && continuity.sight.rays == count);
         for (size_t k = 0; k < count; k++) {
-            CHECK_NEAR(continuity.ray[k].range, 3.0, 1e-5);
-            CHECK(k == 0u || continuity.ray[k].bearing > continuity.ray[k - 1u].bearing);
+            CHECK_NEAR(continuity.sight.ray[k].range, 3.0, 1e-5);
+            CHECK(k == 0u || continuity.sight.ray[k].bearing > continuity.sight.ray[k - 1u].bearing);
         }
-        CHECK(continuity.ray[0].bearing >= -EK_PI);
+        CHECK(continuity.sight.ray[0].bearing >= -EK_PI);
     }
 }
 

@@ -200,6 +200,106 @@ static void a_match_passes_with_enough_overlap_and_certainty(void)
     free(arena.memory);
 }
 
+/* Where the graph predicts the motion, three quarters of score and overlap are enough for a look at what is missing, if the
+ * position is known twice as well. */
+static void a_match_in_part_is_looked_at(void)
+{
+    static const struct {
+        size_t far; /* of 40 points */
+        double score;
+        int known, apart;
+        ek_loop_outcome outcome;
+        ek_finder_phase phase;
+    } cases[] = {{12u, 0.6, 1, 0, EK_LOOP_PASSED, EK_FINDER_IDLE}, {13u, 0.6, 1, 0, EK_LOOP_PASSED, EK_FINDER_LOOK},
+                 {18u, 0.6, 1, 0, EK_LOOP_PASSED, EK_FINDER_LOOK}, {0u, 0.5, 1, 0, EK_LOOP_PASSED, EK_FINDER_LOOK},
+                 {20u, 0.6, 1, 0, EK_LOOP_OVERLAP, EK_FINDER_IDLE}, {13u, 0.6, 0, 0, EK_LOOP_OVERLAP, EK_FINDER_IDLE},
+                 {13u, 0.6, 1, 1, EK_LOOP_OVERLAP, EK_FINDER_IDLE}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        ek_arena arena = line_of(2u);
+        ek_loop_finder *const finder = &slam.finder;
+        for (size_t k = 0; k < 40u; k++) { /* two walls */
+            finder->target[2u * k] = EK_R(k < 20u ? 0.2 * (double)k : 4.0);
+            finder->target[2u * k + 1u] = EK_R(k < 20u ? 0.0 : 0.2 * (double)(k - 20u));
+            finder->source[2u * k] = finder->target[2u * k];
+            finder->source[2u * k + 1u] = finder->target[2u * k + 1u] + (k < cases[i].far ? EK_R(-0.2) : EK_R(0.0));
+        }
+        CHECK(ek_index_build(&finder->index, finder->target, 40u) == EK_OK);
+        CHECK(ek_normals_compute(&finder->index, 8u, EK_FAR, finder->normals) == EK_OK);
+        finder->index.normals = finder->normals;
+        finder->match = finder->motion = ORIGIN;
+        finder->covariance = edge_of(0u, 1u, ORIGIN, 1.0).information;
+        finder->match_error = EK_R(0.02);
+        finder->source_count = 40u;
+        finder->best_score = EK_R(cases[i].score);
+        finder->candidate.known = cases[i].known;
+        finder->apart = cases[i].apart;
+        finder->settings.degenerate = EK_R(1e6);
+        ek_loop_judge(finder, &work);
+        CHECK(finder->candidate.outcome == cases[i].outcome && finder->phase == cases[i].phase);
+        CHECK(finder->on_map == 40u - cases[i].far && finder->missing == cases[i].far);
+        const int is_low = cases[i].outcome == EK_LOOP_OVERLAP;
+        CHECK_NEAR(finder->candidate.number[1], is_low ? (cases[i].known && !cases[i].apart ? 0.525 : 0.7)
+                                                       : (double)finder->on_map / 40.0, 1e-6);
+        for (size_t k = 0; k < finder->missing; k++) {
+            CHECK_NEAR(finder->raw[2u * (finder->on_map + k) + 1u], -0.2, 1e-6);
+        }
+        if (!is_low) { /* the position must be known twice as well for a look */
+            finder->settings.degenerate = EK_R(0.0);
+            ek_loop_judge(finder, &work);
+            const ek_real loosest = finder->candidate.number[0];
+            const int looks = cases[i].phase == EK_FINDER_LOOK;
+            for (int k = 0; k < 2; k++) {
+                finder->settings.degenerate = loosest * EK_R((looks ? 2.0 : 1.0) * (k ? 1.0001 : 0.9999));
+                ek_loop_judge(finder, &work);
+                CHECK(finder->candidate.outcome == (k ? EK_LOOP_PASSED : EK_LOOP_DEGENERATE));
+            }
+        }
+        free(arena.memory);
+    }
+}
+
+/* Keyframes at 0, 0 and 1, 0 saw a point 1 m to their left each, and nothing else. What is missing there within 5 deg, up to
+ * 0.15 m behind it, they could have seen. */
+static void what_could_be_seen_contradicts(void)
+{
+    static const struct {
+        double missing[2][2];
+        size_t on_map, hidden;
+    } cases[] = {{{{0.0, 0.5}, {0.0, 1.2}}, 19u, 1u},   {{{0.0, 0.5}, {0.0, 1.14}}, 19u, 0u},
+                 {{{1.0, 0.5}, {0.0, -0.5}}, 19u, 1u},  {{{0.05, 0.6}, {0.06, 0.6}}, 19u, 1u},
+                 {{{1.0, 1.14}, {1.0, 1.16}}, 18u, 1u}, {{{2.0, 0.5}, {0.5, 0.5}}, 1u, 2u}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        ek_arena arena = line_of(4u);
+        ek_loop_finder *const finder = &slam.finder;
+        const size_t on_map = cases[i].on_map, all = on_map + 2u, hidden = cases[i].hidden;
+        finder->sight.ray = (ek_sight_ray *)finder->sample;
+        finder->sight.other = (ek_sight_ray *)finder->normals;
+        finder->candidate.edge.first = 0u;
+        finder->candidate.outcome = EK_LOOP_PASSED;
+        finder->candidate.number[1] = EK_R(0.6);
+        finder->source_count = all;
+        finder->on_map = on_map;
+        finder->missing = 2u;
+        for (size_t k = 0; k < 4u; k++) {
+            finder->raw[2u * on_map + k] = EK_R(cases[i].missing[k / 2u][k % 2u]);
+        }
+        finder->phase = EK_FINDER_LOOK;
+        finder->gathered = 0u;
+        finder->gather_end = 2u;
+        work = ek_work_make(1); /* one keyframe in a part */
+        ek_loop_look(finder, &slam.keyframes, &work);
+        CHECK(finder->phase == EK_FINDER_LOOK && finder->gathered == 1u && work.done == 150u);
+        work = ek_work_make(INT64_MAX);
+        ek_loop_look(finder, &slam.keyframes, &work);
+        CHECK(finder->phase == EK_FINDER_IDLE && finder->missing == hidden);
+        const double share = (double)on_map / (double)(all - hidden);
+        CHECK(finder->candidate.outcome == (share >= 0.95 ? EK_LOOP_PASSED : EK_LOOP_CONTRADICTED));
+        CHECK_NEAR(finder->candidate.number[0], share >= 0.95 ? 0.0 : share, 1e-6);
+        CHECK_NEAR(finder->candidate.number[1], 0.6, 1e-6);
+        free(arena.memory);
+    }
+}
+
 int main(void)
 {
     the_nearest_place_lies_within_the_drift();
@@ -209,5 +309,7 @@ int main(void)
     candidates_keep_their_distance();
     a_motion_is_possible_within_twice_the_gate();
     a_match_passes_with_enough_overlap_and_certainty();
+    a_match_in_part_is_looked_at();
+    what_could_be_seen_contradicts();
     return verdict();
 }

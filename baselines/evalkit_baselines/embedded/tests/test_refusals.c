@@ -607,7 +607,8 @@ static void of_defaults(void)
         {closing.radius, 7.0},           {closing.submap, 3.0},            {closing.cell, 0.1},
         {closing.score, 0.55},           {closing.ambiguity, 0.92},        {closing.near, 0.15},
         {closing.overlap, 0.7},          {closing.degenerate, 0.13},       {closing.gate, 11.345},
-        {closing.quick_gate, 6.25},      {lines.keyframe_distance, 0.3},   {lines.keyframe_angle, 10.0 * degree},
+        {closing.in_view, 0.95},         {closing.quick_gate, 6.25},
+        {lines.keyframe_distance, 0.3},   {lines.keyframe_angle, 10.0 * degree},
         {lines.map_voxel, 0.1},          {lines.scan_to_scan.epsilon, 1e-6}, {lines.scan_to_map.epsilon, 1e-6},
         {lines.scan_to_scan.cauchy, 0.1}, {lines.scan_to_map.cauchy, 0.1}, {lines.scan_to_scan.max_correspondence, 1.0},
         {lines.scan_to_map.max_correspondence, 1.0}};

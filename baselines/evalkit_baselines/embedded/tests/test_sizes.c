@@ -88,7 +88,7 @@ static void updater_of(size_t points)
 static void continuity_of(size_t points)
 {
     index_of(points, cells_of(points, (size_t)1 << 16));
-    blocks(2u, points, sizeof(ek_view_ray));
+    blocks(2u, points, sizeof(ek_sight_ray));
     block(2u * points, REAL);
     block(points, WORD);
 }

@@ -10,23 +10,18 @@
 #include "ek/index.h"
 #include "ek/se2.h"
 #include "ek/thin.h"
+#include "ek/sight.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-/* A direction from the sensor, and the range of the scan there. */
-typedef struct {
-    ek_real bearing, range; /* rad, m */
-} ek_view_ray;
-
 typedef struct {
     ek_index before; /* points of the scan before, at its pose; empty: there is none */
-    size_t rays;
-    ek_view_ray *ray, *other; /* of the scan before, by bearing; working memory of the sort */
-    ek_real *moved;           /* points, thinned */
+    ek_sight sight;    /* of the scan before */
+    ek_real *moved;  /* points, thinned */
     uint32_t *seen;
-    ek_pose sensor;           /* pose of the scan before */
+    ek_pose sensor;  /* pose of the scan before */
 } ek_continuity;
 
 #define ek_continuity_init EK_NAME(continuity_init)

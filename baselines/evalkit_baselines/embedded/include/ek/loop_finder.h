@@ -10,6 +10,7 @@
 #include "ek/icp.h"
 #include "ek/keyframes.h"
 #include "ek/search.h"
+#include "ek/sight.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -25,6 +26,7 @@ typedef struct {
     ek_real ambiguity;  /* share of the best score that another motion may not reach */
     ek_real near;       /* m: a point within this distance lies on the other map */
     ek_real overlap;    /* smallest share of points on the other map */
+    ek_real in_view;    /* or three quarters of it and of the score, and so many of the points that its scans could see */
     ek_real degenerate; /* m: largest 1-sigma error of the matched position */
     ek_real gate;       /* largest chi-square of a confirmed closure */
     ek_real quick_gate; /* and of one without confirmation */
@@ -33,11 +35,12 @@ typedef struct {
 typedef enum {
     EK_LOOP_PASSED = 0, /* numbers: chi-square, overlap */
     EK_LOOP_FEW_POINTS, /* points */
-    EK_LOOP_SCORE,      /* upper bound on the score of every motion */
+    EK_LOOP_SCORE,      /* upper bound on the score of every motion, smallest that is enough */
     EK_LOOP_AMBIGUOUS,  /* share of the best score, best score */
-    EK_LOOP_OVERLAP,    /* overlap */
+    EK_LOOP_OVERLAP,    /* overlap, smallest that is enough */
     EK_LOOP_DEGENERATE, /* m */
-    EK_LOOP_CHI         /* chi-square */
+    EK_LOOP_CHI,        /* chi-square */
+    EK_LOOP_CONTRADICTED /* share on the other map of the points that its scans could see, overlap */
 } ek_loop_outcome;
 
 typedef struct {
@@ -61,7 +64,8 @@ typedef enum {
     EK_FINDER_INDEX,
     EK_FINDER_COARSE,
     EK_FINDER_FINE,
-    EK_FINDER_JUDGE
+    EK_FINDER_JUDGE,
+    EK_FINDER_LOOK
 } ek_finder_phase;
 
 typedef struct {
@@ -83,6 +87,8 @@ typedef struct {
     ek_pose best;
     uint32_t level, rival, gathered, gather_end;
     size_t raw_count, target_count, source_count, sample_count;
+    size_t on_map, missing; /* points of the source on the target, and behind them in `raw` those that it hides, as far as
+                             * is known */
     /* working memory */
     ek_real *raw, *target, *source, *sample, *normals;
     ek_index index;
@@ -91,6 +97,7 @@ typedef struct {
     ek_search search;
     ek_observer observer;
     ek_thinner thinner;
+    ek_sight sight; /* in the memory of `sample` and `normals` */
 } ek_loop_finder;
 
 #define ek_loop_default EK_NAME(loop_default)
