@@ -30,11 +30,12 @@ POSES = 20
 OUTCOMES = (
     "chi2 {:.1f}, overlap {:.2f}",
     "too few points: {:.0f}",
-    "low score: at most {:.2f}",
+    "low score: at most {:.2f}, below {:.2f}",
     "ambiguous: another motion has {:.2f} of the score {:.2f}",
-    "little overlap: {:.2f}",
+    "overlap {:.2f} < {:.2f}",
     "degenerate: position known to {:.2f} m",
     "chi2 too large: {:.1f}",
+    "contradicted: {:.2f} of what could be seen there, overlap {:.2f}",
 )
 """What decided on a candidate, with its numbers; the order is that of ek_loop_outcome (loop_finder.h)."""
 

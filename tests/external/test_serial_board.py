@@ -434,6 +434,13 @@ def test_no_frame_with_one_damaged_byte_is_taken():
                 assert serial_line.decode_frame(frame[:at] + bytes([other]) + frame[at + 1 :]) is None
 
 
+def test_every_outcome_of_a_candidate_has_a_text():
+    header = (CORE / "include" / "ek" / "loop_finder.h").read_text()
+    outcomes = re.search(r"typedef enum \{\s*(EK_LOOP_PASSED.*?)\} ek_loop_outcome;", header, re.DOTALL)
+    assert outcomes is not None
+    assert len(re.findall(r"^\s*EK_LOOP_\w+", outcomes[1], re.MULTILINE)) == len(serial_board.OUTCOMES)
+
+
 def test_a_greeting_of_another_version_is_refused():
     assert parse_hello(b"\x03\x00\x04\x00" + bytes(8) + b"os\nmine\nos size 3\ns limit 0.5\n").parameters == (
         ("os", "size", 3), ("s", "limit", 0.5),
