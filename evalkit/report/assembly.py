@@ -163,7 +163,8 @@ def describe_fairness(runs: Sequence[RunRecord], environment: Mapping[str, str])
         "odometry get the same odometry.",
         "One mapper draws all maps from the methods' trajectories, aligned to the ground truth if there is one"
         f"{elsewhere}.",
-        "Runs that did not complete are counted and shown, and enter no median. A method with a lost run cannot win.",
+        "Runs that did not complete are counted and shown, and enter no median. A method is not ranked on a data set "
+        "where one of its runs did not complete or lost the track.",
     )
 
 

@@ -15,6 +15,7 @@ from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.answer import Answer
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.standings import Standing
 from evalkit.results.reader import RESULTS_NAME, RESULTS_VERSION
 from evalkit.results.run_record import RunRecord
 from evalkit.results.store import hash_answers
@@ -55,11 +56,20 @@ def _answer(answer: Answer) -> dict[str, Any]:
         "subtitle": answer.subtitle,
         "pills": [asdict(pill) for pill in answer.pills],
         "winners": list(answer.winners),
+        "rivals": list(answer.rivals),
         "cheapest": answer.cheapest.method if answer.cheapest else None,
         "losses": [asdict(loss) | {"metric": loss.metric.name} for loss in answer.losses],
-        "standings": [asdict(standing) for standing in answer.standings],
+        "standings": [_standing(standing) for standing in answer.standings],
+        "compared_with": answer.common,
         "counted": [contest.sequence for contest in answer.contests],
     }
+
+
+def _standing(standing: Standing) -> dict[str, Any]:
+    relative = standing.relative
+    names = ("method", "led", "counted", "cpu_ms", "left_out")
+    against = {"ratio": relative.error, "cpu_ratio": relative.cpu, "shared": relative.shared}
+    return {name: getattr(standing, name) for name in names} | against
 
 
 def _intervals(sequence: SequenceAnalysis) -> Iterator[dict[str, Any]]:

@@ -14,7 +14,7 @@ from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.map_agreement import decided_by_maps
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.standings import find_cost, select_counted
+from evalkit.report.analysis.standings import compare, find_cost, select_counted
 from evalkit.report.analysis.statements.warnings import list_remarks
 from evalkit.report.formatting import format_amount, format_milliseconds
 from evalkit.terminal.console import table_width
@@ -140,18 +140,20 @@ def _rows_of_sequence(analysis: Analysis, sequence: SequenceAnalysis) -> tuple[s
 
 
 def _rows_of_answer(analysis: Analysis) -> tuple[str, list[RankedRow]]:
-    """Return a row for each method that takes part: its mean error by the best one's, and how often it leads."""
+    """Return a row for each method that takes part: its mean error by a common one's, and how often it leads."""
     answer, baselines = analysis.answer, analysis.comparison.methods_with_role("baseline")
     counted = select_counted(analysis.sequences, answer.contests)
-    part = [(one, one.ratio) for one in answer.standings if one.counted and one.ratio is not None]
-    base = next((ratio for one, ratio in part if one.method in baselines), None)
+    part = [(one, one.relative.error) for one in answer.standings if one.counted and one.relative.error is not None]
+    base = next((one.method for one, _ in part if one.method in baselines), "")
     rows = []
     for one, ratio in part:
         note = f"best or tied {one.led}/{one.counted}" if one.led else ""
         note += (", cheapest" if note else "cheapest") if answer.cheapest is one else ""
-        against = _against(ratio, base, one.method in baselines)
+        by_base = compare(answer.contests, one.method, base).error
+        against = "baseline" if one.method in baselines else f"{by_base:.2f} x" if by_base is not None else ""
         rows.append(RankedRow(one.method, f"{ratio:.2f} x", against, _cost(counted, one.method), note, ratio))
-    return f"error by the best one's, geometric mean over {len(answer.contests)} data sets", rows
+    over = f"geometric mean over the data sets of both, at most {len(answer.contests)}"
+    return f"error by that of {answer.common}, {over}", rows
 
 
 def _format_corrected(sequence: SequenceAnalysis, method: str) -> str:

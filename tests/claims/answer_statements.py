@@ -9,7 +9,7 @@ from statistics import median
 
 from amounts import AMOUNT, NUMBER, check_amount, list_of
 from facts import Facts
-from statements import BROKEN, NOT_STARTED, Check, kind, same
+from statements import BROKEN, LOSS, NOT_STARTED, Check, kind, same
 
 END = r"\.(?= [A-Z]|$)"
 
@@ -24,7 +24,8 @@ def standings(facts: Facts) -> dict[str, tuple[int, int]]:
     for method in facts.methods:
         part = [
             one for one in over
-            if method in facts.runs[one] and not facts.find(one, facts.deciding(one) or "")[method].tuned
+            if any(run["status"] not in NOT_STARTED for run in facts.runs[one].get(method, ()))
+            and not facts.find(one, facts.deciding(one) or "")[method].tuned
         ]  # fmt: skip
         table[method] = sum(method in leaders(facts, one) for one in part), len(part)
     return table
@@ -47,6 +48,7 @@ def leaders(facts: Facts, where: str) -> Sequence[str]:
 def take(facts: Facts, names: str, **said: str | None) -> Iterator[str]:
     table, winners = standings(facts), names.split(" or ")
     yield from same("winners", set(winners), set(facts.content["answer"]["winners"]))
+    yield from same("rivals", facts.content["answer"]["rivals"], [])
     for name in winners:
         yield from same(f"{name} leads", int(said["led"] or 0), table[name][0])
     yield from same("most", int(said["led"] or 0), max(led for led, _ in table.values()))
@@ -58,6 +60,24 @@ def take(facts: Facts, names: str, **said: str | None) -> Iterator[str]:
     named = fewer if len(fewer) < 2 else [f"{len(fewer)} methods"]
     yield from same("compared on fewer", [said["fewer"]] if said["fewer"] else [], named)
     yield from same("all", int(said["all"] or over), over)
+
+
+@kind(
+    IN_ANSWER,
+    r"(?P<names>[^:]+?) (?:is|are each) best or tied on (?P<led>\d+) of (?P<of>\d+) data sets?, "
+    r"but (?P<rivals>.+?) (?:has|have) smaller errors (?:where both ran|where they ran too)\.",
+)
+def not_recommended(facts: Facts, names: str, rivals: str, **said: str) -> Iterator[str]:
+    """The paired tests find every method named better; their adjustment may leave out others."""
+    table, winners, true = standings(facts), list_of(names), facts.content["answer"]["rivals"]
+    yield from same("winners", set(winners), set(facts.content["answer"]["winners"]))
+    for name in winners:
+        yield from same(f"{name} leads", int(said["led"]), table[name][0])
+    yield from same("most", int(said["led"]), max(led for led, _ in table.values()))
+    yield from same("of", int(said["of"]) in (table[winners[0]][1], len(facts.content["answer"]["counted"])), True)
+    yield from same("rivals", [f"{len(true)} methods"] if len(true) > 2 else true, list_of(rivals))
+    better = {one for winner in winners for one in facts.better(winner)}
+    yield from same("not better", [one for one in true if one not in better], [])
 
 
 @kind(
@@ -188,38 +208,52 @@ def losses(facts: Facts, words: str) -> Iterator[str]:
         yield from check_amount(where, best, facts.find(where, metric)[facts.ranked(where, metric)[0]].median)
 
 
+@kind(IN_ANSWER, r"(?P<method>.+?) lost the track on (?P<listed>.+?)\.(?= [A-Z]|$)")
+def winner_lost(facts: Facts, method: str, listed: str) -> Iterator[str]:
+    name = facts.content["answer"]["winners"][0] if method == "It" else method
+    true = []
+    for where in facts.runs:
+        metric = facts.deciding(where)
+        if metric is None or facts.content["sequences"][where]["degenerate"] or name not in facts.runs[where]:
+            continue
+        one = facts.find(where, metric)[name]
+        if one.lost_s is not None:
+            true.append(f"{where} ({one.lost_runs} of {one.expected} runs)" if one.expected > 1 else where)
+    yield from same(f"{name} lost", list_of(listed), true)
+
+
 @kind(IN_ANSWER, r"It is also the cheapest matcher\.")
 @kind(IN_ANSWER, r"Cheapest of them: (?P<name>.+?)\.$")
 @kind(
     IN_ANSWER,
-    rf"Cheapest matcher: (?P<name>.+?), (?P<ms>{NUMBER} ms)(?:, (?P<times>{NUMBER}) times the [a-z ]+?"
-    r"(?: on (?P<shared>\d+) of (?P<of>\d+))?)?\.",
+    rf"Cheapest matcher: (?P<name>[^.,]+?)(?:, (?P<ms>{NUMBER} ms)|, (?P<cpu>{NUMBER}) times the time)?"
+    rf"(?:, (?P<times>{NUMBER}) times the [a-z ]+?)?(?: on (?P<shared>\d+) of (?P<of>\d+))?\.$",
 )
 def cheapest(
     facts: Facts,
     name: str = "",
     ms: str = "",
+    cpu: str | None = None,
     times: str | None = None,
     shared: str | None = None,
     of: str | None = None,
 ) -> Iterator[str]:
     answer = facts.content["answer"]
     others = [one for one in facts.methods if one not in facts.with_role("baseline")]
-    timed = {one: _cost(facts, one) for one in (answer["winners"] if len(answer["winners"]) > 1 else others)}
+    considered = answer["winners"] if len(answer["winners"]) > 1 else others
+    timed = {one: facts.relative(answer["counted"], one, answer["compared_with"])[1] for one in considered}
+    timed = {one: spent for one, spent in timed.items() if spent is not None}
     yield from same("cheapest", name or answer["winners"][0], min(timed, key=lambda one: timed[one]))
+    error, spent, both = facts.relative(answer["counted"], name or answer["winners"][0], answer["winners"][0])
+    counted = len(answer["counted"])
     if ms:
-        yield from check_amount("cost", ms, timed[name])
+        yield from check_amount("cost", ms, _cost(facts, name))
+    if cpu:
+        yield from check_amount("times the time", cpu, spent or math.inf)
     if times:
-        logs = []
-        for where in answer["counted"]:
-            metric = facts.deciding(where) or ""
-            found, ranked = facts.find(where, metric), facts.ranked(where, metric)
-            sign = 1.0 if facts.metrics[metric]["better"] == "lower" else -1.0
-            if {name, answer["winners"][0]} <= set(ranked):
-                logs.append(sign * math.log(found[name].median / found[answer["winners"][0]].median))
-        yield from check_amount("times the error", times, math.exp(sum(logs) / len(logs)))
-        counted = len(answer["counted"])
-        yield from same("both count", [int(shared or counted), int(of or counted)], [len(logs), counted])
+        yield from check_amount("times the error", times, error or math.inf)
+    if ms or cpu or times:
+        yield from same("both count", [int(shared or counted), int(of or counted)], [both, counted])
 
 
 @kind(IN_PILLS, r"(?P<where>[^:]+): (?P<text>problem: .+|.+: check it)$")
@@ -247,15 +281,15 @@ def degenerate_pill(facts: Facts, where: str, how: str) -> Iterator[str]:
         yield from same("beats", better, [])
 
 
-def _lost(facts: Facts) -> dict[str, dict[str, float]]:
-    table: dict[str, dict[str, float]] = {}
+def _lost(facts: Facts) -> dict[str, dict[str, str]]:
+    table: dict[str, dict[str, str]] = {}
     for where in facts.runs:
         metric = facts.deciding(where)
         if metric is None or facts.content["sequences"][where]["degenerate"]:
             continue
         for method, one in facts.find(where, metric).items():
             if one.lost_s is not None:
-                table.setdefault(method, {})[where] = one.lost_s
+                table.setdefault(method, {})[where] = facts.losses(one)
     return table
 
 
@@ -267,13 +301,13 @@ def lost_pill(
     table = _lost(facts) if what.startswith("lost") else {}
     for run in facts.content["runs"] if not what.startswith("lost") else ():
         if run["status"] in BROKEN:
-            table.setdefault(run["method"], {})[run["sequence"]] = 0.0
+            table.setdefault(run["method"], {})[run["sequence"]] = ""
     if count:
         yield from same(what, int(count), len(table))
     for name in filter(None, (method, *(listed or "").split(", "))):
         yield from same(f"{name} {what}", name in table, True)
-    for name, seconds in re.findall(r"(?:^|, | and )(\S+) \(at (\d+) s(?:, found at \d+ s)?\)", where):
-        yield from same(f"{method} on {name}", seconds, f"{table[method][name]:.0f}")
+    for name, words in re.findall(rf"(?:^|, | and )(\S+) \(({LOSS})\)", where):
+        yield from same(f"{method} on {name}", words, table[method].get(name))
     if what.startswith("did") and where and not re.fullmatch(r"\d+ sequences", where):
         yield from same(f"{method} on", set(re.findall(r"(?:^|, | and )(.+?) \(", where)), set(table[method]))
     if match := re.fullmatch(r"(\d+) sequences", where):
@@ -321,7 +355,7 @@ def _tuned_on(facts: Facts, method: str) -> list[str]:
     return [one for one, own in facts.runs.items() if next(iter(own.values()))[0]["dataset"] in chosen]
 
 
-@kind(IN_PILLS, r"settings of (?P<count>\d+) methods were chosen on data sets shown here: not counted there$")
+@kind(IN_PILLS, r"settings of (?P<count>\d+) methods were chosen on data shown here: not counted there$")
 def many_tuned_pill(facts: Facts, count: str) -> Iterator[str]:
     chosen = [_tuned_on(facts, method) for method in facts.methods if _tuned_on(facts, method)]
     yield from same("tuned", int(count), len(chosen))
@@ -337,7 +371,13 @@ def tuned_pill(facts: Facts, methods: str, where: str) -> Iterator[str]:
 
 @kind(IN_PILLS, r"not counted: (?P<where>.+)$")
 def not_counted_pill(facts: Facts, where: str) -> Iterator[str]:
-    for one in list_of(where):
+    named = []
+    for part in where.split("; "):
+        own = list_of(part.removesuffix(" (all tied)"))
+        named += own
+        if part.endswith(" (all tied)"):
+            yield from same("all tied", [one for one in own if not facts.all_tied(one)], [])
+    for one in named:
         without = one in facts.runs and one not in facts.content["answer"]["counted"]
         yield from same(f"{one} not counted", without, True)
 

@@ -31,7 +31,7 @@ class Found:
     expected: int = 0
     lost_s: float | None = None
     lost_runs: int = 0
-    found_runs: int = 0
+    recovered_s: list[float] = field(default_factory=list)
     tuned: bool = False
     perturbed: bool = False
     guessed: float = 0.0
@@ -99,8 +99,8 @@ class Facts:
         found.guessed = median(guessed) if guessed else 0.0
         lost = [run["lost_at_s"] for run in runs if run["lost_at_s"] is not None]
         found.lost_runs = len(lost)
-        found.found_runs = sum(run["recovered_at_s"] is not None for run in runs)
-        if lost and not runtime and not (found.perturbed and 2 * len(lost) < len(runs)):
+        found.recovered_s = [run["recovered_at_s"] for run in runs if run["recovered_at_s"] is not None]
+        if lost and not runtime:
             found.lost_s = min(lost)
         return found
 
@@ -240,6 +240,64 @@ class Facts:
         if self.by_maps(sequence) and not self.agreed(sequence):
             return "disagreement"
         return "winner" if len(self.led(sequence)[0]) == 1 else "tied"
+
+    def all_tied(self, sequence: str) -> bool:
+        """Return whether a sequence with a verdict tells no ranked method apart."""
+        leaders = self.agreed(sequence) if self.by_maps(sequence) else self.led(sequence)[1]
+        tied = self.outcome(sequence) == "tied"
+        return tied and set(leaders) == set(self.ranked(sequence, self.deciding(sequence) or ""))
+
+    def losses(self, one: Found) -> str:
+        """Return when a method lost the track, in the words of a report."""
+        if one.lost_s is None:
+            return ""
+        if one.lost_runs == 1:
+            found = "".join(f", found at {seconds:.0f} s" for seconds in one.recovered_s)
+            count = f"in 1 of {one.expected}, " if one.expected > 1 else ""
+            return f"{count}at {one.lost_s:.0f} s{found}"
+        found = f", {len(one.recovered_s)} found again" if one.recovered_s else ""
+        return f"in {one.lost_runs} of {one.expected}, first at {one.lost_s:.0f} s{found}"
+
+    def relative(self, over: Sequence[str], one: str, other: str) -> tuple[float | None, float | None, int]:
+        """Return error and CPU time of a method divided by another's, over the sequences where both have a value."""
+        errors, times = [], []
+        for where in over:
+            metric = self.deciding(where) or ""
+            found, spent = self.find(where, metric), self.find(where, "cpu_median_ms")
+            pair = [found.get(name) for name in (one, other)]
+            if any(p is None or p.tuned or not p.values or not p.complete == p.expected == len(p.values) for p in pair):
+                continue
+            sign = 1.0 if self.metrics[metric]["better"] == "lower" else -1.0
+            errors.append(sign * math.log(max(pair[0].median, 1e-9) / max(pair[1].median, 1e-9)))
+            if spent[one].values and spent[other].values and spent[one].median and spent[other].median:
+                times.append(math.log(spent[one].median / spent[other].median))
+        means = [math.exp(sum(logs) / len(logs)) if logs else None for logs in (errors, times)]
+        return means[0], means[1], len(errors)
+
+    def better(self, method: str) -> list[str]:
+        """Return the methods whose signed-rank test against a method finds them better, each over their common runs.
+
+        Without the adjustment for the number of tests, so that there may be more of them than a report names.
+        """
+        errors: dict[str, dict[tuple[str, int | None], float]] = {name: {} for name in self.methods}
+        for where, own in self.runs.items():
+            metric = self.deciding(where)
+            if metric is None or self.content["sequences"][where]["degenerate"]:
+                continue
+            if self.metrics[metric]["group"] not in GROUPS[:3] or self.metrics[metric]["better"] != "lower":
+                continue
+            for name, runs in own.items():
+                for run in [] if self.find(where, metric)[name].tuned else runs:
+                    value = run["scores"].get(metric, {}).get("value")
+                    if run["status"] == "complete" and value is not None:
+                        errors[name][where, run["seed"]] = value
+        found = []
+        for name in self.methods:
+            common = [key for key in errors[method] if key in errors[name]]
+            apart = [round(math.log(errors[name][key] / errors[method][key]), 9) for key in common]
+            if name != method and any(apart) and stats.wilcoxon(apart).pvalue <= 0.05 and median(apart) < -0.048:
+                found.append(name)
+        return found
 
     def by_maps(self, sequence: str) -> bool:
         """Return whether maps alone decide."""

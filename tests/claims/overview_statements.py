@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from amounts import list_of
 from facts import Facts
 from statements import IN_OVERVIEW, kind, same
 
@@ -33,11 +34,16 @@ def wins(facts: Facts, count: str | None, listed: str) -> Iterator[str]:
     for method, times, where in re.findall(r"(?:^|, | and )([^,]+?) wins (\d+) \((.+?)\)", listed):
         true = [one for one in own if facts.outcome(one) == "winner" and facts.led(one)[0] == [method]]
         yield from same(f"{method} wins", (where.split(", "), int(times)), (true, len(true)))
-    for words, several in (("statistically tied", True), ("too few runs show a leader", False)):
+    tied = [one for one in own if facts.outcome(one) == "tied"]
+    every = [one for one in tied if facts.all_tied(one)]
+    alone = [one for one in tied if len(facts.led(one)[1]) == 1]
+    groups = {
+        "the best methods are tied": [one for one in tied if one not in (*every, *alone)],
+        "all ranked methods are tied": every,
+        "too few runs show a leader": alone,
+    }
+    for words, true in groups.items():
         match = re.search(rf"{words} on (\d+) sequences? \((.+?)\)", listed)
-        true = [
-            one for one in own if facts.outcome(one) == "tied" and (len(facts.led(one)[1]) > 1) == several
-        ]  # fmt: skip
         yield from same(words, match[2].split(", ") if match else [], true)
         yield from same(f"number of {words}", int(match[1]) if match else 0, len(true))
 
@@ -98,7 +104,11 @@ def speed(facts: Facts, listed: str = "") -> Iterator[str]:
 
 @kind(IN_OVERVIEW, rf"Not counted: (?P<listed>.+?){END}")
 def not_counted(facts: Facts, listed: str) -> Iterator[str]:
-    own = counted(facts)
+    in_title = facts.content["answer"]["counted"]
+    tied = re.search(r"(?:^|\), |\) and )([^()]+) \(all tied\)", listed)
+    every = [one for one in counted(facts) if facts.all_tied(one) and one not in in_title]
+    yield from same("all tied", list_of(tied[1]) if tied else [], every)
+    own = [one for one in counted(facts) if one not in every]
     for one in facts.runs:
         named = re.search(rf"(?:^|[ ,]){re.escape(one)}(?: \(|,| and |$)", listed) is not None
         yield from same(f"{one} not counted", named, one not in own)
@@ -110,7 +120,7 @@ def not_counted(facts: Facts, listed: str) -> Iterator[str]:
     r"Numbers are medians over up to (?P<most>\d+) runs\. From 3 runs on, a 95 % interval is .+? \((?P<few>\d+) % "
     r"below six runs and over perturbed runs of a recording, else (?P<many>\d+) %, which keeps verdicts on equal "
     r"methods at 5 % when measured\) excludes zero and the difference is at least 5 % and, for positions, 2 mm\. .+? "
-    r"chance\.",
+    r"chance\. Tied methods are close, .+? ground truth\.",
 )
 def statistics(facts: Facts, most: str = "1", few: str = "99", many: str = "97") -> Iterator[str]:
     for runs, perturbed, stated in ((5, False, few), (6, True, few), (6, False, many)):

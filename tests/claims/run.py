@@ -34,9 +34,13 @@ def check_report(content: Mapping[str, Any], page: str = "", seen: set[str] | No
         yield from same(f"{where}: outcome", verdict["outcome"], facts.outcome(where))
     for kinds, text, place in read_statements(content):
         yield from check_sentences(facts, kinds, text, *place, seen=seen)
-    table = answer_statements.standings(facts)
+    table, answer = answer_statements.standings(facts), content["answer"]
     for one in content["answer"]["standings"]:
         yield from same(f"standing of {one['method']}", (one["led"], one["counted"]), table[one["method"]])
+        error, cpu, shared = facts.relative(answer["counted"], one["method"], answer["compared_with"])
+        stated = [round(value, 9) if value else value for value in (one["ratio"], one["cpu_ratio"], one["shared"])]
+        true = [round(value, 9) if value else value for value in (error, cpu, shared)]
+        yield from same(f"{one['method']} against {answer['compared_with']}", stated, true)
     if page:
         yield from check_cells(facts, page)
 

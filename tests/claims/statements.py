@@ -15,6 +15,8 @@ BROKEN = ("failed", "crashed", "timeout", "out-of-memory")
 WORDS = {"timeout": "timed out", "skipped": "not run yet"}
 SPREAD = r"[^()]*(?:\([^()]*\))?"
 """A median with its interval, unread."""
+LOSS = r"(?:in \d+ of \d+, (?:first )?)?at \d+ s(?:, found at \d+ s|, \d+ found again)?"
+"""When the track was lost."""
 MEDIAN_TEXT = rf"{AMOUNT}(?: \([^()]*\))?"
 
 Check = Callable[..., Iterator[str]]
@@ -186,7 +188,8 @@ def _check_tie(facts: Facts, where: str, metric: str, one: str, other: str, why:
     if match := re.match(rf"they differ by less than the accuracy of the ground truth \(({AMOUNT})\)", why):
         yield from check_amount("accuracy of the truth", match[1], facts.floor(metric))
         yield from same("below the accuracy", size < facts.floor(metric), True)
-    elif re.fullmatch(r"they are less than 5 % (or 2 mm )?apart", why):
+    elif match := re.fullmatch(r"they are less than (.+?) apart, which does not matter here", why):
+        yield from same("margin", match[1], _name_margin(facts, metric, better))
         yield from same("within the margin", size <= facts.margin(metric, better) and size >= facts.floor(metric), True)
     elif why == "they are equal to every printed digit":
         yield from same("equal", size < 10.0 ** -facts.metrics[metric]["digits"], True)
@@ -214,10 +217,53 @@ def _check_tie(facts: Facts, where: str, metric: str, one: str, other: str, why:
 
 @kind(IN_VERDICTS, r"Also tied with the first: (?P<listed>.+?)\.(?= [A-Z]|$)")
 def also_tied(facts: Facts, where: str, listed: str) -> Iterator[str]:
-    yield from same("tied", list_of(listed), [one for one in facts.led(where)[1] if one not in facts.led(where)[0][:2]])
+    tied, small = [one for one in facts.led(where)[1] if one not in facts.led(where)[0][:2]], _find_small(facts, where)
+    yield from same("tied", list_of(listed), [one for one in tied if one not in small])
 
 
-@kind(IN_VERDICTS, r"Nor told apart from it: (?P<listed>.+?)\.(?= [A-Z]|$)")
+def _name_margin(facts: Facts, metric: str, better: float) -> str:
+    """Return the smallest difference that matters, in words."""
+    least = facts.margin(metric, better)
+    if least <= 0.05 * abs(better):
+        return "5 %"
+    if least == 10.0 ** -facts.metrics[metric]["digits"]:
+        return f"{least:g} {facts.metrics[metric]['unit']}".strip()
+    return "2 mm" if facts.metrics[metric]["unit"] == "m" else "1 percentage point"
+
+
+def _find_small(facts: Facts, where: str) -> list[str]:
+    """Return the methods after the second whose difference from the first is shown, and too small to matter."""
+    metric = facts.deciding(where) or ""
+    tied, near = facts.led(where)
+    apart = {one: facts.difference(where, metric, one, tied[0]) for one in tied[2:] if one in near}
+    sign = -1.0 if facts.metrics[metric]["better"] == "higher" else 1.0
+    first = facts.find(where, metric)[tied[0]].median
+    return [
+        one
+        for one, found in apart.items()
+        if found is not None
+        and facts.shows(where, metric, one, found)
+        and facts.floor(metric) <= sign * found[0] < facts.margin(metric, first)
+        and sign * (facts.find(where, metric)[one].median - first) > 0.0
+    ]
+
+
+@kind(IN_VERDICTS, r"Worse by less than (?P<least>.+?), which does not matter here: (?P<listed>.+?)\.(?= [A-Z]|$)")
+def too_small(facts: Facts, where: str, least: str, listed: str) -> Iterator[str]:
+    metric = facts.deciding(where) or ""
+    first = facts.find(where, metric)[facts.led(where)[0][0]].median
+    yield from same("margin", least, _name_margin(facts, metric, first))
+    yield from same("too small", list_of(listed), _find_small(facts, where))
+
+
+@kind(IN_VERDICTS, r"Not clearly worse in any map metric: (?P<listed>.+?)\.(?= [A-Z]|$)")
+def best_maps(facts: Facts, where: str, listed: str) -> Iterator[str]:
+    yield from same("agreed", list_of(listed), facts.agreed(where))
+    (leaders,) = (one["leaders"] for one in facts.content["verdicts"] if one["sequence"] == where)
+    yield from same("leaders", list_of(listed), leaders)
+
+
+@kind(IN_VERDICTS, r"Not told apart from the first: (?P<listed>.+?)\.(?= [A-Z]|$)")
 def not_told_apart(facts: Facts, where: str, listed: str) -> Iterator[str]:
     tied, near = facts.led(where)
     yield from same("not told apart", list_of(listed), [one for one in tied[2:] if one not in near])

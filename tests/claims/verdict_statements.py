@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from amounts import AMOUNT, NUMBER, check_amount, check_gap, list_of
 from facts import Facts
-from statements import IN_VERDICTS, kind, same
+from statements import IN_VERDICTS, LOSS, kind, same
 
 END = r"\.(?= [A-Z]|$)"
 
@@ -39,28 +39,24 @@ def settings_chosen(facts: Facts, where: str, listed: str) -> Iterator[str]:
 @kind(IN_VERDICTS, r"Lost the track and not ranked: (?P<listed>.+?\))\.")
 def lost(facts: Facts, where: str, listed: str) -> Iterator[str]:
     found = facts.find(where, facts.deciding(where) or "")
-    stated = dict(re.findall(r"(?:^|\), |\) and )(.+?) at (\d+) s \(", listed))
-    true = {one: f"{found[one].lost_s:.0f}" for one in found if found[one].lost_s is not None}
+    stated = dict(re.findall(rf"(?:^|\), |\) and )(.+?) ({LOSS}) \(", listed))
+    true = {one: facts.losses(found[one]) for one in found if found[one].lost_s is not None}
     reasons = {run["lost_reason"].rstrip(". ") for own in facts.runs[where].values() for run in own}
-    named = re.findall(r" at \d+ s \((.+?)\)(?=, | and |$)", listed)
+    named = re.findall(rf" {LOSS} \((.+?)\)(?=, | and |$)", listed)
     yield from same("reasons", [one for one in named if one not in reasons], [])
     yield from same("lost", stated, true)
 
 
-@kind(IN_VERDICTS, rf"Lost the track in fewer than half of the perturbed runs: (?P<listed>.+?){END}")
-def lost_in_part(facts: Facts, where: str, listed: str) -> Iterator[str]:
-    found = facts.find(where, facts.deciding(where) or "")
-    for name, count, every in re.findall(r"(?:^|, | and )(.+?) in (\d+) of (\d+)", listed):
-        yield from same(name, (int(count), int(every)), (found[name].lost_runs, found[name].expected))
-        yield from same("fewer than half", 0 < 2 * int(count) < int(every) and found[name].perturbed, True)
-
-
-@kind(IN_VERDICTS, rf"Found the track again: (?P<listed>.+?){END}")
-def found_again(facts: Facts, where: str, listed: str) -> Iterator[str]:
-    found = facts.find(where, facts.deciding(where) or "")
-    stated = {name: (int(n), int(of)) for name, n, of in re.findall(r"(?:^|, | and )(.+?) in (\d+) of (\d+)", listed)}
-    true = {name: (one.found_runs, one.lost_runs) for name, one in found.items() if one.found_runs}
-    yield from same("found again", stated, true)
+@kind(IN_VERDICTS, r"(?P<percent>\d+) % of these relations span less than 10 s: they measure local motion, not drift\.")
+def short_relations(facts: Facts, where: str, percent: str) -> Iterator[str]:
+    name = facts.deciding(where) or ""
+    yield from same("all relations decide", "_all_" in name, True)
+    runs = [run["scores"] for own in facts.runs[where].values() for run in own if run["status"] == "complete"]
+    short, every = (
+        sum(one[key]["support"] for one in runs if key in one) for key in (name.replace("_all_", "_short_"), name)
+    )
+    yield from check_amount("short relations", percent, 100.0 * short / max(every, 1))
+    yield from same("most", 2 * short > every, True)
 
 
 @kind(IN_VERDICTS, rf"The reference method: (?P<clauses>.+?){END}")

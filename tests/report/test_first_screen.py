@@ -8,8 +8,7 @@ import pytest
 
 from evalkit.core.run_result import LostTrack
 from evalkit.report.analysis.analysis import analyse
-from evalkit.report.analysis.standings import Standing
-from evalkit.report.html.cost_plot import _find_front, draw_scatter
+from evalkit.report.html.cost_plot import _find_front, _Point, draw_scatter
 from evalkit.report.html.dot_plot import draw_dots
 from evalkit.report.html.map_strip import build_tiles, choose_tiles, describe_strip, find_hardest
 from evalkit.report.html.method_colours import assign_strokes
@@ -90,8 +89,8 @@ def test_labels_cover_neither_points_nor_each_other():
 
 def test_the_front_is_what_no_other_beats_in_both():
     points = [("a", 1.0, 5.0), ("b", 1.2, 2.0), ("c", 3.0, 0.5), ("d", 2.0, 3.0), ("e", 3.0, 0.5)]
-    standings = [Standing(name, 0, 1, cost, ratio) for name, ratio, cost in points]
-    assert [one.method for one in _find_front(standings)] == ["c", "b", "a"]
+    drawn = [_Point(name, error, cpu, "") for name, error, cpu in points]
+    assert [one.method for one in _find_front(drawn)] == ["c", "b", "a"]
 
 
 def test_filled_dots_are_best_or_tied_and_others_hollow(room):
@@ -245,4 +244,5 @@ def test_the_scatter_plot_states_its_front_and_the_period_of_the_sensor(room):
     markup = draw_scatter(analyse(room), strokes_of(room))
     assert "no method is both cheaper and more accurate than plane" in markup
     assert "a scan every 100\u00a0ms" in markup
+    assert "plane: 0.17 times the error and 0.17 times the CPU time of paper" in markup
     assert markup.count('class="dot tied"') == 5

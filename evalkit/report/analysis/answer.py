@@ -6,20 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_maps
+from evalkit.report.analysis.map_agreement import decided_by_maps
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.significance import Significance
 from evalkit.report.analysis.standings import (
     Contest,
     Loss,
     Standing,
-    compute_standings,
+    Tally,
     find_cheapest,
-    find_contest,
     find_losses,
-    find_winners,
+    find_lost,
 )
 from evalkit.report.analysis.statements.pills import Pill, compute_pills
-from evalkit.report.analysis.statements.title import explain_no_contest, format_subtitle, format_title
+from evalkit.report.analysis.statements.title import explain_no_contest, format_subtitle, format_title, join_winners
 from evalkit.report.analysis.statements.verdict import SequenceVerdict
 
 
@@ -28,10 +28,11 @@ class Answer:
     """What title and terminal say.
 
     ``title``: one sentence that contains ``emphasis`` (the winners by name, "" without any). ``subtitle``: cost, losses
-    and the cheapest method. ``winners``: best or tied on most data sets, none if no method is ahead.
+    and the cheapest method. ``winners``: best or tied on most data sets, none if no method is ahead. ``rivals``:
+    methods that paired tests call better than these, so that the title recommends none of them.
     ``cheapest``: of the winners if there are several, else of all methods that are not a baseline.
-    ``standings``: every method, best first. ``by_maps``: no data set has ground truth or a known map; the maps drawn
-    alone are compared.
+    ``standings``: every method, best first. ``common``: the method whose errors and times theirs are divided by.
+    ``by_maps``: no data set has ground truth or a known map; the maps drawn alone are compared.
     """
 
     title: str
@@ -39,10 +40,12 @@ class Answer:
     subtitle: str
     pills: tuple[Pill, ...]
     winners: tuple[str, ...]
+    rivals: tuple[str, ...]
     cheapest: Standing | None
     losses: tuple[Loss, ...]
     standings: tuple[Standing, ...]
     contests: tuple[Contest, ...]
+    common: str
     by_maps: bool
 
     def standing(self, method: str) -> Standing:
@@ -51,29 +54,33 @@ class Answer:
 
 
 def compute_answer(
-    comparison: Comparison, sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]
+    comparison: Comparison,
+    sequences: Sequence[SequenceAnalysis],
+    verdicts: Sequence[SequenceVerdict],
+    tally: Tally,
+    significance: Significance,
 ) -> Answer:
-    """Compute the answer over the data sets with the strongest evidence: ground truth, a known map, the maps drawn."""
-    found = [find_contest(*pair) for pair in zip(sequences, verdicts, strict=True)]
-    by_evidence: tuple[list[Contest], ...] = ([], [], [])
-    for one in found:
-        if one is not None:
-            by_evidence[2 if decided_by_maps(one.ranking) else decided_by_fit(one.ranking)].append(one)
-    contests = next(filter(None, by_evidence), [])
-    by_maps = bool(contests) and contests is by_evidence[2]
-    standings = compute_standings(comparison, sequences, contests)
-    winners = find_winners(standings, contests)
+    """Compute the answer from the tally of the data sets that count, and the paired tests over all runs.
+
+    A method that leads most often is not recommended if a paired test calls another one better.
+    """
+    contests, standings = tally.contests, tally.standings
+    unbeaten = tuple(one for one in tally.winners if not significance.find_better(one))
+    winners = unbeaten or tally.winners
+    rivals = tuple(dict.fromkeys(other for one in winners for other in significance.find_better(one)))
     cheapest = find_cheapest(comparison, standings, winners)
     losses = find_losses(winners[0], contests) if len(winners) == 1 else ()
     return Answer(
-        format_title(standings, contests, winners) if contests else explain_no_contest(sequences, verdicts),
-        " or ".join(winners),
-        format_subtitle([one for one in standings if one.method in winners], contests, losses, cheapest),
+        format_title(standings, contests, winners, rivals) if contests else explain_no_contest(sequences, verdicts),
+        join_winners(winners, rivals),
+        format_subtitle(tally, winners, rivals, losses, find_lost(sequences, winners), cheapest),
         compute_pills(comparison, sequences, verdicts, {one.sequence for one in contests}),
         winners,
+        rivals,
         cheapest,
         losses,
         standings,
-        tuple(contests),
-        by_maps,
+        contests,
+        tally.common,
+        bool(contests) and decided_by_maps(contests[0].ranking),
     )

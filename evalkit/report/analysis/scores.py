@@ -88,10 +88,9 @@ class MethodScore:
     no value, "" if there is one. ``guessed_percent``: share of scans that kept the initial guess, 0 if unknown.
     ``draws``: bootstrap draws of each value, None where the metric has none. ``interval``: the median over the runs
     with its 95 % interval: over three or more runs by Student's t; of one run by its draws, which describes this run
-    alone; else None. ``lost``: the first loss of the track in its runs, None if they held it; perturbed runs of a
-    recording count as held if fewer than half lost it. ``lost_runs``: how many lost it; ``found_runs``: how many
-    of these found it again. ``tuned``: settings of the method were chosen on this data set. ``perturbed``: the
-    repetitions are perturbations of a recording.
+    alone; else None. ``lost``: the first loss of the track in its runs, None if all held it. ``lost_runs``: how many
+    lost it; ``found_runs``: how many of these found it again. ``tuned``: settings of the method were chosen on this
+    data set. ``perturbed``: the repetitions are perturbations of a recording.
     """
 
     method: str
@@ -133,8 +132,12 @@ class MethodScore:
     @property
     def rankable(self) -> bool:
         """Whether every run completed, has a value, held the track and registered, on data it was not tuned on."""
-        held = self.complete == self.expected == len(self.values) and self.registers
-        return held and self.lost is None and not self.tuned
+        return self.whole and self.registers and self.lost is None and not self.tuned
+
+    @property
+    def whole(self) -> bool:
+        """Whether every run completed and has a value."""
+        return bool(self.values) and self.complete == self.expected == len(self.values)
 
     @property
     def registers(self) -> bool:
@@ -155,10 +158,7 @@ def compute_score(
         if metric.name in run.scores.by_metric
     ]
     values = tuple(value for _, value, _ in known)
-    perturbed, losses = (
-        runs[0].spec.sequence.perturbed,
-        [run.scores.lost for run in runs if run.scores.lost is not None],
-    )
+    losses = [run.scores.lost for run in runs if run.scores.lost is not None]
     support = int(median(support for *_, support in known)) if known else 0
     draws = tuple(bootstrap.draws(run, metric.name) for run, *_ in known)
     return MethodScore(
@@ -173,11 +173,9 @@ def compute_score(
         guessed_percent(complete),
         draws,
         runs_interval(values) if len(values) > 1 else _compute_interval(values, draws, support),
-        None
-        if metric.group == "runtime" or metric.slam_only or (perturbed and 2 * len(losses) < len(runs))
-        else find_loss(runs),
+        None if metric.group == "runtime" or metric.slam_only else find_loss(runs),
         tuned and metric.group != "runtime",
-        perturbed,
+        runs[0].spec.sequence.perturbed,
         len(losses),
         sum(loss.recovered_at_s is not None for loss in losses),
     )

@@ -31,6 +31,7 @@ ErrorsByRun = Mapping[tuple[str, int | None], float]
 """The deciding error of every run by sequence and seed; infinite if the run failed."""
 
 SIGNIFICANCE_LEVEL = 0.05
+INVERSE = {"better": "worse", "worse": "better"}
 METRES = "m"
 NO_SEQUENCE = "no sequence has both a ground truth and a geometry that determines the pose"
 
@@ -77,7 +78,7 @@ class PairedComparison:
 
 @dataclass(frozen=True, slots=True)
 class Significance:
-    """The statistics over all ``sequences`` that count. ``ranked``: methods in the order of ``ranks``."""
+    """The statistics over all ``sequences`` with ground truth. ``ranked``: methods in the order of ``ranks``."""
 
     sequences: tuple[str, ...]
     records: tuple[MethodRecord, ...]
@@ -85,9 +86,22 @@ class Significance:
     ranks: FriedmanTest | NotTested
     ranked: tuple[str, ...]
 
+    def find_better(self, method: str) -> tuple[str, ...]:
+        """Return the methods that the paired tests call better than a method, over the runs that both have."""
+        pairs = [
+            *((one.method, one.verdict) for one in self.comparisons if one.reference == method),
+            *((one.reference, INVERSE.get(one.verdict)) for one in self.comparisons if one.method == method),
+        ]
+        return tuple(other for other, verdict in pairs if verdict == "better")
 
-def compute_significance(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> Significance:
-    """Compute the statistics over the sequences with ground truth and a geometry that determines the pose."""
+
+def compute_significance(
+    comparison: Comparison, sequences: Sequence[SequenceAnalysis], winners: Sequence[str] = ()
+) -> Significance:
+    """Compute the statistics over the sequences with ground truth and a geometry that determines the pose.
+
+    Every method is tested against the best-ranked one, the ``winners`` of the title and the reference method.
+    """
     counted = _counted_rankings(sequences)
     errors = {method: _run_errors(comparison, counted, method) for method in comparison.method_labels}
     table, ranked = _median_errors(counted, errors)
@@ -95,7 +109,7 @@ def compute_significance(comparison: Comparison, sequences: Sequence[SequenceAna
     best = sorted(means, key=lambda method: means[method])[:1]
     references = [
         label
-        for label in dict.fromkeys([*best, *comparison.methods_with_role("reference")[:1]])
+        for label in dict.fromkeys([*best, *winners, *comparison.methods_with_role("reference")[:1]])
         if errors[label]
     ]  # fmt: skip
     pairs = [
@@ -139,7 +153,9 @@ def _counted_rankings(sequences: Sequence[SequenceAnalysis]) -> list[Ranking]:
 
 
 def _run_errors(comparison: Comparison, counted: Sequence[Ranking], method: str) -> ErrorsByRun:
-    metric = {ranking.sequence: ranking.metric.name for ranking in counted}
+    """Return the errors of a method, without those on data sets that its settings were chosen on."""
+    tuned = {one.sequence for one in counted if (score := one.of(method)) is not None and score.tuned}
+    metric = {one.sequence: one.metric.name for one in counted if one.sequence not in tuned}
     return {
         (run.sequence, run.seed): _run_error(run, metric[run.sequence])
         for run in comparison.records

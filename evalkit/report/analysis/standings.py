@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
+from evalkit.core.run_status import NOT_EXECUTED
 from evalkit.metrics.metric import Metric
 from evalkit.metrics.runtime import COST
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.map_agreement import decided_by_maps
+from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_maps
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
@@ -24,20 +25,50 @@ MAX_NAMED = 3
 class Contest:
     """One data set that counts.
 
-    ``ranked``: methods that count there, best first; ``leaders``: the best and those without a clear difference.
-    ``left_out``: methods with a value whose settings were chosen there.
+    ``ranked``: methods that are ranked there, best first; ``leaders``: the best and those without a clear difference.
+    ``part``: methods with a run that started there and settings that were not chosen there. ``left_out``: methods with
+    a value whose settings were chosen there. ``costs``: the ranking by CPU time, None if it was not measured.
     """
 
     sequence: str
     ranking: Ranking
     ranked: tuple[MethodScore, ...]
     leaders: tuple[str, ...]
+    part: tuple[str, ...]
     left_out: tuple[str, ...]
+    costs: Ranking | None = None
 
     @property
     def metric(self) -> Metric:
         """The metric that decides the data set."""
         return self.ranking.metric
+
+    @property
+    def tells_apart(self) -> bool:
+        """Whether any ranked method is not among the leaders."""
+        return len(self.leaders) < len(self.ranked)
+
+    def find_value(self, method: str) -> float | None:
+        """Return the error of a method that takes part and completed every run, whether it kept the track or not."""
+        score = self.ranking.of(method) if method in self.part else None
+        return max(median(score.values), 1e-9) if score is not None and score.whole else None
+
+    def find_cpu_ms(self, method: str) -> float | None:
+        """Return the CPU time of a scan (ms); None if it was not measured."""
+        score = self.costs.of(method) if self.costs is not None else None
+        return None if score is None else score.median
+
+
+@dataclass(frozen=True, slots=True)
+class Relative:
+    """A method against another one, over the ``shared`` data sets that count on which both have a value.
+
+    ``error``, ``cpu``: geometric means of its error and of its CPU time divided by the other's; None without any.
+    """
+
+    shared: int = 0
+    error: float | None = None
+    cpu: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,17 +76,29 @@ class Standing:
     """One method over all data sets that count: best or tied on ``led`` of the ``counted`` where it takes part.
 
     ``cpu_ms``: CPU time a scan, the median over these data sets, or over all if none counts; None if not measured.
-    ``ratio``: geometric mean of its
-    error divided by the best one's, over the data sets where it has one; None without any. ``left_out``: data sets on
-    which its settings were chosen.
+    ``relative``: against the method that all are compared with (`find_common`). ``left_out``: data sets on which its
+    settings were chosen.
     """
 
     method: str
     led: int
     counted: int
     cpu_ms: float | None
-    ratio: float | None
+    relative: Relative = Relative()
     left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """The data sets that count, and how the methods stand over them, best first.
+
+    ``winners``: the methods that lead most often. ``common``: the method that all are compared with.
+    """
+
+    contests: tuple[Contest, ...]
+    standings: tuple[Standing, ...]
+    winners: tuple[str, ...]
+    common: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +111,31 @@ class Loss:
     best: float
 
 
-def find_contest(sequence: SequenceAnalysis, verdict: SequenceVerdict) -> Contest | None:
+def compute_tally(
+    comparison: Comparison, sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]
+) -> Tally:
+    """Compute how the methods stand over the data sets that count."""
+    contests = find_contests(sequences, verdicts)
+    standings = compute_standings(comparison, sequences, contests)
+    return Tally(contests, standings, find_winners(standings, contests), find_common(comparison, contests))
+
+
+def find_contests(
+    sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]
+) -> tuple[Contest, ...]:  # fmt: skip
+    """Return the contests with the strongest evidence: ground truth, else a known map, else the maps drawn.
+
+    One on which all ranked methods are tied tells none apart, and does not count beside others.
+    """
+    by_evidence: tuple[list[Contest], ...] = ([], [], [])
+    for sequence, verdict in zip(sequences, verdicts, strict=True):
+        if (one := _find_contest(sequence, verdict)) is not None:
+            by_evidence[2 if decided_by_maps(one.ranking) else decided_by_fit(one.ranking)].append(one)
+    found: list[Contest] = next(filter(None, by_evidence), [])
+    return tuple([one for one in found if one.tells_apart] or found)
+
+
+def _find_contest(sequence: SequenceAnalysis, verdict: SequenceVerdict) -> Contest | None:
     """Return the contest on a sequence; None if it has no verdict, or fewer than two methods count there.
 
     A sequence on which some methods are undecided and none is worse has no verdict; without ground truth, unless maps
@@ -79,29 +146,50 @@ def find_contest(sequence: SequenceAnalysis, verdict: SequenceVerdict) -> Contes
         return None
     marks = {mark(ranking, score.method) for score in ranking.ranked}
     all_lead = len(verdict.leaders) == len(ranking.ranked) or not decided_by_maps(ranking)
-    if "undecided" in marks and "worse" not in marks and all_lead:
+    if not verdict.leaders or ("undecided" in marks and "worse" not in marks and all_lead):
         return None
+    started = {run.method for run in sequence.all_runs if run.result.status not in NOT_EXECUTED}
+    part = tuple(score.method for score in ranking.scores if score.method in started and not score.tuned)
     left_out = tuple(score.method for score in ranking.scores if score.tuned and score.values)
-    return Contest(sequence.label, ranking, ranking.ranked, verdict.leaders, left_out) if verdict.leaders else None
+    costs = sequence.rankings.get(COST)
+    return Contest(sequence.label, ranking, ranking.ranked, verdict.leaders, part, left_out, costs)
+
+
+def find_common(comparison: Comparison, contests: Sequence[Contest]) -> str:
+    """Return the method that all are compared with: it has a value on most data sets; "" without any.
+
+    Of several the reference method, else the one that leads most often, a baseline last.
+    """
+
+    def order(method: str) -> tuple[int, bool, bool, int]:
+        values = sum(one.find_value(method) is not None for one in contests)
+        role = comparison.methods[method].role
+        return values, role == "reference", role != "baseline", sum(method in one.leaders for one in contests)
+
+    return max(comparison.method_labels, key=order) if contests else ""
 
 
 def compute_standings(
     comparison: Comparison, sequences: Sequence[SequenceAnalysis], contests: Sequence[Contest]
 ) -> tuple[Standing, ...]:
     """Return every method's standing, best first."""
-    counted = select_counted(sequences, contests)
+    counted, common = select_counted(sequences, contests), find_common(comparison, contests)
     standings = [
         Standing(
             method,
             sum(method in one.leaders for one in contests),
-            sum(method not in one.left_out and one.ranking.of(method) is not None for one in contests),
+            sum(method in one.part for one in contests),
             find_cost(counted, method),
-            compute_ratio(contests, method),
+            compare(contests, method, common),
             tuple(one.sequence for one in contests if method in one.left_out),
         )
         for method in comparison.method_labels
     ]
-    return tuple(sorted(standings, key=lambda one: (-one.led, math.inf if one.ratio is None else one.ratio)))
+
+    def order(one: Standing) -> tuple[int, float]:
+        return -one.led, math.inf if one.relative.error is None else one.relative.error
+
+    return tuple(sorted(standings, key=order))
 
 
 def select_counted(sequences: Sequence[SequenceAnalysis], contests: Sequence[Contest]) -> Sequence[SequenceAnalysis]:
@@ -117,15 +205,27 @@ def find_cost(sequences: Sequence[SequenceAnalysis], method: str) -> float | Non
     return median(known) if known else None
 
 
-def compute_ratio(contests: Sequence[Contest], method: str, other: str = "") -> float | None:
-    """Return the geometric mean of the error divided by another method's ("": the best one's), where both have one."""
-    logarithms = []
+def compare(contests: Sequence[Contest], method: str, other: str) -> Relative:
+    """Compare error and CPU time of two methods over the data sets that count on which both have a value."""
+    errors, times = [], []
     for one in contests:
-        by_method = {score.method: score for score in one.ranked}
-        pair = by_method.get(method), by_method.get(other) if other else one.ranked[0]
-        if pair[0] is not None and pair[1] is not None:
-            own, reference = (max(median(score.values), 1e-9) for score in pair if score is not None)
-            logarithms.append(math.log(own / reference) * (1.0 if one.metric.better == "lower" else -1.0))
+        own, its = one.find_value(method), one.find_value(other)
+        if own is None or its is None:
+            continue
+        errors.append(math.log(own / its) * (1.0 if one.metric.better == "lower" else -1.0))
+        spent = one.find_cpu_ms(method), one.find_cpu_ms(other)
+        if spent[0] and spent[1]:
+            times.append(math.log(spent[0] / spent[1]))
+    return Relative(len(errors), _compute_geometric_mean(errors), _compute_geometric_mean(times))
+
+
+def find_mean_cpu_ms(contests: Sequence[Contest], method: str) -> float | None:
+    """Return the CPU time of a scan (ms), the geometric mean over the data sets on which a method has a value."""
+    found = [one.find_cpu_ms(method) for one in contests if one.find_value(method) is not None]
+    return _compute_geometric_mean([math.log(cpu_ms) for cpu_ms in found if cpu_ms])
+
+
+def _compute_geometric_mean(logarithms: Sequence[float]) -> float | None:
     return math.exp(sum(logarithms) / len(logarithms)) if logarithms else None
 
 
@@ -138,18 +238,34 @@ def find_winners(standings: Sequence[Standing], contests: Sequence[Contest]) -> 
 
 
 def find_cheapest(comparison: Comparison, standings: Sequence[Standing], winners: Sequence[str]) -> Standing | None:
-    """Return the cheapest of several winners, else of all methods but baselines; None if several cost the same."""
+    """Return the cheapest of several winners, else of all methods but baselines; None if several cost the same.
+
+    Compared by CPU time on the same data sets.
+    """
     baselines = comparison.methods_with_role("baseline")
     considered = [
-        one
+        (one.relative.cpu, one)
         for one in standings
-        if one.cpu_ms is not None and (one.method in winners if len(winners) > 1 else one.method not in baselines)
+        if one.relative.cpu is not None and (one.method in winners if len(winners) > 1 else one.method not in baselines)
     ]
     if not winners or len(considered) < 2:
         return None
-    least = min(one.cpu_ms or 0.0 for one in considered)
-    cheapest = [one for one in considered if one.cpu_ms == least]
+    least = min(cpu for cpu, _ in considered)
+    cheapest = [one for cpu, one in considered if cpu < least * (1.0 + 1e-9)]
     return cheapest[0] if len(cheapest) == 1 else None
+
+
+def find_lost(
+    sequences: Sequence[SequenceAnalysis], winners: Sequence[str]
+) -> tuple[tuple[str, MethodScore], ...]:  # fmt: skip
+    """Return the sequences on which a winner lost the track, with its score, where the geometry does not explain it."""
+    deciding = [(one.label, one.deciding) for one in sequences if one.deciding is not None and not one.card.degenerate]
+    return tuple(
+        (label, score)
+        for winner in winners
+        for label, ranking in deciding
+        if (score := ranking.of(winner)) is not None and score.lost is not None
+    )
 
 
 def find_losses(winner: str, contests: Sequence[Contest]) -> tuple[Loss, ...]:
@@ -157,6 +273,6 @@ def find_losses(winner: str, contests: Sequence[Contest]) -> tuple[Loss, ...]:
     losses = []
     for one in contests:
         own = next((score for score in one.ranked if score.method == winner), None)
-        if own is not None and winner not in one.leaders and not decided_by_maps(one.ranking):
+        if own is not None and mark(one.ranking, winner) == "worse" and not decided_by_maps(one.ranking):
             losses.append(Loss(one.sequence, one.metric, median(own.values), median(one.ranked[0].values)))
     return tuple(sorted(losses, key=lambda loss: -abs(math.log(max(loss.own, 1e-9) / max(loss.best, 1e-9)))))

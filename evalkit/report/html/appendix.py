@@ -39,10 +39,10 @@ HOW = (
     "recording, show the lowest and the highest value. A single run has an interval from stretches of up to 10 s of "
     "it, which describes this run only; a metric without one value per scan then has none.",
     "Green: clearly better than every other method that completed every run and held the track. Shaded: no clear "
-    "difference from the best value: the interval of the paired difference over runs contains zero, or the "
+    "difference from a close best value: the interval of the paired difference over runs contains zero, or the "
     "difference is below 5 % (for positions: or 2 mm), or below the accuracy of the ground truth. Single runs give no "
-    "verdict. A method that kept the initial guess on more than half of the scans, or whose settings were chosen on a "
-    "data set, is not ranked there.",
+    "verdict. A method that lost the track in any run, kept the initial guess on more than half of the scans, or whose "
+    "settings were chosen on a data set, is not ranked there.",
     "Point at a dash to see the reason. The name of a method and each number lead to its runs, with their commands. "
     "Click a heading to sort.",
 )
@@ -97,7 +97,8 @@ def count_notes(records: Sequence[RunRecord]) -> dict[str, int]:
 def _build_tests(analysis: Analysis, strokes: Strokes) -> list[Block]:
     found = analysis.significance
     over = f"Errors over {', '.join(found.sequences)}, with ground truth and a geometry that determines the pose. "
-    text = f"{over if found.sequences else ''}A failed run counts as the worst and is never left out. "
+    text = over if found.sequences else ""
+    text += "A failed run counts as the worst. Only data that settings of a method were chosen on are left out for it. "
     if isinstance(found.ranks, NotTested):
         text += f"Ranks are not tested: {found.ranks.reason}."
     else:
@@ -108,7 +109,7 @@ def _build_tests(analysis: Analysis, strokes: Strokes) -> list[Block]:
         )
     blocks: list[Block] = [Text(text), appendix_tables.records_table(analysis, strokes), Text(QUANTILES, "note")]
     if found.comparisons:
-        title = "Paired tests over all runs, every method against the best-ranked and the reference method"
+        title = "Paired tests over all runs, against the methods of the title, the best-ranked and the reference method"
         table = appendix_tables.comparisons_table(analysis, strokes)
         blocks.append(Fold(title, [Text(TESTS, "note"), table], "over-all-runs"))
     return blocks

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
 
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.analysis.analysis import Analysis
-from evalkit.report.analysis.standings import Standing
+from evalkit.report.analysis.standings import find_mean_cpu_ms
 from evalkit.report.formatting import format_milliseconds
 from evalkit.report.html.method_colours import Strokes
 from evalkit.report.html.svg import AxisScale, element, join, log_scale, place_labels
@@ -19,20 +21,34 @@ PLOT = (34.0, 8.0, 350.0, 252.0)
 """Size of the scatter plot, and left, top, right and bottom of its frame."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Point:
+    """A method by its error and CPU time, divided by those of the method that all are compared with."""
+
+    method: str
+    error: float
+    cpu: float
+    shared: str
+
+
 def draw_scatter(analysis: Analysis, strokes: Strokes) -> Markup | None:
-    """Return error against CPU time, with the Pareto front and the sensor's period; None with fewer than two points."""
-    points = [one for one in analysis.answer.standings if one.ratio is not None and one.cpu_ms is not None]
+    """Return error against CPU time, with the Pareto front and the sensor's period; None with fewer than two points.
+
+    Both are divided by those of one method, each over the data sets on which both have a value.
+    """
+    points, common = _find_points(analysis), analysis.answer.common
     if len(points) < 2:
         return None
-    period = _find_period_ms(analysis)
-    costs = [one.cpu_ms or 0.0 for one in points]
-    near = period is not None and period < 300.0 * max(costs)
-    x = log_scale([*costs, *([period] if period is not None and near else [])], 0.12)
-    y = log_scale([1.0, *(one.ratio or 1.0 for one in points)], 0.1)
+    period, every = _find_period_ms(analysis), find_mean_cpu_ms(analysis.answer.contests, common)
+    limit = period / every if period is not None and every is not None else math.inf
+    costs = [one.cpu for one in points]
+    near = limit < 300.0 * max(costs)
+    x = log_scale([*costs, *([limit] if near else [])], 0.12)
+    y = log_scale([1.0, *(one.error for one in points)], 0.1)
     left, top, right, bottom = PLOT
     place = {
         one.method: (
-            left + (right - left) * x.share(one.cpu_ms or 0.0), top + (bottom - top) * y.share(one.ratio or 1.0)
+            left + (right - left) * x.share(one.cpu), top + (bottom - top) * y.share(one.error)
         )
         for one in points
     }  # fmt: skip
@@ -41,29 +57,33 @@ def draw_scatter(analysis: Analysis, strokes: Strokes) -> Markup | None:
     steps = " ".join(f"{place[one.method][0]:.1f},{place[one.method][1]:.1f}" for one in front)
     parts.append(element("polyline", points=steps, class_="front"))
     if period is not None and near:
-        at = left + (right - left) * x.share(period)
+        at = left + (right - left) * x.share(limit)
         parts.append(element("line", x1=at, x2=at, y1=top, y2=bottom, class_="limit"))
         words = f"a scan every {format_milliseconds(period)}"
         parts.append(element("text", words, x=at - 4, y=bottom - 6, text_anchor="end", class_="tick"))
-    labels = place_labels([(*place[one.method], one.method) for one in points], (right, bottom), 6.2, 9.0)
+    names = {one.method: f"{one.method} ({one.shared})" if one.shared else one.method for one in points}
+    labels = place_labels([(*place[one.method], names[one.method]) for one in points], (right, bottom), 6.2, 9.0)
     for one in reversed(points):  # the best on top
         px, py = place[one.method]
         kind = f"series{' led' if one.method in analysis.answer.winners else ''}"
-        label = labels.get(one.method, (px, py - 9.0, "middle"))
-        hidden = "" if one.method in labels else "hinted"
-        tip = f"{one.method}: {one.ratio:.1f} times the best error, {format_milliseconds(one.cpu_ms or 0.0)} a scan"
+        label = labels.get(names[one.method], (px, py - 9.0, "middle"))
+        hidden = "" if names[one.method] in labels else "hinted"
+        where = f", on {one.shared} data sets" if one.shared else ""
+        tip = f"{one.method}: {one.error:.2f} times the error and {one.cpu:.2g} times the CPU time of {common}{where}"
         own = (
             element("title", tip),
             element("circle", cx=px, cy=py, r=5.0, class_="dot tied"),
-            element("text", one.method, x=label[0], y=label[1], text_anchor=label[2], class_=f"name {hidden}".strip()),
+            element(
+                "text", names[one.method], x=label[0], y=label[1], text_anchor=label[2], class_=f"name {hidden}".strip()
+            ),
         )
         parts.append(element("g", join(own), class_=kind, data_of=one.method, style=f"--own:{strokes[one.method].css}"))
     parts.append(
-        element("text", "CPU a scan (median)", x=(left + right) / 2, y=SCATTER[1] - 8, text_anchor="middle",
-                class_="tick")
+        element("text", f"CPU time, times that of {common}", x=(left + right) / 2, y=SCATTER[1] - 8,
+                text_anchor="middle", class_="tick")
     )  # fmt: skip
-    names = ", ".join(one.method for one in front)
-    finding = f"Error against CPU time: no method is both cheaper and more accurate than {names}"
+    best = ", ".join(one.method for one in front)
+    finding = f"Error against CPU time: no method is both cheaper and more accurate than {best}"
     size = f"0 0 {SCATTER[0]:.0f} {SCATTER[1]:.0f}"
     return element("svg", join(parts), class_="scatter", viewBox=size, role="img", aria_label=finding)
 
@@ -74,7 +94,7 @@ def _grid(x: AxisScale, y: AxisScale) -> list[Markup]:
     for tick in x.ticks(4):
         at = left + (right - left) * x.share(tick)
         parts.append(element("line", x1=at, x2=at, y1=top, y2=bottom, class_="grid"))
-        parts.append(element("text", f"{tick:g} ms", x=at, y=bottom + 15, text_anchor="middle", class_="tick"))
+        parts.append(element("text", f"{tick:g}×", x=at, y=bottom + 15, text_anchor="middle", class_="tick"))
     for tick in y.ticks(4):
         at = top + (bottom - top) * y.share(tick)
         parts.append(element("line", x1=left, x2=right, y1=at, y2=at, class_="grid"))
@@ -82,11 +102,22 @@ def _grid(x: AxisScale, y: AxisScale) -> list[Markup]:
     return parts
 
 
-def _find_front(points: Sequence[Standing]) -> list[Standing]:
+def _find_points(analysis: Analysis) -> list[_Point]:
+    """Return the methods with an error and a time, best first; ``shared``: "2 of 3" where not all data sets count."""
+    every, points = len(analysis.answer.contests), []
+    for one in analysis.answer.standings:
+        relative = one.relative
+        if relative.error is not None and relative.cpu is not None:
+            shared = "" if relative.shared == every else f"{relative.shared} of {every}"
+            points.append(_Point(one.method, relative.error, relative.cpu, shared))
+    return points
+
+
+def _find_front(points: Sequence[_Point]) -> list[_Point]:
     """Return the points that no other beats in both, by rising cost."""
-    front: list[Standing] = []
-    for one in sorted(points, key=lambda one: (one.cpu_ms or 0.0, one.ratio or 0.0)):
-        if not front or (one.ratio or 0.0) < (front[-1].ratio or 0.0):
+    front: list[_Point] = []
+    for one in sorted(points, key=lambda one: (one.cpu, one.error)):
+        if not front or one.error < front[-1].error:
             front.append(one)
     return front
 

@@ -14,7 +14,7 @@ from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, find_loss
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.standings import Contest
-from evalkit.report.formatting import format_amount, format_loss, format_tick
+from evalkit.report.formatting import format_amount, format_loss, format_losses, format_tick
 from evalkit.report.html.method_colours import Strokes
 from evalkit.report.html.svg import AxisScale, element, join, log_scale
 
@@ -172,7 +172,7 @@ def _mark(panel: _Panel, score: MethodScore) -> tuple[str, str]:
     words = {
         "best": ("best", "tied"), "tied": ("tied with the best", "tied"), "worse": ("worse than the best", ""),
         "undecided": ("too few runs to tell it from the best", "unranked"),
-        "lost": ("lost the track", "lost"), "not comparable": ("not comparable", "unranked"),
+        "lost": (f"lost the track {format_losses(score)}", "lost"), "not comparable": ("not comparable", "unranked"),
     }  # fmt: skip
     return words[mark(panel.ranking, score.method)]
 

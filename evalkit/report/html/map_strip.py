@@ -63,7 +63,7 @@ def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[s
     ordered = [score.method for score in sorted(valued, key=lambda score: sign * median(score.values))]
     if not ordered:
         return []
-    winners = [method for method in ordered if method in analysis.answer.winners]
+    winners = [method for method in ordered if method in analysis.answer.winners and not analysis.answer.rivals]
     best = BEST.get(mark(ranking, ordered[0]), "best value")
     worst = "worst" if mark(ranking, ordered[-1]) in ("worse", "lost") else "worst value"
     wanted = (

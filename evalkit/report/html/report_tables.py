@@ -192,7 +192,9 @@ def numbers_table(analysis: Analysis, strokes: Strokes) -> Table:
             if sequence.final is not None:
                 cells.append(score_cell(sequence.final, sequence.final.of(standing.method), link))
         led = Cell(f"{standing.led}/{standing.counted}", standing.led) if standing.counted else DASH
-        cost = DASH if standing.cpu_ms is None else Cell(_format_time(standing.cpu_ms), standing.cpu_ms)
+        every = len(answer.contests)
+        extent = f"on {standing.counted} of {every}" if 0 < standing.counted < every else ""
+        cost = DASH if standing.cpu_ms is None else Cell(_format_time(standing.cpu_ms), standing.cpu_ms, extent=extent)
         link = f"#method-{places[standing.method]}"
         rows.append([method_cell(comparison, strokes, standing.method, link), led, *cells, cost])
     return Table(columns, rows, label="At a glance")

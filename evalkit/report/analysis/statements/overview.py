@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from evalkit.metrics.runtime import late_share, work_ns
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, mark
 from evalkit.report.analysis.scores import WITH_TRUTH
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.statements.verdict import SequenceVerdict, VerdictOutcome, describe_success
+from evalkit.report.analysis.statements.verdict import ALL_TIED, SequenceVerdict, VerdictOutcome, describe_success
 from evalkit.report.formatting import join_words
 from evalkit.stats.runs import FEW_CONFIDENCE, MIN_RUNS, PAIRED_CONFIDENCE
 
@@ -23,9 +23,15 @@ WITHOUT_RANKING: Mapping[VerdictOutcome, str] = {
 
 
 def compute_overview(
-    comparison: Comparison, sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]
+    comparison: Comparison,
+    sequences: Sequence[SequenceAnalysis],
+    verdicts: Sequence[SequenceVerdict],
+    in_title: Collection[str],
 ) -> tuple[str, ...]:
-    """Return sentences on success, wins, the reference method, the baseline, speed, and the statistics used."""
+    """Return sentences on success, wins, the reference method, the baseline, speed, and the statistics used.
+
+    ``in_title``: the sequences that the title counts.
+    """
     counted = [verdict for verdict in verdicts if verdict.counts]
     sentences = [
         describe_success(comparison.records),
@@ -37,7 +43,7 @@ def compute_overview(
         ),
         _describe_baseline(comparison, sequences),
         _describe_speed(comparison),
-        _describe_not_counted(sequences, verdicts),
+        _describe_not_counted(sequences, verdicts, in_title),
         _describe_statistics(comparison),
     ]
     return tuple(sentence for sentence in sentences if sentence)
@@ -47,9 +53,19 @@ def _describe_wins(counted: Sequence[SequenceVerdict]) -> str:
     if not counted:
         return "No sequence has both ground truth and repeated runs to compare, so there is no overall winner."
     parts = [f"{method} wins {len(where)} ({', '.join(where)})" for method, where in _group_leads(counted, "winner")]
-    tied = [verdict.sequence for verdict in counted if verdict.outcome == "tied" and len(verdict.leaders) > 1]
+    every = [verdict.sequence for verdict in counted if verdict.all_tied]
+    tied = [
+        verdict.sequence
+        for verdict in counted
+        if verdict.outcome == "tied" and len(verdict.leaders) > 1 and not verdict.all_tied
+    ]
     undecided = [verdict.sequence for verdict in counted if verdict.outcome == "tied" and len(verdict.leaders) == 1]
-    for words, where in (("the best methods are statistically tied", tied), ("too few runs show a leader", undecided)):
+    groups = (
+        ("the best methods are tied", tied),
+        ("all ranked methods are tied", every),
+        ("too few runs show a leader", undecided),
+    )
+    for words, where in groups:
         if where:
             count = "1 sequence" if len(where) == 1 else f"{len(where)} sequences"
             parts.append(f"{words} on {count} ({', '.join(where)})")
@@ -125,10 +141,14 @@ def _describe_speed(comparison: Comparison) -> str:
     return f"Slower than the sensor on more than 1 % of the scans: {listed}."
 
 
-def _describe_not_counted(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
+def _describe_not_counted(
+    sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict], in_title: Collection[str]
+) -> str:
     reasons: dict[str, list[str]] = {}
     for sequence, verdict in zip(sequences, verdicts, strict=True):
-        if not verdict.counts:
+        if verdict.counts and verdict.all_tied and verdict.sequence not in in_title:
+            reasons.setdefault(ALL_TIED, []).append(sequence.label)
+        elif not verdict.counts:
             reasons.setdefault(_find_why_not_counted(sequence, verdict), []).append(sequence.label)
     parts = [f"{join_words(labels)} ({why})" for why, labels in reasons.items()]
     return f"Not counted: {join_words(parts)}." if parts else ""
@@ -165,5 +185,6 @@ def _describe_statistics(comparison: Comparison) -> str:
         f"{100 * PAIRED_CONFIDENCE:.0f} %, which keeps verdicts on equal methods at 5 % when measured) excludes zero "
         "and the difference is at least 5 % and, for positions, 2 mm. This must hold against every other method, so "
         "choosing the leader after the fact adds no false leads. A method that is worse than the leader is tested "
-        "alone: among many methods one may be so by chance."
+        "alone: among many methods one may be so by chance. Tied methods are close, and these runs show no difference, "
+        "or one below these limits or the accuracy of the ground truth."
     )

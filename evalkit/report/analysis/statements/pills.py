@@ -10,8 +10,8 @@ from evalkit.core.run_status import BROKEN, NOT_EXECUTED
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.statements.verdict import SequenceVerdict
-from evalkit.report.formatting import format_loss_times, join_words, name_or_count
+from evalkit.report.analysis.statements.verdict import ALL_TIED, SequenceVerdict
+from evalkit.report.formatting import format_losses, join_words, name_or_count
 from evalkit.results.run_record import RunRecord
 
 MAX_NAMED = 4
@@ -111,7 +111,7 @@ def _find_lost(sequences: Iterable[SequenceAnalysis]) -> dict[str, list[str]]:
     for sequence in sequences:
         for score in sequence.deciding.scores if sequence.deciding and not sequence.card.degenerate else ():
             if score.lost is not None:
-                grouped.setdefault(score.method, []).append(f"{sequence.label} ({format_loss_times(score.lost)})")
+                grouped.setdefault(score.method, []).append(f"{sequence.label} ({format_losses(score)})")
     return grouped
 
 
@@ -158,7 +158,7 @@ def _describe_tuned(comparison: Comparison, sequences: Sequence[SequenceAnalysis
     for method, where in chosen.items():
         groups.setdefault(tuple(where), []).append(method)
     if len(groups) > MAX_GROUPS:
-        return [Pill(f"settings of {len(chosen)} methods were chosen on data sets shown here: not counted there")]
+        return [Pill(f"settings of {len(chosen)} methods were chosen on data shown here: not counted there")]
     return [
         Pill(
             f"settings of {name_or_count(methods, MAX_OF_A_KIND)} were chosen on {join_words(where)}: not counted there"
@@ -171,11 +171,14 @@ def _describe_not_counted(
     sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict], counted: Collection[str]
 ) -> Pill | None:
     left = [
-        verdict.sequence
+        verdict
         for sequence, verdict in zip(sequences, verdicts, strict=True)
         if verdict.sequence not in counted and not sequence.card.degenerate and not sequence.none_finished
     ]
-    return Pill(f"not counted: {join_words(left)}", "") if left and counted else None
+    tied = [one.sequence for one in left if one.counts and one.all_tied]
+    others = [one.sequence for one in left if one.sequence not in tied]
+    parts = ([join_words(others)] if others else []) + ([f"{join_words(tied)} ({ALL_TIED})"] if tied else [])
+    return Pill(f"not counted: {'; '.join(parts)}", "") if left and counted else None
 
 
 def _describe_missing(comparison: Comparison) -> Pill | None:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from statistics import median
 
 from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_maps
+from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.standings import MAX_NAMED, Contest, Loss, Standing, compute_ratio
+from evalkit.report.analysis.standings import MAX_NAMED, Contest, Loss, Standing, Tally, compare
 from evalkit.report.analysis.statements.verdict import LED, SequenceVerdict, explain_unranked
 from evalkit.report.formatting import capitalise, format_amount, format_milliseconds, join_words, name_or_count
 from evalkit.stats.runs import FEW_RUNS
@@ -15,8 +16,13 @@ from evalkit.stats.runs import FEW_RUNS
 BY_FIT = " by the fit to the known map"
 """What follows the name of a data set without ground truth that the fit to a known map decides."""
 
+MAX_RIVALS = 2
+"""More methods with smaller errors than the one that leads are counted, not named."""
 
-def format_title(standings: Sequence[Standing], contests: Sequence[Contest], winners: Sequence[str]) -> str:
+
+def format_title(
+    standings: Sequence[Standing], contests: Sequence[Contest], winners: Sequence[str], rivals: Sequence[str]
+) -> str:
     """Return the title over at least one contest."""
     first, by_maps = standings[0], decided_by_maps(contests[0].ranking)
     how = BY_FIT if decided_by_fit(contests[0].ranking) else ""
@@ -27,40 +33,61 @@ def format_title(standings: Sequence[Standing], contests: Sequence[Contest], win
         if len(contests) == 1:
             return f"No method is ahead: {who} tied on {contests[0].sequence}{how}."
         return f"No method is ahead: {who} best or tied on {first.led} of {len(contests)} data sets{how}."
-    names = " or ".join(winners)
     if len(contests) == 1:
-        return _format_single(names, len(winners) > 1, contests[0], how)
-    counted = first.counted if len(winners) == 1 else len(contests)
+        return _recommend(winners, _describe_single(contests[0], how), rivals)
+    counted = next(one.counted for one in standings if one.method == winners[0])
+    counted = counted if len(winners) == 1 else len(contests)
     best = f"{'each ' * (len(winners) > 1)}{'the best map' if by_maps else 'best or tied'}"
     kind = f"{'recording' if by_maps else 'data set'}{'s' if counted != 1 else ''}"
-    rest = _describe_others(standings, winners, len(contests))
-    return f"Take {names}: {best} on {first.led} of {counted} {kind}{how}{rest}."
+    what = f"{best} on {first.led} of {counted} {kind}{how}"
+    if not rivals:
+        what += _describe_others(standings, winners) + _describe_fewer(standings, winners, len(contests))
+    return _recommend(winners, what, rivals)
 
 
-def _describe_others(standings: Sequence[Standing], winners: Sequence[str], contests: int) -> str:
-    """Return on how many data sets any other method leads at most, and which methods were compared on fewer."""
-    others = [one for one in standings if one.counted and one.method not in winners]
-    if not others:
+def join_winners(winners: Sequence[str], rivals: Sequence[str]) -> str:
+    """Return the names of the winners as in the title."""
+    return join_words(winners) if winners and rivals else " or ".join(winners)
+
+
+def _recommend(winners: Sequence[str], what: str, rivals: Sequence[str]) -> str:
+    """Return the title: which method to take, or which one leads and which others have smaller errors all the same."""
+    names = join_winners(winners, rivals)
+    if not rivals:
+        return f"Take {names}: {what}."
+    verb, has = ("is", "are")[len(winners) > 1], ("has", "have")[len(rivals) > 1]
+    where = "where both ran" if len(winners) == len(rivals) == 1 else "where they ran too"
+    return f"{names} {verb} {what}, but {name_or_count(rivals, MAX_RIVALS)} {has} smaller errors {where}."
+
+
+def _describe_others(standings: Sequence[Standing], winners: Sequence[str]) -> str:
+    """Return on how many data sets any other method leads at most."""
+    others = [one.led for one in standings if one.counted and one.method not in winners]
+    most = max(others, default=0)
+    return f", no other method on {f'more than {most}' if most else 'any'}" if others else ""
+
+
+def _describe_fewer(standings: Sequence[Standing], winners: Sequence[str], contests: int) -> str:
+    """Return which methods were not compared on all data sets."""
+    if not any(one.counted and one.method not in winners for one in standings):
         return ""
-    most = max(one.led for one in others)
-    rest = f", no other method on {f'more than {most}' if most else 'any'}"
     fewer = [one.method for one in standings if 0 < one.counted < contests]
     if not fewer:
-        return rest
-    return f"{rest}; {name_or_count(fewer, 1)} {'was' if len(fewer) == 1 else 'were'} not compared on all {contests}"
+        return ""
+    return f"; {name_or_count(fewer, 1)} {'was' if len(fewer) == 1 else 'were'} not compared on all {contests}"
 
 
-def _format_single(names: str, tied: bool, contest: Contest, how: str) -> str:
-    """Return the title over a single data set with winners."""
+def _describe_single(contest: Contest, how: str) -> str:
+    """Return how the winners stand on a single data set."""
     if decided_by_maps(contest.ranking):
-        return f"Take {names}: the best map of {contest.sequence}, which has no ground truth."
-    if tied:
-        return f"Take {names}: tied for the best on {contest.sequence}{how}."
+        return f"the best map of {contest.sequence}, which has no ground truth"
+    if len(contest.leaders) > 1:
+        return f"tied for the best on {contest.sequence}{how}"
     others = [one.method for one in contest.ranking.tied if one not in contest.ranking.near]
     if not others:
-        return f"Take {names}: best on {contest.sequence}{how}."
+        return f"best on {contest.sequence}{how}"
     who = join_words(others) if len(others) <= MAX_NAMED else f"{len(others)} others"
-    return f"Take {names}: ahead on {contest.sequence}{how}, but not told apart from {who} by these runs."
+    return f"ahead on {contest.sequence}{how}, but not told apart from {who} by these runs"
 
 
 def explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
@@ -99,27 +126,60 @@ def explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence
 
 
 def format_subtitle(
-    winners: Sequence[Standing], contests: Sequence[Contest], losses: Sequence[Loss], cheapest: Standing | None
+    tally: Tally,
+    winners: Sequence[str],
+    rivals: Sequence[str],
+    losses: Sequence[Loss],
+    lost: Sequence[tuple[str, MethodScore]],
+    cheapest: Standing | None,
 ) -> str:
-    """Return cost, losses and the cheapest method; "" without a winner."""
+    """Return cost, losses and the cheapest method; "" without a winner. ``lost``: where a winner lost the track.
+
+    Without a method to take, only where the ones that lead lost the track, and the cheapest.
+    """
     if not winners:
         return ""
-    costs = {one.method: format_milliseconds(one.cpu_ms) for one in winners if one.cpu_ms is not None}
-    sentences = []
-    if len(winners) == 1 and costs:
-        sentences.append(f"{costs[winners[0].method]} a scan here.")
-    elif costs:
-        sentences.append(f"A scan takes {join_words(f'{text} with {method}' for method, text in costs.items())}.")
-    if len(winners) == 1 and len(contests) == 1 and not decided_by_maps(contests[0].ranking):
-        metric, (best, second) = contests[0].metric, contests[0].ranked[:2]
-        figures = [format_amount(metric, median(score.values)) for score in (best, second)]
-        what = f"{capitalise(metric.label)}: " if decided_by_fit(contests[0].ranking) else ""
-        sentences.append(f"{what}{figures[0]} against {figures[1]} of {second.method}.")
-    elif len(winners) == 1 and losses:
-        sentences.append(_format_losses(losses))
+    alone = len(winners) == 1 and not rivals
+    sentences = [] if rivals else [_format_costs(tally, winners), _format_errors(tally.contests, winners, losses)]
+    sentences.append(_format_lost(lost, alone))
     if cheapest is not None:
-        sentences.append(_format_cheapest(cheapest, winners, contests))
+        sentences.append(_format_cheapest(cheapest, winners, tally.contests, alone))
     return " ".join(filter(None, sentences))
+
+
+def _format_costs(tally: Tally, winners: Sequence[str]) -> str:
+    own = {one.method: one.cpu_ms for one in tally.standings if one.method in winners and one.cpu_ms is not None}
+    costs = {method: format_milliseconds(cpu_ms) for method, cpu_ms in own.items()}
+    if len(winners) == 1:
+        return "".join(f"{text} a scan here." for text in costs.values())
+    return f"A scan takes {join_words(f'{text} with {method}' for method, text in costs.items())}." if costs else ""
+
+
+def _format_errors(contests: Sequence[Contest], winners: Sequence[str], losses: Sequence[Loss]) -> str:
+    """Return the error of a single winner beside another one's, or where it is worse than the best."""
+    if len(winners) == 1 and len(contests) == 1 and not decided_by_maps(contests[0].ranking):
+        return _format_figures(winners[0], contests[0])
+    return _format_losses(losses) if len(winners) == 1 and losses else ""
+
+
+def _format_figures(winner: str, contest: Contest) -> str:
+    """Return the error of the winner, and that of the best or the next one."""
+    own = next(score for score in contest.ranked if score.method == winner)
+    other = next(score for score in contest.ranked if score.method != winner)
+    figures = [format_amount(contest.metric, median(score.values)) for score in (own, other)]
+    what = f"{capitalise(contest.metric.label)}: " if decided_by_fit(contest.ranking) else ""
+    return f"{what}{figures[0]} against {figures[1]} of {other.method}."
+
+
+def _format_lost(lost: Sequence[tuple[str, MethodScore]], alone: bool) -> str:
+    """Return where the winner (``alone``: "It"), or each of them, lost the track."""
+    by_method: dict[str, list[str]] = {}
+    for label, score in lost:
+        count = f" ({score.lost_runs} of {score.expected} runs)" if score.expected > 1 else ""
+        by_method.setdefault(score.method, []).append(f"{label}{count}")
+    return " ".join(
+        f"{'It' if alone else method} lost the track on {join_words(where)}." for method, where in by_method.items()
+    )
 
 
 def _name_measure(contest: Contest) -> str:
@@ -138,15 +198,20 @@ def _format_losses(losses: Sequence[Loss]) -> str:
     return f"It loses {join_words(texts)}." if len(texts) == 2 else f"It loses {len(texts)}, most of all {texts[0]}."
 
 
-def _format_cheapest(cheapest: Standing, winners: Sequence[Standing], contests: Sequence[Contest]) -> str:
+def _format_cheapest(
+    cheapest: Standing, winners: Sequence[str], contests: Sequence[Contest], alone: bool
+) -> str:  # fmt: skip
     if len(winners) > 1:
         return f"Cheapest of them: {cheapest.method}."
-    if cheapest.method == winners[0].method:
-        return "It is also the cheapest matcher."
-    ratio = compute_ratio(contests, cheapest.method, winners[0].method)
+    if cheapest.method == winners[0]:
+        return "It is also the cheapest matcher." if alone else f"Cheapest matcher: {cheapest.method}."
+    relative = compare(contests, cheapest.method, winners[0])
     measure, *others = {_name_measure(one) for one in contests}
-    times = "" if ratio is None or others else f", {ratio:.1f} times the {measure}"
-    shared = sum({cheapest.method, winners[0].method} <= {one.method for one in contest.ranked} for contest in contests)
-    if times and shared < len(contests):
-        times += f" on {shared} of {len(contests)}"
-    return f"Cheapest matcher: {cheapest.method}, {format_milliseconds(cheapest.cpu_ms or 0.0)}{times}."
+    times = "" if relative.error is None or others else f"{relative.error:.1f} times the {measure}"
+    if relative.shared == len(contests):
+        spent = format_milliseconds(cheapest.cpu_ms or 0.0)
+        return f"Cheapest matcher: {', '.join(filter(None, (cheapest.method, spent, times)))}."
+    if relative.cpu is None:
+        return f"Cheapest matcher: {cheapest.method}."
+    both = ", ".join(filter(None, (f"{relative.cpu:.2g} times the time", times)))
+    return f"Cheapest matcher: {cheapest.method}, {both} on {relative.shared} of {len(contests)}."

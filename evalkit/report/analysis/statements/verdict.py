@@ -11,14 +11,17 @@ from typing import Literal
 from evalkit.core.run_status import NOT_EXECUTED, RunStatus
 from evalkit.metrics.metric import Metric
 from evalkit.report.analysis.comparison import Comparison, find_missing_sequences
-from evalkit.report.analysis.map_agreement import MEASURES, MapAgreement, decided_by_fit, decided_by_maps
+from evalkit.report.analysis.map_agreement import MEASURES, MapAgreement, decided_by_maps
 from evalkit.report.analysis.pairwise import (
+    MARGIN_M,
     MARGIN_SHARE,
     PairedDifference,
     compute_difference,
     is_position,
+    is_share_in_map,
     margin,
     noise_floor,
+    separation,
 )
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, WITH_TRUTH, MethodScore, select_unfinished
@@ -29,6 +32,7 @@ from evalkit.report.formatting import (
     format_amount,
     format_difference,
     format_gap,
+    format_losses,
     format_median,
     join_words,
     name_or_count,
@@ -38,6 +42,8 @@ from evalkit.results.run_record import RunRecord
 from evalkit.stats.runs import FEW_RUNS, MAX_RUNS, MIN_RUNS
 
 VerdictOutcome = Literal["winner", "tied", "one run", "single", "lost", "disagreement", "degenerate", "unranked"]
+ALL_TIED = "all tied"
+"""Why a sequence does not count on which no ranked method is worse than another."""
 LED: tuple[VerdictOutcome, ...] = ("winner", "tied")
 MAX_UNRANKED = 4
 """More methods that are not ranked for one cause are counted, not named."""
@@ -52,6 +58,7 @@ class SequenceVerdict:
 
     ``leaders``: the method that wins, or all that are tied. ``counts``: whether the sequence counts in the tally of
     wins, which takes ground truth, a geometry that determines the pose, and more than one run of each method.
+    ``all_tied``: all ranked methods are tied, so that it tells none of them apart.
     """
 
     sequence: str
@@ -59,6 +66,7 @@ class SequenceVerdict:
     counts: bool
     leaders: tuple[str, ...]
     sentences: tuple[str, ...]
+    all_tied: bool = False
 
 
 def compute_verdict(comparison: Comparison, sequence: SequenceAnalysis) -> SequenceVerdict:
@@ -78,16 +86,18 @@ def compute_verdict(comparison: Comparison, sequence: SequenceAnalysis) -> Seque
         sentences += [_describe_tuned(ranking), _describe_lost(ranking) if outcome != "lost" else ""]
         sentences += [
             _describe_baseline(sequence, ranking),
-            *warnings.warn_of_evidence(ranking, runs[0].spec.sequence.excerpt_scans),
+            *warnings.warn_of_evidence(sequence, ranking),
         ]
     sentences += [_describe_cost(sequence), warnings.warn_of_processors(runs), *warnings.list_remarks(sequence)]
     leads = ranking is not None and outcome in LED
+    leaders = _find_leaders(sequence, ranking) if leads and ranking is not None else ()
     return SequenceVerdict(
         sequence.label,
         outcome,
         leads and ranking is not None and ranking.metric.group in WITH_TRUTH,
-        _find_leaders(sequence, ranking) if leads and ranking is not None else (),
+        leaders,
         tuple(sentence for sentence in sentences if sentence),
+        leads and ranking is not None and len(leaders) == len(ranking.ranked),
     )
 
 
@@ -154,7 +164,11 @@ def _describe_outcome(sequence: SequenceAnalysis, ranking: Ranking, outcome: Ver
     if outcome == "lost":
         return f"No method held the track. {_describe_lost(ranking)}"
     sentence = _describe_leaders(ranking, outcome, sequence.all_runs[0].seed is None)
-    return f"{sentence} The other map metrics agree." if decided_by_maps(ranking) and outcome in LED else sentence
+    if outcome == "winner":
+        return f"{sentence} The other map metrics agree." if decided_by_maps(ranking) else sentence
+    if outcome == "tied" and decided_by_maps(ranking):
+        return f"{sentence} Not clearly worse in any map metric: {join_words(_find_leaders(sequence, ranking))}."
+    return f"{sentence}{_describe_others_tied(ranking)}" if outcome == "tied" else sentence
 
 
 def _describe_leaders(ranking: Ranking, outcome: VerdictOutcome, recorded: bool) -> str:
@@ -176,11 +190,20 @@ def _describe_leaders(ranking: Ranking, outcome: VerdictOutcome, recorded: bool)
         return f"{ranked[0].method} {verb} on {metric.label}: {_describe_lead(ranking)}."
     pair = join_words(f"{score.method} ({format_median(metric, score)})" for score in ranking.tied[:2])
     how = "are tied" if ranking.tied[1] in ranking.near else "are not told apart by these runs"
-    near = [score.method for score in ranking.tied[2:] if score in ranking.near]
-    untold = [score.method for score in ranking.tied[2:] if score not in ranking.near]
-    others = f" Also tied with the first: {join_words(near)}." if near else ""
-    others += f" Nor told apart from it: {join_words(untold)}." if untold else ""
-    return f"On {metric.label}, {pair} {how}: {_describe_tie(ranking)}.{others}"
+    return f"On {metric.label}, {pair} {how}: {_describe_tie(ranking)}."
+
+
+def _describe_others_tied(ranking: Ranking) -> str:
+    """Return sentences on the methods after the second that are not clearly worse than the first."""
+    metric, first = ranking.metric, ranking.ranked[0]
+    near = [score for score in ranking.tied[2:] if score in ranking.near]
+    small = [score.method for score in near if separation(metric, first, score) == "within the margin"]
+    groups = {
+        "Also tied with the first": [score.method for score in near if score.method not in small],
+        f"Worse by less than {_format_margin(metric, median(first.values))}, which does not matter here": small,
+        "Not told apart from the first": [score.method for score in ranking.tied[2:] if score not in ranking.near],
+    }
+    return "".join(f" {words}: {join_words(methods)}." for words, methods in groups.items() if methods)
 
 
 def _describe_disagreement(agreement: MapAgreement) -> str:
@@ -213,10 +236,10 @@ def _describe_pairs(difference: PairedDifference) -> str:
 def _describe_tie(ranking: Ranking) -> str:
     metric, first, second = ranking.metric, *ranking.tied[:2]
     floor = format_amount(metric, noise_floor(metric))
-    least = "or 2 mm " if is_position(metric) else "or 1 percentage point " if decided_by_fit(ranking) else ""
+    least = _format_margin(metric, median(first.values))
     small = {
         "within the noise floor": f"they differ by less than the accuracy of the ground truth ({floor})",
-        "within the margin": f"they are less than {100 * MARGIN_SHARE:.0f} % {least}apart",
+        "within the margin": f"they are less than {least} apart, which does not matter here",
     }
     if ranking.why_tied in small:
         return small[ranking.why_tied]
@@ -236,6 +259,16 @@ def _describe_tie(ranking: Ranking) -> str:
     return f"{shown}; {_describe_need(metric, difference, min(median(first.values), median(second.values)))}"
 
 
+def _format_margin(metric: Metric, better: float) -> str:
+    """Return the smallest difference that matters beside a value: "5 %", "2 mm", "1 percentage point"."""
+    least = margin(metric, better)
+    if least <= MARGIN_SHARE * abs(better):
+        return f"{100 * MARGIN_SHARE:.0f} %"
+    if is_position(metric):
+        return f"{1000.0 * MARGIN_M:.0f} mm"
+    return f"{least:.0f} percentage point" if is_share_in_map(metric) else format_amount(metric, least)
+
+
 def _describe_need(metric: Metric, difference: PairedDifference, better: float) -> str:
     """Return how many runs would settle a difference of the measured size, or what so many runs can detect."""
     if abs(difference.interval.value) < margin(metric, better):
@@ -250,18 +283,12 @@ def _sign(metric: Metric) -> float:
 
 
 def _describe_lost(ranking: Ranking) -> str:
-    lost = [(score.method, score.lost) for score in ranking.scores if score.lost is not None]
-    listed = join_words(f"{method} at {loss.at_s:.0f}\u00a0s ({strip_full_stop(loss.reason)})" for method, loss in lost)
-    partly = [score for score in ranking.scores if score.lost_runs and score.lost is None]
-    some = join_words(f"{score.method} in {score.lost_runs} of {score.expected}" for score in partly)
-    found = [score for score in ranking.scores if score.found_runs]
-    again = join_words(f"{score.method} in {score.found_runs} of {score.lost_runs}" for score in found)
-    sentences = (
-        f"Lost the track and not ranked: {listed}." if lost else "",
-        f"Lost the track in fewer than half of the perturbed runs: {some}." if partly else "",
-        f"Found the track again: {again}." if found else "",
-    )
-    return " ".join(filter(None, sentences))
+    lost = [
+        f"{score.method} {format_losses(score)} ({strip_full_stop(score.lost.reason)})"
+        for score in ranking.scores
+        if score.lost is not None
+    ]
+    return f"Lost the track and not ranked: {join_words(lost)}." if lost else ""
 
 
 def _describe_tuned(ranking: Ranking) -> str:

@@ -18,13 +18,20 @@ LOST_SCANS = re.compile(r"^(?!reference).*\b(damaged|skipped|dropped)\b|^scans .
 """Notes on scans that reached no method; readers name them by these words."""
 MAX_LOST_PERCENT = 1.0
 
+MAX_SHORT_PERCENT = 50.0
+"""From this share of relations (%) of less than 10 s on, what they measure is stated."""
+
 MIN_NAMED_GUESSED = 10.0
 """From this share of scans (%) that keep the initial guess, a method is named."""
 
 
-def warn_of_evidence(ranking: Ranking, excerpt_scans: int = 0) -> list[str]:
-    """Return sentences on the limits of the deciding metric; ``excerpt_scans``: length of excerpts of a recording."""
+def warn_of_evidence(sequence: SequenceAnalysis, ranking: Ranking) -> list[str]:
+    """Return sentences on the limits of the deciding metric."""
+    excerpt_scans = sequence.all_runs[0].spec.sequence.excerpt_scans
     warnings = []
+    short = find_short_percent(sequence, ranking)
+    if short > MAX_SHORT_PERCENT:
+        warnings.append(f"{short:.0f} % of these relations span less than 10 s: they measure local motion, not drift.")
     if decided_by_fit(ranking):
         limitations = strip_full_stop(ranking.metric.limitations)
         warnings.append(
@@ -49,6 +56,17 @@ def warn_of_evidence(ranking: Ranking, excerpt_scans: int = 0) -> list[str]:
             "1\u00a0%), the same for all methods; another recording may differ by more."
         )
     return warnings
+
+
+def find_short_percent(sequence: SequenceAnalysis, ranking: Ranking) -> float:
+    """Return how many percent of all relations that decide span less than 10 s; 0 where others decide."""
+    every = ranking.metric.name
+    short = every.replace("_all_", "_short_")
+    if ranking.metric.group != "relations" or short == every:
+        return 0.0
+    supports = [run.scores.by_metric for run in sequence.all_runs if run.result.is_complete]
+    counts = [sum(own[name].support for own in supports if name in own) for name in (short, every)]
+    return 100.0 * counts[0] / counts[1] if counts[1] else 0.0
 
 
 def _describe_repetitions(score: MethodScore, excerpt_scans: int) -> str:
