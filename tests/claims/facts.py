@@ -242,7 +242,11 @@ class Facts:
         return "winner" if len(self.led(sequence)[0]) == 1 else "tied"
 
     def all_tied(self, sequence: str) -> bool:
-        """Return whether a sequence with a verdict tells no ranked method apart."""
+        """Return whether a sequence with a verdict tells no method apart, not even by tracks lost in most runs."""
+        found = self.find(sequence, self.deciding(sequence) or "")
+        often = [name for name, one in found.items() if 2 * one.lost_runs > one.expected]
+        if set(often) - set(self.with_role("baseline")):
+            return False
         leaders = self.agreed(sequence) if self.by_maps(sequence) else self.led(sequence)[1]
         tied = self.outcome(sequence) == "tied"
         return tied and set(leaders) == set(self.ranked(sequence, self.deciding(sequence) or ""))

@@ -230,6 +230,16 @@ def test_data_on_which_all_are_tied_do_not_count(build, three, runs):
     }  # fmt: skip
     assert "not counted: flat (all tied)" in pills(flat)
     assert "Not counted: flat (all tied)." in analyse(flat).overview
+    often = [
+        *tied,
+        *(
+            replace(run, scores=replace(run.scores, lost=LostTrack(28.4, "it slipped")))
+            for run in runs("d", "flat", (9.0, 9.0))
+        ),
+    ]
+    assert {one.method: (one.led, one.counted) for one in answer(build([*three, *often])).standings} == {
+        "a": (3, 4), "b": (2, 4), "c": (1, 4), "d": (0, 1),
+    }  # fmt: skip
     alone = answer(build([*tied, *(run for method in "abc" for run in runs(method, "level", (0.2, 0.21)))]))
     assert alone.title == "No method is ahead: all 3 methods are best or tied on 2 of 2 data sets."
     assert {(one.led, one.counted) for one in alone.standings} == {(2, 2)}

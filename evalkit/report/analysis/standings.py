@@ -27,7 +27,8 @@ class Contest:
 
     ``ranked``: methods that are ranked there, best first; ``leaders``: the best and those without a clear difference.
     ``part``: methods with a run that started there and settings that were not chosen there. ``left_out``: methods with
-    a value whose settings were chosen there. ``costs``: the ranking by CPU time, None if it was not measured.
+    a value whose settings were chosen there. ``tells_apart``: not all tied. ``costs``: the ranking by CPU time, None if
+    it was not measured.
     """
 
     sequence: str
@@ -36,17 +37,13 @@ class Contest:
     leaders: tuple[str, ...]
     part: tuple[str, ...]
     left_out: tuple[str, ...]
+    tells_apart: bool
     costs: Ranking | None = None
 
     @property
     def metric(self) -> Metric:
         """The metric that decides the data set."""
         return self.ranking.metric
-
-    @property
-    def tells_apart(self) -> bool:
-        """Whether any ranked method is not among the leaders."""
-        return len(self.leaders) < len(self.ranked)
 
     def find_value(self, method: str) -> float | None:
         """Return the error of a method that takes part and completed every run, whether it kept the track or not."""
@@ -125,7 +122,7 @@ def find_contests(
 ) -> tuple[Contest, ...]:  # fmt: skip
     """Return the contests with the strongest evidence: ground truth, else a known map, else the maps drawn.
 
-    One on which all ranked methods are tied tells none apart, and does not count beside others.
+    One on which all are tied tells none apart, and does not count beside others.
     """
     by_evidence: tuple[list[Contest], ...] = ([], [], [])
     for sequence, verdict in zip(sequences, verdicts, strict=True):
@@ -151,8 +148,8 @@ def _find_contest(sequence: SequenceAnalysis, verdict: SequenceVerdict) -> Conte
     started = {run.method for run in sequence.all_runs if run.result.status not in NOT_EXECUTED}
     part = tuple(score.method for score in ranking.scores if score.method in started and not score.tuned)
     left_out = tuple(score.method for score in ranking.scores if score.tuned and score.values)
-    costs = sequence.rankings.get(COST)
-    return Contest(sequence.label, ranking, ranking.ranked, verdict.leaders, part, left_out, costs)
+    apart, costs = not verdict.all_tied, sequence.rankings.get(COST)
+    return Contest(sequence.label, ranking, ranking.ranked, verdict.leaders, part, left_out, apart, costs)
 
 
 def find_common(comparison: Comparison, contests: Sequence[Contest]) -> str:

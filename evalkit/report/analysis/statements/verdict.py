@@ -58,7 +58,7 @@ class SequenceVerdict:
 
     ``leaders``: the method that wins, or all that are tied. ``counts``: whether the sequence counts in the tally of
     wins, which takes ground truth, a geometry that determines the pose, and more than one run of each method.
-    ``all_tied``: all ranked methods are tied, so that it tells none of them apart.
+    ``all_tied``: all ranked methods are tied and no other one lost the track in most runs, so that it tells none apart.
     """
 
     sequence: str
@@ -97,8 +97,15 @@ def compute_verdict(comparison: Comparison, sequence: SequenceAnalysis) -> Seque
         leads and ranking is not None and ranking.metric.group in WITH_TRUTH,
         leaders,
         tuple(sentence for sentence in sentences if sentence),
-        leads and ranking is not None and len(leaders) == len(ranking.ranked),
+        leads and ranking is not None and _tells_none_apart(comparison, ranking, leaders),
     )
+
+
+def _tells_none_apart(comparison: Comparison, ranking: Ranking, leaders: Sequence[str]) -> bool:
+    """Return whether all ranked methods lead and none but a baseline lost the track in more than half of its runs."""
+    baselines = comparison.methods_with_role("baseline")
+    lost = [one.method for one in ranking.scores if 2 * one.lost_runs > one.expected and one.method not in baselines]
+    return len(leaders) == len(ranking.ranked) and not lost
 
 
 def describe_success(runs: Sequence[RunRecord]) -> str:
