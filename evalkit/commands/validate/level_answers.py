@@ -288,11 +288,10 @@ def _field_checks(results: ResultsByPlace, terms: ComparisonTerms) -> list[Check
         for where, one in {place: comparison, **comparison.get("families", {})}.items():
             for name, count in one["fields"].items():
                 if name != "pose":
-                    example = f", first {one['examples'][name]}" if "examples" in one else ""
-                    counts.setdefault(name, []).append(f"{where}: {count}{example}")
+                    counts.setdefault(name, []).append(f"{where}: {count} of {_describe_first_field(one, name)}")
     checks = [
-        Check(f"field {name}", "", "failed", "equal", f"{name} differs from {terms.reference} where the pose is equal: "
-              f"{'; '.join(places)}")
+        Check(f"field {name}", "", "failed", "equal", f"{name} differs from {terms.reference} where the pose is equal"
+              f"{_excuse_field(name, terms)}: {'; '.join(places)}")
         for name, places in counts.items()
     ]  # fmt: skip
     if checks or not equal + excused:
@@ -302,6 +301,25 @@ def _field_checks(results: ResultsByPlace, terms: ComparisonTerms) -> list[Check
     if excused:
         observed += f"; in {excused} more one of them differs, where rounding decides it"
     return [Check("fields", "", "passed", "equal", observed)]
+
+
+def _describe_first_field(comparison: Mapping[str, Any], name: str) -> str:
+    """The number of answers that were compared, and the first one in which a field differs, with both values."""
+    if "examples" in comparison:
+        return f"{comparison['compared']} answers, first {comparison['examples'][name]}"
+    first = comparison["first_fields"][name]
+    place = f"scan {first['scan']} ({format_stage(first['stage'])})"
+    return f"{comparison['questions']} answers, first {place}: {first['what']}"
+
+
+def _excuse_field(name: str, terms: ComparisonTerms) -> str:
+    """That single precision may be the cause of a field that differs, "" under another margin."""
+    if terms.margin != FLOAT32:
+        return ""
+    return (
+        " within single-precision rounding, which may decide this field too "
+        f"(if so, --except '{name}=single precision')"
+    )
 
 
 def _repetition_checks(results: ResultsByPlace) -> list[Check]:
