@@ -59,7 +59,7 @@ class ResourceUse:
     """Growth over batches of ``size`` calls: heap (B + 1,) in bytes, and the CPU time (B,) of a call in ns.
 
     ``instances``: bytes that each instance leaves behind. ``before``, ``after``: the state of the process by name.
-    ``kept_bytes``: bytes from which steady growth per call is a leak.
+    ``kept_bytes``: bytes from which steady growth per call is a leak. ``question``: what a call is asked.
     ``filed``: bytes written to files; nan where this is not known, as for a program, which is asked over a pipe.
     """
 
@@ -71,6 +71,7 @@ class ResourceUse:
     after: Mapping[str, str]
     kept_bytes: float = LEAK_BYTES
     filed: float = math.nan
+    question: str = "question"
 
 
 class _HeapInfo(ctypes.Structure):
@@ -205,7 +206,10 @@ def check_memory(fixture: Endurance) -> str:
     found = fixture.endurance
     calls = found.size * BATCHES
     if leak := _leak_bytes(found.heap, found.size, found.kept_bytes):
-        raise RuleBroken(f"{calls} calls: {leak:.0f} bytes more per call, twice")
+        raise RuleBroken(
+            f"one object grows by {leak:.0f} bytes with each {found.question}, in {calls} calls and again in twice as "
+            "many: free what a call allocates, and bound what the object keeps"
+        )
     if found.instances >= LEAK_BYTES:
         raise RuleBroken(f"each instance leaves {found.instances:.0f} bytes behind when it is destroyed")
     if found.kept_bytes > LEAK_BYTES:

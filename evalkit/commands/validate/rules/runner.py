@@ -134,7 +134,7 @@ class _RuleRunner:
         while waiting := [name for name in self._rules if name not in self._results]:
             if reason := self._stop_reason():
                 for name in waiting:
-                    self._results[name] = RuleResult(name, self._rules[name].sentence, "not applicable", reason)
+                    self._results[name] = RuleResult(name, self._rules[name].sentence, "not judged", reason)
             else:
                 self._run_process(waiting)
         return (
@@ -149,7 +149,7 @@ class _RuleRunner:
         if ends:
             return RuleResult(name, sentence, "failed", "; ".join(ends))
         if self._does_not_start():
-            return RuleResult(name, sentence, "not applicable", NOT_STARTED)
+            return RuleResult(name, sentence, "not judged", NOT_STARTED)
         return RuleResult(name, sentence, "passed", "through all rules")
 
     def _does_not_start(self) -> bool:
@@ -160,7 +160,7 @@ class _RuleRunner:
         if self._does_not_start():
             return NOT_STARTED
         ends = len(self._crashes) + len(self._hangs)
-        return f"skipped after {MAX_CRASHES} ends of its process" if ends >= MAX_CRASHES else ""
+        return f"its process had ended {MAX_CRASHES} times" if ends >= MAX_CRASHES else ""
 
     def _run_process(self, names: list[str]) -> None:
         """Check rules until all are done or the process ends early, which breaks the current rule."""

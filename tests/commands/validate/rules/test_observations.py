@@ -17,7 +17,7 @@ from evalkit.commands.validate.rules import (
 )
 from evalkit.commands.validate.rules.odometry_fixture import last_pose
 from evalkit.commands.validate.rules.resource_rules import LEAK_BYTES, ResourceUse
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, RuleNotJudged
 from evalkit.core.errors import BadData
 from evalkit.core.ground_truth import Truth
 from evalkit.core.match import Match
@@ -36,7 +36,7 @@ def measured(**changes):
 def test_resources_that_grow_are_named_with_their_amount():
     calls = 50 * resource_rules.BATCHES
     growing = np.linspace(0.0, 1000.0 * calls, resource_rules.BATCHES + 1)
-    with pytest.raises(RuleBroken, match=f"{calls} calls: 1000 bytes more per call, twice"):
+    with pytest.raises(RuleBroken, match=f"grows by 1000 bytes with each question, in {calls} calls"):
         resource_rules.check_memory(measured(heap=growing))
     with pytest.raises(RuleBroken, match=f"each instance leaves {2 * LEAK_BYTES:.0f} bytes behind"):
         resource_rules.check_memory(measured(instances=2.0 * LEAK_BYTES))
@@ -131,6 +131,14 @@ def raising(error):
         raise error
 
     return run
+
+
+def test_the_first_beam_is_not_judged_where_the_first_answer_is_wrong():
+    def run(frames):
+        return np.tile([0.05, 0.0, 0.0], (len(frames), 1))
+
+    with pytest.raises(RuleNotJudged, match="the first answer is not the identity, see the rule first"):
+        odometry_rules.check_first_beam(Driven(run))
 
 
 def test_an_odometry_without_answers_or_that_writes_to_its_scans_is_named():
