@@ -1,6 +1,7 @@
 """What a rule observes in a fixture written by hand: each fault is named, and what cannot be observed is not judged."""
 
 import math
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -131,6 +132,19 @@ def raising(error):
         raise error
 
     return run
+
+
+def test_the_slowest_call_is_named():
+    calls = iter(range(1000))
+
+    def call():
+        time.sleep(0.05 if next(calls) == 7 else 0.0)
+
+    *_, slowest_ns = resource_rules._run_batches(call, 2, 1e4)
+    assert slowest_ns >= 5e7
+    use = ResourceUse(4, np.zeros(11), np.full(10, 1e4), 0.0, {}, {}, slowest_ns=3e8)
+    observed = resource_rules.check_slowdown(SimpleNamespace(endurance=use))
+    assert observed.endswith("us after 40 calls; the slowest took 300 ms, waiting included")
 
 
 def test_the_first_beam_is_not_judged_where_the_first_answer_is_wrong():

@@ -260,6 +260,16 @@ def test_calls_of_a_slow_program_are_counted_by_elapsed_time_because_they_cost_t
     assert found.size * resource_rules.BATCHES == 40  # the fewest: 0.1 s are 20 calls of 5 ms; by CPU time thousands
 
 
+def test_a_rule_that_takes_long_is_reported_while_it_runs(monkeypatch):
+    monkeypatch.setattr(runner, "SLOW_S", 0.0)
+    slow = []
+    runner.check("faulty_backends:SOUND", only=("starts", "later"), report_slow=slow.append)
+    assert slow[-1] == "later"  # it waits three seconds
+    monkeypatch.setattr(runner, "SLOW_S", 60.0)
+    runner.check("faulty_backends:SOUND", only=("starts",), report_slow=slow.append)
+    assert slow[-1] == "later"
+
+
 def test_a_back_end_that_does_not_start_is_not_checked_further():
     for name, said in (("RAISES", "licence"), ("MATRIX", "ndarray"), ("ALWAYS_SEGFAULT", "SIGSEGV")):
         checked = runner.check(f"faulty_backends:{name}", only=("starts", "wall", "order"))
