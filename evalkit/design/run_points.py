@@ -105,7 +105,7 @@ def _run(request: Request, sequence: protocols.Sequence) -> RunResult:
     try:
         spec = registry.backend(request.backend)
         odometry = frontend.make_odometry(spec, request.backend_parameters)
-        record_run(odometry, sequence, request, steps)
+        record_run(odometry, sequence.frames(), request, steps)
         if isinstance(spec, SlamSpec):
             corrections = read_corrections(odometry, whole_records(steps.getvalue())["stamp_ns"])
     except EvalkitError as error:

@@ -14,7 +14,7 @@ import struct
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import islice
@@ -92,6 +92,26 @@ class Request:
         return cls(**{**values, "frames": frames})
 
 
+class ScanPlace:
+    """Which scan a back end has in hand, for the reason of a run that fails there."""
+
+    def __init__(self) -> None:
+        self._part, self._number, self._stamp_ns = "", 0, 0
+        self.answered = 0
+
+    def follow(self, frames: Iterable[Frame], part: str = "") -> Iterator[Frame]:
+        """Yield the frames; ``part``: of the run, "" if it is the timed one."""
+        self._part, self.answered, waiting = part, 0, iter(frames)
+        while (frame := next(waiting, None)) is not None:
+            self._number, self._stamp_ns = self.answered + 1, frame.scan.stamp_ns
+            yield frame
+            self.answered, self._number = self._number, 0  # while the next one is read, none is in hand
+
+    def __str__(self) -> str:
+        part = f" of {self._part}" if self._part else ""
+        return f"at scan {self._number}{part} (stamp {self._stamp_ns} ns)" if self._number else ""
+
+
 def main() -> int:
     """Execute the request in the folder named on the command line; write the outcome to ``outcome.json``."""
     end_with_parent()
@@ -121,6 +141,7 @@ def execute_request(request: Request, folder: Path) -> RunResult:
     cause, reason = Cause.COMPLETED, ""
     conditions = paths = None
     remarks: tuple[str, ...] = ()
+    place = ScanPlace()
     try:
         spec = registry.backend(request.backend, request.plug_in)
         if why := spec.missing():
@@ -143,14 +164,15 @@ def execute_request(request: Request, folder: Path) -> RunResult:
         _write_json(folder / STARTED, started)  # in case the back end kills this process in its warm-up
         rehearsal = make()
         _collect_garbage()
-        warm = _warm_up(rehearsal, sequence)
+        _warm_up(rehearsal, sequence, place)
+        warm = place.answered
         odometry = make()
         _write_json(folder / STARTED, started | {"warm_up_scans": warm})
         waiting = WaitingMeter()
         with (folder / STEPS).open("ab", buffering=0) as file:
             if isinstance(spec, SlamSpec):
                 paths = PathRecorder(cast("Slam", odometry), lambda: np.fromfile(folder / STEPS, STEP))
-            record_run(odometry, sequence, request, file, paths)
+            record_run(odometry, place.follow(sequence.frames()), request, file, paths)
         if paths is not None:
             final_cpu_ns = record_final(odometry, folder, paths.corrections)
         remarks = read_remarks(odometry)
@@ -158,6 +180,9 @@ def execute_request(request: Request, folder: Path) -> RunResult:
         notes = dict(sequence.notes())
     except Exception as error:  # noqa: BLE001 - an exception of a third party's code is a result to report
         cause, reason = cause_of(error)
+        warm = warm or place.answered
+        if cause in (Cause.EXCEPTION, Cause.MEMORY_ERROR) and str(place):
+            reason = f"{reason}; {place}"
     return RunResult(
         NO_STEPS, expected, cause, plain(reason), _peak_memory_bytes(), warm, notes, every, conditions=conditions,
         final_cpu_ns=final_cpu_ns, remarks=remarks, paths_left_out=plain(paths.left_out) if paths else "",
@@ -210,17 +235,15 @@ def _collect_garbage() -> None:
         gc.freeze()
 
 
-def _warm_up(odometry: Odometry, sequence: Sequence | StoredFrames) -> int:
-    """Run a separate odometry over the first scans; imports, first allocations and thread pools happen here.
-
-    Returns the number of scans.
-    """
-    return sum(1 for _ in run_odometry(odometry, islice(sequence.frames(), WARM_UP_SCANS)))
+def _warm_up(odometry: Odometry, sequence: Sequence | StoredFrames, place: ScanPlace) -> None:
+    """Run a separate odometry over the first scans; imports, first allocations and thread pools happen here."""
+    for _ in run_odometry(odometry, place.follow(islice(sequence.frames(), WARM_UP_SCANS), "the warm-up")):
+        pass
 
 
 def record_run(
     odometry: Odometry,
-    sequence: Sequence | StoredFrames,
+    frames: Iterable[Frame],
     request: Request,
     steps: BinaryIO,
     paths: PathRecorder | None = None,
@@ -233,7 +256,7 @@ def record_run(
     scans = unanswered = around_ns = 0
     reason = ""
     begun_ns = time.perf_counter_ns()
-    for step in run_odometry(odometry, sequence.frames(), request.dataset):
+    for step in run_odometry(odometry, frames, request.dataset):
         scans += 1
         if step.estimate is None:
             unanswered, reason = unanswered + 1, step.reason

@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
 
 from evalkit.config.limits import Limits
 from evalkit.core.errors import MachineFault, plain
@@ -16,7 +19,7 @@ from evalkit.core.map_start import MapStart
 from evalkit.core.run_result import NO_STEPS, STEP, RunResult
 from evalkit.core.run_status import Cause
 from evalkit.execution.conditions import ConditionsMeter
-from evalkit.execution.one_run import MACHINE_FAULT_CODE, OUTCOME, REQUEST, STARTED, Request
+from evalkit.execution.one_run import MACHINE_FAULT_CODE, OUTCOME, REQUEST, STARTED, WARM_UP_SCANS, Request
 from evalkit.execution.subprocesses import OUTPUT, ChildProcess
 from evalkit.execution.usage import Usage
 from evalkit.io import untrusted_io
@@ -38,6 +41,11 @@ REPORTED = frozenset(
     {Cause.COMPLETED, Cause.EXCEPTION, Cause.MEMORY_ERROR, Cause.MACHINE_FAULT, Cause.NOT_INSTALLED, Cause.DATA_MISSING}
 )
 """Causes that the process of a run may report itself; the others are seen from outside."""
+
+PLACED = frozenset(
+    {Cause.SIGNAL, Cause.EXIT_CODE, Cause.TIME_LIMIT, Cause.CPU_TIME_LIMIT, Cause.MEMORY_LIMIT, Cause.MEMORY_ERROR}
+)
+"""Causes that end a run at some scan, which its reason names."""
 
 MAX_REPORT_BYTES = 2**20
 """Size of ``STARTED`` and ``OUTCOME``; beyond it they are not read."""
@@ -135,6 +143,8 @@ class _Supervision:
         if sound < len(steps):
             cause, reason = Cause.NO_OUTCOME, f"{STEPS} is damaged after {sound} answers: something else wrote to it"
             steps = steps[:sound]
+        if cause in PLACED and (place := _describe_place(values, steps)) and "after scan" not in reason:
+            reason = f"{reason}; {place}"
         values["conditions"] = self._meter.conclude(values.get("conditions", {}))
         try:
             values["start"] = MapStart.of(values["start"]) if "start" in values else None
@@ -170,6 +180,18 @@ def _broken_limit(limits: Limits, used: Usage, last_answer: Usage, peak_bytes: i
     if used.cpu_s - last_answer.cpu_s > limits.scan_cpu_s:
         return Cause.CPU_TIME_LIMIT, f"no answer for {limits.scan_cpu_s:g} s of CPU time after scan {answered}"
     return None
+
+
+def _describe_place(started: Mapping[str, Any], steps: NDArray[np.void]) -> str:
+    """Where in its sequence a run ended that could not tell; "" before its first scan."""
+    if not started["expected"]:
+        return ""
+    if "warm_up_scans" not in started:
+        return f"in the warm-up with the first {min(WARM_UP_SCANS, started['expected'])} scans"
+    if not len(steps):
+        return "at the first scan"
+    last = "all" if len(steps) == started["expected"] else str(len(steps))
+    return f"after {last} answers, the last to the scan with stamp {steps['stamp_ns'][-1]} ns"
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -41,7 +41,7 @@ from evalkit.external.declaration import (
     split_words,
     undescribed_spec,
 )
-from evalkit.odometry.corrections import MAX_CLOSURES
+from evalkit.odometry.corrections import MAX_CLOSURES, find_unknown_stamp
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec, SlamSpec
 from evalkit.results import descriptions
@@ -174,6 +174,10 @@ class LibrarySlam(LibraryOdometry):
             found = tuple(_from_abi_closure(row) for row in rows[: min(written or 0, count)])
         except ValueError as error:
             raise BackendFailed(self._name, f"evalkit_loop_closures: {error}", "correct the loop closure") from None
+        if unknown := find_unknown_stamp(found, self._stamps_ns):
+            index, name, stamp_ns = unknown
+            what = f"evalkit_loop_closures set {name} at index {index} to {stamp_ns}, which no answered scan has"
+            raise BackendFailed(self._name, what, "set the stamps of two answered scans")
         again = [self._instance.ask("evalkit_found_again", index) for index in range(len(found))]
         return tuple(
             closure if each is None else replace(closure, found_again=bool(each))

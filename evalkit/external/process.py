@@ -34,7 +34,7 @@ from evalkit.external.declaration import (
 )
 from evalkit.external.program import Program
 from evalkit.external.secrets import fill_in_secrets
-from evalkit.odometry.corrections import MAX_CLOSURES
+from evalkit.odometry.corrections import MAX_CLOSURES, find_unknown_stamp
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec, SlamSpec
 from evalkit.results import descriptions
@@ -157,6 +157,10 @@ class ProgramSlam(ProgramOdometry):
         closures: list[LoopClosure] = []
         while len(closures) <= MAX_CLOSURES:
             part = self._session.ask_closures(len(closures))
+            if unknown := find_unknown_stamp(part, self._stamps_ns):
+                index, name, stamp_ns = unknown
+                key = f"loop_closures[{len(closures) + index}].{name}"
+                raise self._session.program.malformed(key, stamp_ns, "the stamp of an answered scan")
             closures += part
             if len(part) < PART:
                 return tuple(closures)
@@ -221,8 +225,12 @@ class ProgramSession:
         """Ask for a part of a list of finite numbers; raises BackendFailed where it has another length."""
         answer = self.program.ask({"ask": ask, "from": begin, "count": PART})
         found = self._list(answer, key)
-        if len(found) != count or not all(_is_finite(value) for value in found):
-            raise self.program.malformed(key, found, f"{count} finite numbers from pose {begin} on")
+        if len(found) != count:
+            what = f"{count} ({count // 3} poses from pose {begin} on: one for each answered scan)"
+            raise self.program.malformed(key, f"{len(found)} numbers ({len(found) / 3:.4g} poses)", what)
+        for index, value in enumerate(found):
+            if not _is_finite(value):
+                raise self.program.malformed(f"{key}[{index}]", value, "a finite number")
         return found
 
     def ask_closures(self, begin: int) -> list[LoopClosure]:

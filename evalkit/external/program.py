@@ -92,15 +92,21 @@ class Program:
                 left_s = asked + self.answer_timeout_s - time.monotonic()
                 ready = selector.select(max(left_s, LATE_POLL_S))
                 if time.monotonic() - asked > self.answer_timeout_s and self._is_late(asked, used_ns):
-                    what = f"no answer within {self.answer_timeout_s:g} s"
-                    remedy = "see where it hangs, or set a larger answer_timeout_s"
-                    raise self._failure(what, remedy, BackendLate)
+                    raise self._late_error(received)
                 for key, _ in ready:
                     if key.fileobj is self._stdout:
                         self._receive(received)
                     elif not (waiting := waiting[self._write(waiting) :]):
                         selector.unregister(self._stdin)
         return bytes(received)
+
+    def _late_error(self, received: bytearray) -> BackendFailed:
+        what = f"no answer within {self.answer_timeout_s:g} s"
+        remedy = "see where it hangs, flush the output after every line, or set a larger answer_timeout_s"
+        if received:
+            what = f"no whole line within {self.answer_timeout_s:g} s: {len(received)} bytes without a newline"
+            what, remedy = f"{what}: {_printable(received)}", "end every answer with a newline and flush the output"
+        return self._failure(what, remedy, BackendLate)
 
     def _is_late(self, asked: float, used_ns: int) -> bool:
         """Whether the time of an answer is over; a program that others keep from computing has more: ``Usage``."""

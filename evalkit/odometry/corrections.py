@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -70,17 +70,26 @@ def read_loop_closures(slam: Slam, stamps_ns: Stamps) -> tuple[LoopClosure, ...]
         raise TypeError(f"loop_closures() returned a {type(found).__name__}, expected a tuple of evalkit.LoopClosure")
     if len(found) > MAX_CLOSURES:
         raise ValueError(f"loop_closures() returned {len(found)} candidates, at most {MAX_CLOSURES} are stored")
-    known = set(stamps_ns.tolist())
     closures: list[LoopClosure] = []
     for index, one in enumerate(found):
         if not isinstance(one, LoopClosure):
             what = f"loop_closures() returned a {type(one).__name__} at index {index}"
             raise TypeError(f"{what}, expected an evalkit.LoopClosure")
-        for stamp in (one.stamp_ns, one.other_stamp_ns):
-            if stamp not in known:
-                raise ValueError(f"loop_closures() refers at index {index} to {stamp} ns, where no frame was answered")
         closures.append(one)
+    if unknown := find_unknown_stamp(closures, stamps_ns.tolist()):
+        index, _, stamp = unknown
+        raise ValueError(f"loop_closures() refers at index {index} to {stamp} ns, where no frame was answered")
     return tuple(closures)
+
+
+def find_unknown_stamp(closures: Sequence[LoopClosure], stamps_ns: Iterable[int]) -> tuple[int, str, int] | None:
+    """Find the first stamp of a loop closure at which no frame was answered: index, name and stamp; None without."""
+    known = set(stamps_ns)
+    for index, one in enumerate(closures):
+        for name, stamp in (("stamp_ns", one.stamp_ns), ("other_stamp_ns", one.other_stamp_ns)):
+            if stamp not in known:
+                return index, name, stamp
+    return None
 
 
 def read_remarks(odometry: Odometry) -> tuple[str, ...]:

@@ -39,11 +39,19 @@ def print_summary(
             folder = shlex.quote(str(store.folder))
             if repetition:
                 out.print(f"next: {repetition} --resume --out {folder} (for a verdict)", soft_wrap=True)
-            out.print(f"next: evalkit export {folder} -f latex (tables for a paper)")
+            out.print(f"next: {_name_next_step(runs, folder)}", soft_wrap=True)
     if any(result.status in BROKEN for _, result in runs):
         raise typer.Exit(1)
     if skipped:
         raise typer.Exit(3)
+
+
+def _name_next_step(runs: Sequence[Run], folder: str) -> str:
+    """The command that uses the results; where no run is complete, the one that shows why the first one failed."""
+    failed = next((spec for spec, result in runs if result.status in BROKEN), None)
+    if failed is None or any(result.is_complete for _, result in runs):
+        return f"evalkit export {folder} -f latex (tables for a paper)"
+    return shlex.join(["evalkit", "validate", failed.method.backend, "--only", "rules"]) + " (why no run is complete)"
 
 
 def _run_as_json(spec: RunSpec, result: RunResult, store: Store) -> dict[str, Any]:

@@ -101,7 +101,7 @@ def time_around(rounds: int) -> dict[int, list[float]]:
         for _ in range(rounds):
             for megabytes, found in around.items():
                 with path.open("wb", buffering=0) as file:
-                    record_run(IdleMethod(megabytes), frames, Request("idle", {}, "lab", {}), file)
+                    record_run(IdleMethod(megabytes), frames.frames(), Request("idle", {}, "lab", {}), file)
                 found.extend((np.fromfile(path, STEP)["harness_ns"][1:] / 1e3).tolist())
     return around
 

@@ -205,6 +205,16 @@ def test_a_slam_with_a_wrong_end_has_failed_and_keeps_its_answers(tmp_path, faul
     assert not (tmp_path / FINAL).exists()
 
 
+@pytest.mark.parametrize(
+    ("at", "place", "warm_up_scans"),
+    [(3, "at scan 4 of the warm-up (stamp 300000000 ns)", 3), (8, "at scan 9 (stamp 800000000 ns)", 5)],
+)
+def test_an_exception_names_its_scan(tmp_path, at, place, warm_up_scans):
+    outcome, steps = execute_request(tmp_path, "faulty", {"fault": "raise", "at": at})
+    assert outcome.reason == f"RuntimeError: lost the plot; {place}"
+    assert (outcome.warm_up_scans, len(steps)) == (warm_up_scans, 0 if at == 3 else at)
+
+
 def test_the_notes_of_the_sequence_are_stored(tmp_path):
     outcome, _ = execute_request(tmp_path, dataset="room", sequence=ROOM)
     assert outcome.notes["invalid ranges"] > 0
@@ -244,7 +254,7 @@ def test_a_full_disk_is_a_fault_of_the_machine_and_no_record_begins_inside_anoth
     odometry = registry.backend("faulty").make(fault="none", at=0)
     disk = FullDisk(space)
     with pytest.raises(MachineFault, match="repeat with --resume") as raised:
-        one_run.record_run(odometry, sequence, one_run.Request("faulty", {}, "straight", {}), disk)
+        one_run.record_run(odometry, sequence.frames(), one_run.Request("faulty", {}, "straight", {}), disk)
     assert one_run.cause_of(raised.value)[0] == "machine fault"
     assert len(whole_records(disk.content)) == 3
     assert one_run.cause_of(OSError(errno.ENOSPC, "in the back end's own code"))[0] == "exception"

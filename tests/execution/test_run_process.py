@@ -207,8 +207,22 @@ def test_the_memory_of_a_run_excludes_its_parent_process(strangers, tmp_path):
     assert len(ballast) > run.peak_memory_bytes > 10 * 2**20
 
 
+@pytest.mark.parametrize(
+    ("fault", "place"),
+    [
+        ("segfault", f"; after {AT} answers, the last to the scan with stamp 700000000 ns"),
+        ("raise", f"; at scan {AT + 1} ("),
+        ("spin", f"; after {AT} answers, "),
+        ("hang", f" after scan {AT}"),
+    ],
+)
+def test_a_failed_run_names_where_it_ended(runs, fault, place):
+    assert place in runs[fault].reason
+
+
 def test_a_crash_in_the_warm_up_reports_the_number_of_scans(strangers, tmp_path):
     run = execute_run(tmp_path / "run", request("exit", at=2))
+    assert run.reason.endswith("; in the warm-up with the first 5 scans")
     assert (run.status, len(run.steps), run.expected, run.warm_up_scans) == ("failed", 0, SCANS, 0)
 
 

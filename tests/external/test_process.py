@@ -95,6 +95,11 @@ def test_a_back_end_that_reports_no_device_time_has_none(program, run_backend):
     ("answer", "said"),
     [
         ("time.sleep(60)", "no answer within 0.5 s"),
+        ("time.sleep(60)", "see where it hangs, flush the output after every line, or set"),
+        (
+            "sys.stdout.write('{\"pose\":'); sys.stdout.flush(); time.sleep(60)",
+            '8 bytes without a newline: {"pose":; end',
+        ),
         ("sys.stdout.write('x' * 3_000_000)", "the answer exceeds 1048576 bytes"),
         ("print('Loading map...', flush=True)", "not one line of JSON: Loading map..."),
         ("print('{\"pose\":[nan,0,0]}', flush=True)", "the answer has nan in 'pose': JSON has no such number"),
@@ -361,10 +366,19 @@ def test_a_program_that_has_no_path_before_the_end_refuses_it_and_completes(prog
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("say(poses=[", "say(poses=[0.0] + [", "9 finite numbers from pose 0 on"),
-        ("0.01 * (x", "1e999 * (x", "9 finite numbers from pose 0 on"),
+        (
+            "say(poses=[",
+            "say(poses=[0.0] + [",
+            "'10 numbers (3.333 poses)', expected 9 (3 poses from pose 0 on: one for",
+        ),
+        ("0.01 * (x", "1e999 * (x", "the answer has 'poses[1]': nan, expected a finite number"),
         ('"accepted": k > 20', '"accepted": 1', "objects with stamp_ns, other_stamp_ns, pose, accepted"),
         ('"stamp_ns": kept[k][0]', '"stamp_ns": -1', "other_stamp_ns: expected a time before -1"),
+        (
+            '"stamp_ns": kept[k][0]',
+            '"stamp_ns": 7',
+            "the answer has 'loop_closures[0].stamp_ns': 7, expected the stamp",
+        ),
         ("corrected=len(kept) == 3", "corrected=3", "the answer has 'corrected': 3, expected true or false"),
         ('[q["from"] : q["from"] + q["count"]])', "* 40)", "the answer has 'loop_closures': '1560 entries'"),
         ("part = [[x", "import os; os._exit(3)\n    part = [[x", "ended"),

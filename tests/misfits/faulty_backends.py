@@ -151,6 +151,13 @@ class NoPairs(Sound):
         return replace(super().register(target, source, guess), inliers=0)
 
 
+class WithoutTheLast(Sound):
+    """Its loop over the source points ends one too early."""
+
+    def register(self, target, source, guess):
+        return super().register(target, Cloud(source.points[:-1]), guess)
+
+
 class Unbounded(Sound):
     """Solves for the direction that a wall leaves unobservable."""
 

@@ -61,7 +61,7 @@ def run(slam, sequence):
     """The recorder and the records of a SLAM's run."""
     steps = io.BytesIO()
     recorder = PathRecorder(slam, lambda: whole_records(steps.getvalue()))
-    record_run(slam, sequence, Request("slam", {}, "frames", {}), steps, recorder)
+    record_run(slam, sequence.frames(), Request("slam", {}, "frames", {}), steps, recorder)
     return recorder, whole_records(steps.getvalue())
 
 

@@ -106,6 +106,10 @@ def _finish(result: BasinResult, folder: Path, as_json: bool) -> None:
         raise typer.Exit(1)
 
 
+MAX_WHOLE_NAME = 22
+"""Longest name, in characters, that is not broken into two lines."""
+
+
 def _table(result: BasinResult) -> Any:
     from rich.table import Table  # noqa: PLC0415 - only where a table is printed
 
@@ -122,4 +126,8 @@ def _table(result: BasinResult) -> Any:
             f"{row.reach_m(0.95):.2f}", f"{row.reach_deg(0.95):.0f}", f"{accuracy[0]:.3f}", f"{accuracy[2]:.3f}",
             row.reason,
         )  # fmt: skip
+    if not any(row.reason for row in result.rows):
+        table.columns.pop()
+    for column in table.columns[:2]:
+        column.no_wrap = max(len(str(cell)) for cell in column.cells) <= MAX_WHOLE_NAME
     return table

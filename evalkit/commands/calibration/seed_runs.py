@@ -135,7 +135,7 @@ def read_runs(sequence: str, method: str, metric: str, results: Sequence[Mapping
 def _run(sequence: SensorSequence, request: Request) -> RunResult:
     steps = io.BytesIO()
     odometry = frontend.make_odometry(registry.backend(request.backend), find_run_parameters(request))
-    record_run(odometry, sequence, request, steps)
+    record_run(odometry, sequence.frames(), request, steps)
     return RunResult(np.frombuffer(steps.getvalue(), dtype=STEP), len(sequence))
 
 

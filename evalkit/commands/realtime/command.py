@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 RULE = BreakingRule()
 
+MIN_WAIT_PERIODS, MIN_WAIT_COSTS = 0.1, 2.0
+"""A scan that waits is named where the wait exceeds this share of the period and this many times its CPU time."""
+
 
 def realtime(
     backend: options.Backend,
@@ -58,7 +61,7 @@ def realtime(
 ) -> None:
     """Simulate a slower device and measure the drift caused by dropped scans.
 
-    The time per scan is measured once on this machine and stored: the same command again drops the same scans.
+    The CPU time per scan is measured once on this machine and stored: the same command again drops the same scans.
     """
     devices = {
         "factors": _parse_factors(factors), "policies": [policy], "repetitions": repetitions,
@@ -114,11 +117,29 @@ def _as_json(backend: str, on: str, result: RealtimeResult) -> dict[str, Any]:
         "median_cost_ms": float(sorted(result["costs_ns"])[len(result["costs_ns"]) // 2] * 1e-6),
         "period_ms": result["period_ns"] * 1e-6,
         "headroom": result["headroom"],
+        "slowest": _describe_slowest(result),
+        "waits": _find_waits(result),
         "growth": dict(zip(map(str, result["gaps"].tolist()), result["growth"].tolist(), strict=True)),
         "linear": result["linear"],
         "breaks_at": find_breaking_factor([one["factor"] for one in devices], [one["broken"] for one in devices]),
         "devices": devices,
     }
+
+
+def _describe_slowest(result: RealtimeResult) -> dict[str, float]:
+    """The scan that limits the headroom: its number, its CPU time, and the time until the next one is complete."""
+    number = result["slowest_scan"]
+    cost_ms = float(result["costs_ns"][number - 1] * 1e-6)
+    return {"scan": number, "cpu_ms": cost_ms, "period_ms": result["slowest_period_ns"] * 1e-6}
+
+
+def _find_waits(result: RealtimeResult) -> dict[str, float] | None:
+    """How many scans wait much longer than they compute, and the longest wait with its scan; None without any."""
+    waits = result["waits_ns"]
+    far_above = waits > MIN_WAIT_COSTS * result["costs_ns"]
+    count = int((far_above & (waits > MIN_WAIT_PERIODS * result["period_ns"])).sum())
+    longest = int(waits.argmax())
+    return {"scans": count, "scan": longest + 1, "longest_ms": float(waits[longest] * 1e-6)} if count else None
 
 
 def _is_broken(device: dict[str, Any], reference: float | None) -> bool:
@@ -130,15 +151,29 @@ def _print(content: dict[str, Any]) -> None:
     """Print the limit of the device, a line for each factor (equal ones together), and the next command."""
     from evalkit.terminal.ranked_table import format_rows  # noqa: PLC0415 - loads scipy
 
+    backend, slowest, waits = content["backend"], content["slowest"], content["waits"]
+    if content["headroom"] < 1.0:
+        limit = (
+            f"even this machine is too slow for the slowest scan: scan {slowest['scan']} took "
+            f"{slowest['cpu_ms']:.3g} ms of CPU time, and the next one came after {slowest['period_ms']:.3g} ms"
+        )
+    else:
+        limit = f"by its CPU time, a device up to {content['headroom']:.3g} times slower answers every scan in time"
     breaks = "not broken at any factor" if content["breaks_at"] is None else f"broken from {content['breaks_at']:g} on"
     for text in (
-        f"{content['backend']} on {content['sequence']}: a device up to {content['headroom']:.3g} times slower answers "
-        f"every scan in time; {breaks}.",
-        f"{content['median_cost_ms']:.2f} ms per scan on this machine (median). Broken: {RULE}.",
+        f"{backend} on {content['sequence']}: {limit}; {breaks}.",
+        f"{content['median_cost_ms']:.2f} ms of CPU time per scan on this machine (median). Broken: {RULE}.",
     ):
         out.print(text)
+    if waits:
+        others = f"; so did {waits['scans'] - 1} more" if waits["scans"] > 1 else ""
+        out.print(
+            f"Not counted: scan {waits['scan']} waited {waits['longest_ms']:.3g} ms besides its CPU time (for a timer, "
+            f"a file, a device){others}. A device that waits as long is late, however fast it computes.",
+            style="yellow",
+        )
     out.print()
-    head = "device: error of the newest pose, dropped scans, age of an answer (95 %)"
+    head = "device: error of the newest pose, dropped and late scans, age (95 %)"
     for line in format_rows(head, _make_rows(content), table_width(out), cost=""):
         out.print(line)
     words = shlex.join(["evalkit", "tune", content["backend"], "--on", content["sequence"]])
@@ -146,17 +181,18 @@ def _print(content: dict[str, Any]) -> None:
 
 
 def _make_rows(content: dict[str, Any]) -> list[RankedRow]:
-    """Return a row for each device; neighbours that answer the same scans equally well are one."""
+    """Return a row for each device; neighbours that answer the same scans equally well and as punctually are one."""
     from evalkit.terminal.ranked_table import RankedRow  # noqa: PLC0415 - as above
 
-    rows: dict[tuple[int, bool], RankedRow] = {}
+    rows: dict[tuple[int, bool, bool], RankedRow] = {}
     for device in content["devices"]:
-        same = (device["answered"], device["broken"])
+        same = (device["answered"], device["broken"], device["late"] > 0.0)
+        late = f", {100 * device['late']:.1f} % late" if device["late"] else ""
         error = device["at_hand"]["ate_rmse_m"]
         name = f"{device['factor']:g} x slower" if device["factor"] else "no drops"
         rows[same] = RankedRow(
             f"up to {name}" if same in rows else name,
-            "lost" if error is None else f"{1000.0 * error:.0f} mm", f"{100 * device['dropped']:.1f} % dropped",
+            "lost" if error is None else f"{1000.0 * error:.0f} mm", f"{100 * device['dropped']:.1f} % dropped{late}",
             f"{device['age_ms'][1]:.3g} ms", f"broken {device['lost']}".strip() if device["broken"] else "",
             error or 0.0,
         )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, TypedDict
@@ -18,6 +19,7 @@ from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.execution.one_run import WARM_UP_SCANS
+from evalkit.execution.usage import read_waited_ns
 from evalkit.metrics.metric import Evidence
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.odometry import frontend
@@ -79,11 +81,16 @@ class LoadedSequence:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCosts:
-    """The measured costs of a back end. ``work`` (N,): iterations times points; ``linear``: the cost fitted to it."""
+    """The measured costs of a back end. ``work`` (N,): iterations times points; ``linear``: the cost fitted to it.
+
+    ``waits_ns`` (N,): wall time of each scan beyond its CPU time, the smallest over the repetitions; without the time
+    in which this process was ready to run and got no core.
+    """
 
     profile: CostProfile
     work: Ints
     linear: LinearCost | None
+    waits_ns: Ints
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,20 +123,20 @@ def measure_costs(method: ProfiledMethod, frames: Sequence[Frame], repetitions: 
     was measured.
     """
     _run(method, frames[:WARM_UP_SCANS])
-    full, work = _measure_repeatedly(method, frames, repetitions)
+    full, work, waits = _measure_repeatedly(method, frames, repetitions)
     growth = [1.0]
     unseen_work: list[Ints] = []
     unseen_ns: list[Ints] = []
     gaps = [gap for gap in GAPS if len(frames) // gap >= WARM_UP_SCANS]
     for gap in gaps[1:]:
-        gap_costs, gap_work = _measure_repeatedly(method, frames[::gap], 1)
+        gap_costs, gap_work, _ = _measure_repeatedly(method, frames[::gap], 1)
         growth.append(float(gap_costs[1:].sum() / full[::gap][1:].sum()))
         unseen_work.append(gap_work[1:])
         unseen_ns.append(gap_costs[1:])
     linear = virtual_clock.fit_linear_cost(
         work[1:], full[1:], np.concatenate([[], *unseen_work]), np.concatenate([[], *unseen_ns])
     )
-    return MeasuredCosts(CostProfile(full, np.array(gaps), np.array(growth)), work, linear)
+    return MeasuredCosts(CostProfile(full, np.array(gaps), np.array(growth)), work, linear, waits)
 
 
 def simulate_devices(
@@ -150,16 +157,21 @@ def simulate_devices(
 class RealtimeResult(TypedDict):
     """The measured costs and the simulated devices of one back end on one sequence.
 
-    ``costs_ns`` and ``work`` (N,) of every scan; ``linear``: None if the back end does not report iterations;
-    ``devices``: ``SimulatedDevice`` as dictionaries, policy by policy, in increasing order of the factor from 0 on.
+    ``costs_ns``, ``work`` and ``waits_ns`` (N,) of every scan, see ``MeasuredCosts``; ``headroom`` is limited by the
+    scan with the number ``slowest_scan``, the next one is complete ``slowest_period_ns`` after it; ``linear``: None if
+    the back end does not report iterations; ``devices``: ``SimulatedDevice`` as dictionaries, policy by policy, in
+    increasing order of the factor from 0 on.
     """
 
     costs_ns: Ints
     work: Ints
+    waits_ns: Ints
     gaps: Ints
     growth: Floats
     period_ns: float
     headroom: float
+    slowest_scan: int
+    slowest_period_ns: float
     linear: dict[str, Any] | None
     devices: list[dict[str, Any]]
 
@@ -184,6 +196,7 @@ def simulate_realtime(
     opened = spec.make(**resolve_parameters(dataset, spec.parameters, dataset_parameters))
     sequence = LoadedSequence(tuple(opened.frames()), opened.truth(), bridged)
     costs = measure_costs(method, sequence.frames, repetitions)
+    headroom, slowest, period_ns = virtual_clock.compute_headroom(sequence.arrivals_ns, costs.profile)
     devices = [
         asdict(device)
         for policy in policies
@@ -192,45 +205,53 @@ def simulate_realtime(
     return {
         "costs_ns": costs.profile.scans_ns,
         "work": costs.work,
+        "waits_ns": costs.waits_ns,
         "gaps": costs.profile.gaps,
         "growth": costs.profile.growth,
         "period_ns": float(np.median(np.diff(sequence.arrivals_ns))),
-        "headroom": virtual_clock.compute_headroom(sequence.arrivals_ns, costs.profile),
+        "headroom": headroom,
+        "slowest_scan": slowest + 1,
+        "slowest_period_ns": period_ns,
         "linear": None if costs.linear is None else asdict(costs.linear),
         "devices": devices,
     }
 
 
-def _measure_repeatedly(method: ProfiledMethod, frames: Sequence[Frame], repetitions: int) -> tuple[Ints, Ints]:
-    """Cost in ns, median over repetitions, and work (N,) of every scan."""
+def _measure_repeatedly(method: ProfiledMethod, frames: Sequence[Frame], repetitions: int) -> tuple[Ints, Ints, Ints]:
+    """Cost in ns, median over repetitions, work, and wait in ns, least over repetitions, (N,) of every scan."""
     runs = [_run(method, frames) for _ in range(repetitions)]
     costs = np.median([run.costs_ns for run in runs], axis=0)
     if not (costs > 0).all():
         scan = int(np.argmin(costs > 0))
         raise BackendFailed(method.name, f"no time was measured for scan {scan + 1}", "measure where it runs")
-    return costs.astype(np.int64), runs[0].work
+    return costs.astype(np.int64), runs[0].work, np.min([run.waits_ns for run in runs], axis=0)
 
 
 @dataclass(frozen=True, eq=False)
 class _OdometryRun:
-    """Answers (K, 3) to K scans, nan if there is none, with cost and work (K,); ``failure``: why it failed, or ""."""
+    """Answers (K, 3) to K scans, nan if there is none, with cost, work and wait (K,); ``failure``: why it failed."""
 
     answers: Floats
     costs_ns: Ints
     work: Ints
+    waits_ns: Ints
     failure: str = ""
 
 
 def _run(method: ProfiledMethod, frames: Sequence[Frame]) -> _OdometryRun:
     answers, costs = np.full((len(frames), 3), np.nan), np.zeros(len(frames), dtype=np.int64)
-    work = np.zeros(len(frames), dtype=np.int64)
+    work, waits = np.zeros((2, len(frames)), dtype=np.int64)
+    without_core_ns = read_waited_ns(os.getpid()) or 0
     for index, step in enumerate(run_odometry(method.make_odometry(), frames)):
         costs[index] = step.timing.cpu_ns or step.timing.device_ns
+        before_ns, without_core_ns = without_core_ns, read_waited_ns(os.getpid()) or 0
+        if step.timing.cpu_ns:  # else computed on a device, which reports its own time
+            waits[index] = max(step.timing.wall_ns - step.timing.cpu_ns - (without_core_ns - before_ns), 0)
         if step.estimate is not None:
             iterations = sum(stage.iterations for stage in step.estimate.stages.values())
             work[index] = iterations * int(step.frame.scan.hits.sum())
             answers[index] = step.estimate.pose.row
-    return _OdometryRun(answers, costs, work)
+    return _OdometryRun(answers, costs, work, waits)
 
 
 def _run_or_fail(method: ProfiledMethod, frames: Sequence[Frame]) -> _OdometryRun:
@@ -239,7 +260,7 @@ def _run_or_fail(method: ProfiledMethod, frames: Sequence[Frame]) -> _OdometryRu
         return _run(method, frames)
     except Exception as error:  # noqa: BLE001 - any exception of a third party's code is a result to report
         none = np.zeros(0, dtype=np.int64)
-        return _OdometryRun(np.zeros((0, 3)), none, none, f"{type(error).__name__}: {error}")
+        return _OdometryRun(np.zeros((0, 3)), none, none, none, f"{type(error).__name__}: {error}")
 
 
 def _evaluate(

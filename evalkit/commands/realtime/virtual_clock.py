@@ -193,10 +193,15 @@ class BreakingRule:
         )
 
 
-def compute_headroom(arrivals_ns: ArrayLike, profile: CostProfile) -> float:
-    """Compute the largest device factor at which every scan is answered before the next one is complete."""
+def compute_headroom(arrivals_ns: ArrayLike, profile: CostProfile) -> tuple[float, int, float]:
+    """Compute the largest device factor at which every scan is answered before the next one is complete.
+
+    Returns it with the index of the scan that limits it and the time in ns until the next one is complete.
+    """
     periods = np.diff(np.asarray(arrivals_ns, dtype=np.int64))
-    return float((np.append(periods, np.median(periods)) / profile.scans_ns).min())
+    periods = np.append(periods, np.median(periods))
+    slowest = int(np.argmin(periods / profile.scans_ns))
+    return float(periods[slowest] / profile.scans_ns[slowest]), slowest, float(periods[slowest])
 
 
 def find_breaking_factor(factors: Sequence[float], broken: Sequence[bool]) -> float | None:

@@ -168,7 +168,10 @@ def validate(
     display = run.ProgressDisplay(lambda total, count: progress.show_tasks(err, total, count), _show_runs)
     execution = _Execution(out_folder, jobs or environment.physical_cores(), display)
     if group == "rules" and _subject(name) == "back end":
-        report = run.report_rules(name, request.given, tuple(rule or ()), limit, request.seed, excepted)
+        report = run.report_rules(
+            name, request.given, tuple(rule or ()), limit, request.seed, excepted,
+            lambda rule: err.print(f"rule {rule} takes longer than usual: are some calls slow?"),
+        )  # fmt: skip
     elif group == "determinism" and (not name or _subject(name) == "back end"):
         report = run.report_determinism(names, request.given, request.on, threads, repetitions, _announce)
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -23,6 +24,13 @@ UNNAMED = ("different steps from", "different poses", "not both report their", "
 TRACE_ALONE = "the pose is equal, but not trace"
 """Of a first difference that says where it shows, not what it is."""
 
+STATE_CAUSES = {
+    "fresh": "a new object depends on earlier ones: memory outside the object, such as a static variable",
+    "deterministic": "a new object answers otherwise: memory outside the object or not initialised, or random numbers",
+    "stateless": "an answer depends on earlier questions: memory that a call leaves to the next one",
+}
+"""Rules whose breach alone may break many others, the plainest first, and what their breach means."""
+
 CROWDED = ("edges", "points", "sizes")
 """Families of drawn questions of points that have several others near, at the scale of a room."""
 
@@ -34,16 +42,24 @@ def rules_level(
 ) -> AcceptanceLevel:
     """Level 0 from the results of all rules; ``waivers``: reasons by the name of a rule that may be broken.
 
-    Where one exception ends several rules, only the first one is broken by it; the others were not judged.
+    Where one exception ends several rules, only the first one is broken by it; the others were not judged. A broken
+    rule that may cause the others (``STATE_CAUSES``) comes first.
     """
+    results = sorted(results, key=lambda one: not _is_state_cause(one, results))
     waived = {one.rule for one in results if one.outcome == "failed" and one.rule in (waivers or {})}
     broken = [one for one in results if one.outcome == "failed" and one.rule not in waived]
     applicable = sum(one.outcome != "not applicable" for one in results)
     causes: dict[str, list[str]] = {}
     for one in broken:
         causes.setdefault(one.observed if one.raised else one.rule, []).append(one.rule)
-    names = f": {', '.join(first for first, *_ in causes.values())}" if broken else ""
-    summary = f"{len(causes)} of {applicable} rules broken{names}" + (f", {len(waived)} waived" if waived else "")
+    names = [first for first, *_ in causes.values()]
+    summary = f"{len(causes)} of {applicable} rules broken" + (f": {', '.join(names)}" if names else "")
+    if len(names) > 1 and names[0] in STATE_CAUSES:
+        summary = f"{len(causes)} of {applicable} rules broken: {names[0]} ({STATE_CAUSES[names[0]]})"
+        summary += f", and perhaps by the same cause: {', '.join(names[1:])}"
+    summary += f", {len(waived)} waived" if waived else ""
+    kept = Counter(one.observed for one in results if one.outcome == "not judged")
+    summary += "".join(f"; {count} not judged: {reason}" for reason, count in kept.items())
     unjudged = {rule: first for first, *others in causes.values() for rule in others}
     for first, *others in causes.values():
         summary += f"; not judged, as the exception of {first} ends them: {', '.join(others)}" if others else ""
@@ -59,6 +75,12 @@ def rules_level(
             checks.append(Check(name, "", one.outcome, "never", one.observed, detail=one.sentence))
     question = f"Does the {subject} follow the rules of every {subject}: units, frames, state, resources, ranges?"
     return waive(AcceptanceLevel(0, "rules", question, tuple(checks)), waivers or {})
+
+
+def _is_state_cause(result: RuleResult, results: Sequence[RuleResult]) -> bool:
+    """Whether a rule is the first broken one of ``STATE_CAUSES``."""
+    broken = {one.rule for one in results if one.outcome == "failed" and not one.raised}
+    return result.rule == next((name for name in STATE_CAUSES if name in broken), None)
 
 
 def waive(level: AcceptanceLevel, waivers: Mapping[str, str]) -> AcceptanceLevel:
@@ -288,11 +310,10 @@ def _field_checks(results: ResultsByPlace, terms: ComparisonTerms) -> list[Check
         for where, one in {place: comparison, **comparison.get("families", {})}.items():
             for name, count in one["fields"].items():
                 if name != "pose":
-                    example = f", first {one['examples'][name]}" if "examples" in one else ""
-                    counts.setdefault(name, []).append(f"{where}: {count}{example}")
+                    counts.setdefault(name, []).append(f"{where}: {count} of {_describe_first_field(one, name)}")
     checks = [
-        Check(f"field {name}", "", "failed", "equal", f"{name} differs from {terms.reference} where the pose is equal: "
-              f"{'; '.join(places)}")
+        Check(f"field {name}", "", "failed", "equal", f"{name} differs from {terms.reference} where the pose is equal"
+              f"{_excuse_field(name, terms)}: {'; '.join(places)}")
         for name, places in counts.items()
     ]  # fmt: skip
     if checks or not equal + excused:
@@ -302,6 +323,25 @@ def _field_checks(results: ResultsByPlace, terms: ComparisonTerms) -> list[Check
     if excused:
         observed += f"; in {excused} more one of them differs, where rounding decides it"
     return [Check("fields", "", "passed", "equal", observed)]
+
+
+def _describe_first_field(comparison: Mapping[str, Any], name: str) -> str:
+    """The number of answers that were compared, and the first one in which a field differs, with both values."""
+    if "examples" in comparison:
+        return f"{comparison['compared']} answers, first {comparison['examples'][name]}"
+    first = comparison["first_fields"][name]
+    place = f"scan {first['scan']} ({format_stage(first['stage'])})"
+    return f"{comparison['questions']} answers, first {place}: {first['what']}"
+
+
+def _excuse_field(name: str, terms: ComparisonTerms) -> str:
+    """That single precision may be the cause of a field that differs, "" under another margin."""
+    if terms.margin != FLOAT32:
+        return ""
+    return (
+        " within single-precision rounding, which may decide this field too "
+        f"(if so, --except '{name}=single precision')"
+    )
 
 
 def _repetition_checks(results: ResultsByPlace) -> list[Check]:

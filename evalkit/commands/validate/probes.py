@@ -11,7 +11,7 @@ import numpy as np
 from evalkit.commands.validate import scan_pairs
 from evalkit.commands.validate.equivalence import comparison, lockstep
 from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING, MarginChoice
-from evalkit.commands.validate.equivalence.divergence import first_divergence, wrong_fields
+from evalkit.commands.validate.equivalence.divergence import describe_field, first_divergence, wrong_fields
 from evalkit.commands.validate.equivalence.lockstep import DISTURBED, AnswerPair, ComparedBackend
 from evalkit.commands.validate.equivalence.margins import (
     FLOAT32_ROUNDOFF,
@@ -255,7 +255,7 @@ def _compare(
     """The comparison under every margin; ``beyond_rounding``: answers beyond it for another reason than rounding.
 
     ``apart``: all beyond it; ``excepted``: those that rounding decides. ``equal_fields``, ``excused_fields``: see
-    ``comparison.count_equal_fields``.
+    ``comparison.count_equal_fields``; ``first_fields``: see ``_find_first``.
 
     ``reference_of``: the reference of a stage, which is asked again with perturbed points where an answer differs under
     the float32 margin: what rounding decides is no difference.
@@ -265,12 +265,12 @@ def _compare(
         choice = parse_margin(name)
         result = comparison.compare_answers(sides, label, answered, choice)
         beyond = [one for one in answered if _beyond_rounding(one, result.margin)]
-        fields = result.fields
+        fields, compared = result.fields, answered
         if choice == FLOAT32 and (beyond or fields):
             undecided = _find_undecided(answered, beyond, result.margin, reference_of)
             beyond = [one for one in beyond if id(one) not in undecided]
-            decided = [(one, result.margin) for one in answered if id(one) not in undecided]
-            fields = comparison.count_fields(decided, choice)
+            compared = [one for one in answered if id(one) not in undecided]
+            fields = comparison.count_fields([(one, result.margin) for one in compared], choice)
         apart = [one for one in answered if one.b is not None
                  and not result.margin.holds(one.a.target_from_source, one.b.target_from_source)]  # fmt: skip
         excepted = sum(one not in beyond for one in apart)
@@ -278,8 +278,18 @@ def _compare(
         results[name] = result.as_json() | {
             "beyond_rounding": len(beyond), "apart": len(apart), "excepted": excepted, "fields": dict(fields),
             "equal_fields": equal_fields, "excused_fields": excused_fields,
+            "first_fields": {field: _find_first(field, compared, result.margin) for field in fields if field != "pose"},
         }  # fmt: skip
     return results
+
+
+def _find_first(field: str, answered: list[AnswerPair], margin: Margin) -> dict[str, Any]:
+    """Scan and stage of the first answer in which a field differs where the pose does not, and both values in words."""
+    for one in answered:
+        if one.b is not None and field in wrong_fields(one.a, one.b, margin):
+            what = describe_field(field, one.a, one.b, margin)
+            return {"scan": one.question.scan, "stage": one.question.stage, "what": what}
+    raise ValueError(f"{field}: differs in no answer")
 
 
 def _find_undecided(

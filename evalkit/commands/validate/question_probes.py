@@ -21,7 +21,12 @@ from evalkit.commands.validate.equivalence.comparison import (
     count_fields,
 )
 from evalkit.commands.validate.equivalence.diagnosis import mistakes_in_start
-from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence, wrong_fields
+from evalkit.commands.validate.equivalence.divergence import (
+    Divergence,
+    describe_field,
+    first_divergence,
+    wrong_fields,
+)
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, Question
 from evalkit.commands.validate.equivalence.margins import GeometryScale, Margin, float32_margin, float64_margin
 from evalkit.commands.validate.equivalence.questions import MAX_FLOAT32_REACH_M, DrawnQuestion, draw_questions
@@ -224,15 +229,16 @@ def _summarise_family(
     fields = count_fields([(one.answers, known) for one, known in plain], margin)
     alike = count_equal_fields([(one.answers, known) for one, known in members if not one.others], fields)
     examples = {
-        name: one.drawn.what for one, known in reversed(plain) if one.answers.b is not None
-        for name in wrong_fields(one.answers.a, one.answers.b, known)
+        name: f"{one.drawn.what}: {describe_field(name, one.answers.a, one.answers.b, known)}"
+        for one, known in reversed(plain) if one.answers.b is not None
+        for name in wrong_fields(one.answers.a, one.answers.b, known) if name != "pose"
     }  # fmt: skip
     missing, margin_of = sum(one.answers.b is None for one, _ in members), dict(members)
     first = next(iter(wrong.items()), None)
     values = {
         "asked": len(members), "wrong": len(wrong), "unanswered": missing, "fields": fields,
         "apart": len(members) - missing - sum(_holds(*each) for each in members),
-        "examples": {name: examples[name] for name in fields},
+        "compared": len(plain), "examples": {name: examples[name] for name in fields if name != "pose"},
         **_describe_differences([each for each in members if each[0] not in wrong]),
         "recounted": sum(_is_recounted(*each) for each in wrong.items()),
         "counted": all(_is_counted(one.answers) for one in wrong),

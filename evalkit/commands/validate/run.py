@@ -155,14 +155,15 @@ class ValidationRun:
 
 def report_rules(
     backend: str, given: Mapping[str, str], rules: Sequence[str], limit_s: float, seed: int = 0,
-    waivers: Mapping[str, str] | None = None,
+    waivers: Mapping[str, str] | None = None, report_slow: Callable[[str], None] = lambda _: None,
 ) -> AcceptanceReport:  # fmt: skip
     """Level 0 of a back end alone; ``rules``: names of the rules to check, () for all; ``limit_s``: time of one rule.
 
+    ``report_slow``: as for ``runner.check``.
     Raises UnknownName, BadParameter, NotInstalled or BackendFailed before anything runs.
     """
     values = from_text(backend, backend_at(backend).parameters, given)
-    checked = runner.check(backend, values, limit_s=limit_s, only=rules, seed=seed)
+    checked = runner.check(backend, values, limit_s=limit_s, only=rules, seed=seed, report_slow=report_slow)
     level = level_answers.rules_level(checked.results, waivers=waivers)
     alone = _report_alone(checked.label, level, {"backend": values, "seed": seed})
     return replace(alone, waivers=waivers or {}, binaries=describe_binaries(backend))

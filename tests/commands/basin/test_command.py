@@ -2,6 +2,7 @@
 
 import json
 import os
+from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
@@ -71,3 +72,12 @@ def test_a_data_set_with_the_name_of_a_scene_is_rejected(tmp_path, monkeypatch):
     found = CliRunner().invoke(app, ["basin", "paper", "--scene", "corner", "--on", "corner", "-o", str(tmp_path)])
     assert found.exit_code == 2
     assert "a scene has the same name" in " ".join(found.output.split())
+
+
+def test_names_stay_whole_and_the_column_of_remarks_is_shown_only_where_there_is_one():
+    row = SimpleNamespace(backend="mine", scene="room", basin=None, reason="no answer")
+    assert str(command._table(SimpleNamespace(rows=[row])).columns[-1].header) == "remark"
+    assert [column.no_wrap for column in command._table(SimpleNamespace(rows=[row])).columns[:3]] == [True, True, False]
+    row.reason, row.backend = "", "exec:./a_long_program --with words"
+    assert not command._table(SimpleNamespace(rows=[row])).columns[0].no_wrap
+    assert str(command._table(SimpleNamespace(rows=[row])).columns[-1].header) == "A95 [m]"

@@ -2,10 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
 
+from evalkit.commands.realtime import command
 from evalkit.commands.realtime.command import realtime
 from evalkit.core.errors import BadParameter, UnknownName
 
@@ -33,6 +35,38 @@ def test_it_prints_the_devices_and_stores_the_measured_costs(tmp_path):
     assert max(map(len, rows)) <= 80
     assert "100" not in rows[0]
     assert rows[1].rstrip().endswith("broken fewer than two answers") or "% dropped" in rows[1]
+
+
+def result_of(costs_ms, late=(0.0, 0.0), waits_ms=(0.0, 0.0, 0.0)):
+    """A result of three scans, 100 ms apart, on a device without cost and one as fast as this machine."""
+    at_hand = {"at_hand": {"ate_rmse_m": 0.01}, "age_ms": (1.0, 2.0), "lost": "", "answered": 3, "dropped": 0.0}
+    slowest = int(np.argmax(costs_ms))
+    return {
+        "costs_ns": np.array(costs_ms) * 1e6, "waits_ns": np.array(waits_ms) * 1e6, "gaps": np.array([1]),
+        "growth": np.array([1.0]), "period_ns": 1e8, "headroom": 100.0 / costs_ms[slowest],
+        "slowest_scan": slowest + 1, "slowest_period_ns": 1e8, "linear": None,
+        "devices": [at_hand | {"factor": float(factor), "late": late[factor]} for factor in (0, 1)],
+    }  # fmt: skip
+
+
+def show(result, capsys):
+    command._print(command._as_json("mine", "room", result))
+    return " ".join(capsys.readouterr().out.split())
+
+
+def test_a_wait_far_above_the_cpu_time_is_named_with_its_scan(capsys):
+    shown = show(result_of([10.0, 6.0, 8.0], waits_ms=[1.0, 400.0, 50.0]), capsys)
+    assert "by its CPU time, a device up to 10 times slower answers every scan in time" in shown
+    assert "scan 2 waited 400 ms besides its CPU time (for a timer, a file, a device); so did 1 more." in shown
+    assert "waited" not in show(result_of([10.0, 6.0, 8.0], waits_ms=[9.0, 11.0, 3.0]), capsys)
+
+
+def test_a_machine_that_is_too_slow_is_not_called_up_to_one_times_slower(capsys):
+    shown = show(result_of([80.0, 112.5, 90.0], late=(0.0, 1 / 3)), capsys)
+    assert "even this machine is too slow for the slowest scan: scan 2 took 112 ms of CPU time" in shown
+    assert "up to" not in shown
+    assert "0.0 % dropped, 33.3 % late" in shown
+    assert "up to 1 x slower" in show(result_of([80.0, 90.0, 70.0]), capsys)
 
 
 @pytest.mark.parametrize(

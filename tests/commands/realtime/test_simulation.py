@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from evalkit.commands.realtime import simulation
 from evalkit.commands.realtime.simulation import (
     LoadedSequence,
     MeasuredCosts,
@@ -29,12 +30,13 @@ def sequence():
 
 @pytest.fixture
 def make_profile(monkeypatch):
-    """Calls take the costs of the list, repeated in turn."""
+    """Calls take the costs of the list, or wall and CPU time, repeated in turn."""
     costs = []
 
     def make_timed(call):
         costs.append(costs.pop(0))
-        return call(), CallTiming(costs[-1], costs[-1])
+        wall, cpu = costs[-1] if isinstance(costs[-1], tuple) else (costs[-1], costs[-1])
+        return call(), CallTiming(wall, cpu)
 
     monkeypatch.setattr(run_odometry, "timed", make_timed)
     return costs
@@ -43,7 +45,7 @@ def make_profile(monkeypatch):
 def even(sequence, cost_ns):
     count = len(sequence.frames)
     result = CostProfile(np.full(count, int(cost_ns)), np.array([1]), np.array([1.0]))
-    return MeasuredCosts(result, np.zeros(count, dtype=np.int64), None)
+    return MeasuredCosts(result, np.zeros(count, dtype=np.int64), None, np.zeros(count, dtype=np.int64))
 
 
 def test_a_cost_of_half_a_period_drops_no_scan_and_of_two_and_a_half_periods_three_in_five(sequence):
@@ -80,6 +82,23 @@ def test_a_profile_is_the_median_of_its_repetitions(sequence, make_profile):
     make_profile.extend([999] * 5 + [10, 20, 30, 40, 50, 60] + [10, 20, 90, 40, 55, 60] + [70, 20, 30, 10, 51, 60])
     result = measure_costs(ProfiledMethod.load("wheel-odometry", {}), sequence.frames[:6], repetitions=3)
     assert result.profile.scans_ns.tolist() == [10, 20, 30, 40, 51, 60]
+
+
+def test_a_scan_that_waits_in_every_repetition_has_a_wait(sequence, make_profile, monkeypatch):
+    monkeypatch.setattr(simulation, "read_waited_ns", lambda _: 0)
+    make_profile.extend([(9, 9)] * 5 + [(10, 10), (410, 10), (10, 10), (99, 10), (10, 10), (10, 10)])
+    make_profile.extend([(10, 10), (460, 10), (30, 10), (10, 10), (10, 10), (10, 10)])
+    result = measure_costs(ProfiledMethod.load("wheel-odometry", {}), sequence.frames[:6], repetitions=2)
+    assert result.profile.scans_ns.tolist() == [10] * 6
+    assert result.waits_ns.tolist() == [0, 400, 0, 0, 0, 0]  # the busy machine delays others in one repetition only
+
+
+def test_time_without_a_core_is_no_wait(sequence, make_profile, monkeypatch):
+    without_core_ns = iter(range(0, 10_000, 50))
+    monkeypatch.setattr(simulation, "read_waited_ns", lambda _: next(without_core_ns))
+    make_profile.extend([(9, 9)] * 5 + [(60, 10)] * 6)
+    result = measure_costs(ProfiledMethod.load("wheel-odometry", {}), sequence.frames[:6], repetitions=1)
+    assert result.waits_ns.tolist() == [0] * 6
 
 
 def test_the_warm_up_is_not_counted_and_gaps_are_compared_with_the_same_scans(sequence, make_profile):

@@ -97,7 +97,7 @@ def test_the_growth_is_interpolated_between_gaps_and_constant_beyond():
 
 def test_the_headroom_is_set_by_the_slowest_scan():
     profile = CostProfile(np.array([10, 40, 20]), np.array([1]), np.array([1.0]))
-    assert compute_headroom(arrivals(3), profile) == 2.5
+    assert compute_headroom(arrivals(3), profile) == (2.5, 1, 100.0)
     assert not compute_schedule(arrivals(3), profile.slow_down(2.5)).late.any()
     assert compute_schedule(arrivals(3), profile.slow_down(2.6)).late.any()
 

@@ -170,6 +170,28 @@ def test_one_exception_that_ends_several_rules_is_said_once_and_breaks_the_first
     assert rules_level(results, waivers=everything).outcome("equal") == "passed"
 
 
+def test_rules_that_were_not_asked_are_not_judged_and_counted():
+    reason = "its process had ended 3 times"
+    results = [RuleResult("order", "It holds.", "failed", "the process was terminated by SIGABRT")]
+    results += [RuleResult(name, "It holds.", "not judged", reason) for name in ("wall", "large")]
+    level = rules_level(results)
+    assert level.checks[0].observed == f"1 of 3 rules broken: order; 2 not judged: {reason}"
+    assert [one.outcome for one in level.checks] == ["failed", "failed", "not judged", "not judged"]
+
+
+def test_a_state_that_may_break_other_rules_comes_first():
+    def broken(name):
+        return RuleResult(name, "It holds.", "failed", "it does not")
+
+    level = rules_level([broken("first"), broken("deterministic"), broken("fresh")])
+    assert level.checks[0].observed == (
+        "3 of 3 rules broken: fresh (a new object depends on earlier ones: memory outside the object, such as a static "
+        "variable), and perhaps by the same cause: first, deterministic"
+    )
+    assert [one.name for one in level.checks[1:]] == ["rule fresh", "rule first", "rule deterministic"]
+    assert rules_level([broken("fresh")]).checks[0].observed == "1 of 1 rules broken: fresh"
+
+
 def test_a_loss_is_worse_only_where_its_interval_lies_beyond_the_margin():
     assert judge_gap(0.1, 0.0, 0.2, 0.3, 50)[0] == "passed"
     assert judge_gap(0.6, 0.4, 0.8, 0.3, 50)[0] == "failed"

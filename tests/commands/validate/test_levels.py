@@ -395,6 +395,20 @@ def test_how_many_fields_are_equal_is_said_and_how_many_rounding_excuses():
     assert level_answers._field_checks({"room": {"float32": comparison | {"equal_fields": 0}}}, SINGLE) == []
 
 
+def test_a_field_that_differs_is_named_with_its_first_answer_and_both_values():
+    first = {"iterations": {"scan": 2, "stage": "s2m", "what": "2, expected 1"}}
+    comparison = {"fields": {"pose": 3, "iterations": 22}, "first_fields": first, "questions": 132}
+    (found,) = level_answers._field_checks({"room": {"exact": comparison}}, TERMS)
+    assert found.observed == (
+        "iterations differs from paper where the pose is equal: room: 22 of 132 answers, first scan 2 (scan to map): "
+        "2, expected 1"
+    )
+    (found,) = level_answers._field_checks({"room": {"float32": comparison}}, SINGLE)
+    assert (
+        "single-precision rounding, which may decide this field too (if so, --except 'iterations=sin" in found.observed
+    )
+
+
 def make_poses_comparison(worst_m, worst_rad):
     """Two odometries whose mean difference lies within 1e-9 m and rad, with their largest differences."""
     pairs = (("m", worst_m), ("rad", worst_rad))

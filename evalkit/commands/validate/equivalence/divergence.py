@@ -73,7 +73,7 @@ def first_divergence(answered: AnswerPair, margin: Margin, explain: bool = True)
     stops = {"iterations", "trace length"} if bool(a.history) == bool(b.history) else {"iterations"}
     explained = ({"pose"}, stops, {"error", "trace error"})  # by the first iteration that differs
     if wrong and not any(each <= set(wrong) for each in explained):
-        what = f"the pose is equal, but not {', '.join(wrong)}: {_format_field(wrong[0], a, b)}"
+        what = f"the pose is equal, but not {', '.join(wrong)}: {describe_field(wrong[0], a, b, margin)}"
         return Divergence(question.scan, question.stage, None, "answer", "field", what)
     comparison = _AnswerComparison(answered, b, margin, explain)
     return comparison.in_iterations() or comparison.at_the_end()
@@ -102,10 +102,26 @@ def wrong_fields(a: Match, b: Match, margin: Margin) -> list[str]:
     return wrong
 
 
-def _format_field(name: str, a: Match, b: Match) -> str:
-    if name.startswith("trace"):
-        return f"{len(a.history)} entries against {len(b.history)}" if name == "trace length" else "in an iteration"
-    return f"{name} {getattr(a, name)} against {getattr(b, name)}"
+def describe_field(name: str, a: Match, b: Match, margin: Margin) -> str:
+    """A field of ``wrong_fields`` in words: what ``b`` has where ``a``, the reference, has another value."""
+    if name == "trace length":
+        return f"{len(b.history)} entries, expected {len(a.history)}"
+    if not name.startswith("trace "):
+        return f"{_format_value(getattr(b, name))}, expected {_format_value(getattr(a, name))}"
+    field = name.removeprefix("trace ")
+    for number, (one, other) in enumerate(zip(a.history, b.history, strict=False), start=1):
+        if field == "pose" and not margin.holds(one.target_from_source, other.target_from_source):
+            away = one.target_from_source.inverse() @ other.target_from_source
+            return f"iteration {number}: {math.hypot(away.x, away.y):.2g} m and {abs(away.theta):.2g} rad apart"
+        if field == "inliers" and one.inliers != other.inliers:
+            return f"iteration {number}: {other.inliers}, expected {one.inliers}"
+        if field == "error" and not _close(one.error, other.error, margin.metres):
+            return f"iteration {number}: {_format_value(other.error)}, expected {_format_value(one.error)}"
+    return ""
+
+
+def _format_value(value: float) -> str:
+    return f"{value:.6g} m" if isinstance(value, float) else str(value)
 
 
 class _AnswerComparison:
@@ -233,7 +249,7 @@ class _AnswerComparison:
         names = [name for name in ("converged", "iterations") if getattr(a, name) != getattr(b, name)]
         if not (a.iterations and b.iterations and names):
             return None
-        what = f"the pose is equal, but not {', '.join(names)}: {_format_field(names[-1], a, b)}"
+        what = f"the pose is equal, but not {', '.join(names)}: {describe_field(names[-1], a, b, self._margin)}"
         return self._divergence(None, "answer", "field", what)
 
     def _mistaken_answer(self) -> Divergence | None:

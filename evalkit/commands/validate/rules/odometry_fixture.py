@@ -63,7 +63,8 @@ class OdometryFixture:
             stamps = iter(range(frame.scan.stamp_ns, 2**62, 100_000_000))
             return lambda: answer_row(odometry, replace(frame, scan=replace(frame.scan, stamp_ns=next(stamps))))
 
-        return resource_rules.measure(self.make, calls, self.watch, self.kept_bytes)
+        found = resource_rules.measure(self.make, calls, self.watch, self.kept_bytes)
+        return replace(found, question="scan of a standing robot")
 
     def run(self, frames: Iterable[Frame]) -> Floats:
         """The answers (N, 3) to the frames, nan if there is none."""

@@ -16,7 +16,7 @@ from evalkit.commands.validate.rules import resource_rules
 from evalkit.commands.validate.rules.process_state import StateWatch
 from evalkit.commands.validate.rules.range_rules import RANGE_RULES, validate_match
 from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, ResourceUse
-from evalkit.commands.validate.rules.rule import RuleBroken, is_refusal, rule_table
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, is_refusal, rule_table
 from evalkit.commands.validate.rules.scenes import (
     CloudPair,
     clear_pair,
@@ -289,6 +289,31 @@ def check_inliers(fixture: RegistrationFixture) -> str:
     return f"{match.inliers} of {count} points that all have a partner"
 
 
+def check_ends(fixture: RegistrationFixture) -> str:
+    """The first and the last point of a cloud count as the others do."""
+    pair, one = clear_pair(), fixture.make()
+    expected = match_bits(one.register(pair.target, pair.source, pair.guess))
+
+    def counts(name: str, index: int) -> bool:
+        points = getattr(pair, name).points.copy()
+        points[index] += 0.01
+        cloud = Cloud(points)
+        moved = replace(pair, source=cloud) if name == "source" else replace(pair, target=cloud)
+        return match_bits(one.register(moved.target, moved.source, moved.guess)) != expected
+
+    for name in ("source", "target"):  # a target point without its source point has no effect either
+        count = len(getattr(pair, name))
+        if not all(counts(name, index) for index in range(count // 10, count - 1, count // 10)):
+            raise RuleNotApplicable(f"not every point of the {name} decides its answer")
+        for index, which in ((0, "first"), (count - 1, "last")):
+            if not counts(name, index):
+                raise RuleBroken(
+                    f"the {which} of {count} {name} points, moved by 1 cm, changes nothing in the answer; others do: "
+                    "does a loop leave it out?"
+                )
+    return "moved by 1 cm, the first and the last point change the answer, as others do"
+
+
 def check_stateless(fixture: RegistrationFixture) -> str:
     """The answer does not depend on earlier questions."""
     a, b = noisy_pair(), clear_pair()
@@ -334,7 +359,7 @@ def _near(answer: Pose, wanted: Pose, tolerance_m: float, name: str) -> str:
 
 def _same(first: Match, other: Match, when: str) -> str:
     if match_bits(first) != match_bits(other):
-        before, after = format_pose(first.target_from_source), format_pose(other.target_from_source)
+        before, after = first.target_from_source.row.tolist(), other.target_from_source.row.tolist()
         off = distance_m(other.target_from_source, first.target_from_source)
         raise RuleBroken(f"the same question has another answer {when}: {after}, before {before}, {off:.1e} m apart")
     return f"the same to the bit {when}"
@@ -347,5 +372,5 @@ def _twice(cloud: Cloud) -> Cloud:
 RULES = rule_table(
     check_starts, check_identity, check_recovers, check_moves, check_metres, check_radians, check_direction,
     check_inverse, check_equivariance, check_order, check_duplicates, *RANGE_RULES, check_wall, check_converged,
-    check_inliers, check_stateless, check_deterministic, check_read_only, *RESOURCE_RULES, *STATE_RULES,
+    check_inliers, check_ends, check_stateless, check_deterministic, check_read_only, *RESOURCE_RULES, *STATE_RULES,
 )  # fmt: skip

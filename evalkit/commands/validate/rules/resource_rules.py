@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -59,8 +59,9 @@ class ResourceUse:
     """Growth over batches of ``size`` calls: heap (B + 1,) in bytes, and the CPU time (B,) of a call in ns.
 
     ``instances``: bytes that each instance leaves behind. ``before``, ``after``: the state of the process by name.
-    ``kept_bytes``: bytes from which steady growth per call is a leak.
-    ``filed``: bytes written to files; nan where this is not known, as for a program, which is asked over a pipe.
+    ``kept_bytes``: bytes from which steady growth per call is a leak. ``question``: what a call is asked.
+    ``slowest_ns``: elapsed time of the slowest call, 0 where it is not known. ``filed``: bytes written to files; nan
+    where this is not known, as for a program, which is asked over a pipe.
     """
 
     size: int
@@ -71,6 +72,8 @@ class ResourceUse:
     after: Mapping[str, str]
     kept_bytes: float = LEAK_BYTES
     filed: float = math.nan
+    question: str = "question"
+    slowest_ns: float = 0.0
 
 
 class _HeapInfo(ctypes.Structure):
@@ -125,14 +128,15 @@ def _measure(
     size = int(np.clip(budget_s / each_s, 40, CALLS)) // BATCHES
     with _counted_output() as output:
         work_ns = _quick(np.array([_cpu_ns(_work) for _ in range(100)]))
-        heap, taken = _run_batches(call, size, work_ns)
+        heap, taken, slowest_ns = _run_batches(call, size, work_ns)
     leaks = _leak_bytes(heap, size, kept_bytes) > 0.0
     if leaks or _is_slower(taken):  # caches fill: a fault shows a second time
-        heap, again = _run_batches(
-            call, 2 * size, work_ns
-        )  # twice as many: a table that doubles its size does so again
+        # twice as many: a table that doubles its size does so again
+        heap, again, slowest_again_ns = _run_batches(call, 2 * size, work_ns)
+        slowest_ns = max(slowest_ns, slowest_again_ns)
         taken, heap = np.concatenate([taken[:1], again]), heap[0] + 0.5 * (heap - heap[0])
-    return ResourceUse(size, heap, taken, instances, before, process_state(), kept_bytes, output.filed)
+    use = ResourceUse(size, heap, taken, instances, before, process_state(), kept_bytes, output.filed)
+    return replace(use, slowest_ns=slowest_ns)
 
 
 class _Output:
@@ -162,18 +166,19 @@ def _counted_output() -> Iterator[_Output]:
                 os.close(old)
 
 
-def _run_batches(call: Callable[[], object], size: int, work_ns: float) -> tuple[Floats, Floats]:
-    """The heap (B + 1,) before and after each batch of calls, and the CPU time (B,) of a call in ns.
+def _run_batches(call: Callable[[], object], size: int, work_ns: float) -> tuple[Floats, Floats, float]:
+    """The heap (B + 1,) before and after each batch, the CPU time (B,) of a call, the elapsed time of the slowest (ns).
 
     Calls alternate with work that is always the same, and their times are what they would be if it took ``work_ns``:
     a slow moment of the machine lengthens both.
     """
-    heap, taken = [_heap_bytes()], []
+    heap, taken, slowest_ns = [_heap_bytes()], [], 0.0
     for _ in range(BATCHES):
-        times_ns = np.array([(_cpu_ns(call), _cpu_ns(_work)) for _ in range(size)])
-        taken.append(_quick(times_ns[:, 0]) / _quick(times_ns[:, 1]) * work_ns)
+        times_ns = np.array([(*_times_ns(call), _cpu_ns(_work)) for _ in range(size)])
+        slowest_ns = max(slowest_ns, float(times_ns[:, 1].max()))
+        taken.append(_quick(times_ns[:, 0]) / _quick(times_ns[:, 2]) * work_ns)
         heap.append(_heap_bytes())
-    return np.array(heap), np.array(taken)
+    return np.array(heap), np.array(taken), slowest_ns
 
 
 def _work() -> int:
@@ -205,7 +210,10 @@ def check_memory(fixture: Endurance) -> str:
     found = fixture.endurance
     calls = found.size * BATCHES
     if leak := _leak_bytes(found.heap, found.size, found.kept_bytes):
-        raise RuleBroken(f"{calls} calls: {leak:.0f} bytes more per call, twice")
+        raise RuleBroken(
+            f"one object grows by {leak:.0f} bytes with each {found.question}, in {calls} calls and again in twice as "
+            "many: free what a call allocates, and bound what the object keeps"
+        )
     if found.instances >= LEAK_BYTES:
         raise RuleBroken(f"each instance leaves {found.instances:.0f} bytes behind when it is destroyed")
     if found.kept_bytes > LEAK_BYTES:
@@ -218,6 +226,7 @@ def check_slowdown(fixture: Endurance) -> str:
     found = fixture.endurance
     first, last = found.call_ns[0], found.call_ns[-1]
     observed = f"a call takes {1e-3 * first:.3g} us at first, {1e-3 * last:.3g} us after {found.size * BATCHES} calls"
+    observed += f"; the slowest took {1e-6 * found.slowest_ns:.3g} ms, waiting included" if found.slowest_ns else ""
     if _is_slower(found.call_ns):
         raise RuleBroken(f"{observed}: every call costs more than the one before")
     return observed
@@ -295,6 +304,13 @@ def _heap_bytes() -> float:
     count.restype = _HeapInfo
     info = count()
     return float(info.uordblks + info.hblkhd + children)
+
+
+def _times_ns(call: Callable[[], object]) -> tuple[int, int]:
+    """CPU time and elapsed time of a call."""
+    begun_ns = time.perf_counter_ns()
+    cpu_ns = _cpu_ns(call)
+    return cpu_ns, time.perf_counter_ns() - begun_ns
 
 
 def _cpu_ns(call: Callable[[], object]) -> int:

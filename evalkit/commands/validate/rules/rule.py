@@ -21,7 +21,8 @@ from evalkit.core.errors import (
 ProcessRule = Literal["alive", "in-time"]
 """The rules about a process as a whole."""
 
-RuleOutcome = Literal["passed", "failed", "not applicable"]
+RuleOutcome = Literal["passed", "failed", "not applicable", "not judged"]
+"""Of a rule. "not judged": it applies, but another broken rule kept it from being asked."""
 
 
 class RuleBroken(Exception):
@@ -30,6 +31,10 @@ class RuleBroken(Exception):
 
 class RuleNotApplicable(Exception):
     """The rule cannot be checked for this plug-in; the text is the reason."""
+
+
+class RuleNotJudged(RuleNotApplicable):
+    """Another broken rule keeps this one from being judged; the text says which one."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +80,9 @@ class RuleReport:
 
     def __str__(self) -> str:
         count = Counter(result.outcome for result in self.results)
-        other = count["not applicable"]
+        other, unjudged = count["not applicable"], count["not judged"]
         lines = [f"{self.label}: {count['passed']} rules passed, {other} not applicable, {count['failed']} broken"]
+        lines[0] += f", {unjudged} not judged" if unjudged else ""
         for result in self.broken:
             lines += [f"  {result.rule}: {result.sentence}", f"      {result.observed}"]
         return "\n".join(lines)
@@ -93,7 +99,8 @@ def check_rule(rule: Rule, fixture: object) -> RuleResult:
     except NotInstalled:
         raise
     except RuleNotApplicable as reason:
-        outcome, observed = "not applicable", str(reason)
+        outcome = "not judged" if isinstance(reason, RuleNotJudged) else "not applicable"
+        observed = str(reason)
     except RuleBroken as observation:
         outcome, observed, also_breaks = "failed", str(observation), _find_process_rule(observation.__cause__)
     except Exception as error:  # noqa: BLE001 - any exception of a third party's code is the observation

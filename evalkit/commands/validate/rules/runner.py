@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -46,6 +47,9 @@ PROCESS_RULES = {
 }
 """Rules about the process as a whole, after those of every kind."""
 
+SLOW_S = 10.0
+"""A rule that takes longer (s) is reported while it runs."""
+
 STARTS, NOT_STARTED = "starts", "it does not start"
 """The first rule of every kind; if it is broken, the others cannot be checked."""
 
@@ -68,11 +72,13 @@ def check(
     memory_mib: int = 2048,
     only: Sequence[str] = (),
     seed: int = 0,
+    report_slow: Callable[[str], None] = lambda _: None,
 ) -> RuleReport:
     """The results of all rules for a back end: a registered name, "module:SPEC", or a spec.
 
     ``limit_s``: wall clock limit of one rule (s), or of each call where a rule makes a few long ones; ``memory_mib``:
-    memory limit of the process; ``only``: names of the rules, () for all; ``seed``: of the drawn questions. Raises
+    memory limit of the process; ``only``: names of the rules, () for all; ``seed``: of the drawn questions;
+    ``report_slow``: called with the name of a rule that takes longer than ``SLOW_S``. Raises
     NotInstalled if the back end cannot run here, BackendFailed if it does not load or is a file of results,
     BadParameter or UnknownName for parameters and rules.
     """
@@ -98,7 +104,7 @@ def check(
     chosen = {name: rule for name, rule in rules.items() if name in only or not only}
     if address.module == "__main__" and not address.file:
         return RuleReport(address.label, _check_here(spec, complete, chosen, seed))
-    return RuleReport(address.label, _RuleRunner(request, chosen, limit_s, memory_mib).results())
+    return RuleReport(address.label, _RuleRunner(request, chosen, limit_s, memory_mib, report_slow).results())
 
 
 def _check_here(
@@ -122,8 +128,15 @@ def _check_rule(rule: Rule, fixture: object) -> RuleResult:
 class _RuleRunner:
     """Check all rules of one back end, with a new process after each early end, also of the program behind it."""
 
-    def __init__(self, request: Mapping[str, Any], rules: Mapping[str, Rule], limit_s: float, memory_mib: int) -> None:
-        self._request, self._rules = request, rules
+    def __init__(
+        self,
+        request: Mapping[str, Any],
+        rules: Mapping[str, Rule],
+        limit_s: float,
+        memory_mib: int,
+        report_slow: Callable[[str], None],
+    ) -> None:
+        self._request, self._rules, self._report_slow = request, rules, report_slow
         self._limit_s, self._memory_mib = limit_s, memory_mib
         self._results: dict[str, RuleResult] = {}
         self._crashes: list[str] = []
@@ -134,7 +147,7 @@ class _RuleRunner:
         while waiting := [name for name in self._rules if name not in self._results]:
             if reason := self._stop_reason():
                 for name in waiting:
-                    self._results[name] = RuleResult(name, self._rules[name].sentence, "not applicable", reason)
+                    self._results[name] = RuleResult(name, self._rules[name].sentence, "not judged", reason)
             else:
                 self._run_process(waiting)
         return (
@@ -149,7 +162,7 @@ class _RuleRunner:
         if ends:
             return RuleResult(name, sentence, "failed", "; ".join(ends))
         if self._does_not_start():
-            return RuleResult(name, sentence, "not applicable", NOT_STARTED)
+            return RuleResult(name, sentence, "not judged", NOT_STARTED)
         return RuleResult(name, sentence, "passed", "through all rules")
 
     def _does_not_start(self) -> bool:
@@ -160,7 +173,7 @@ class _RuleRunner:
         if self._does_not_start():
             return NOT_STARTED
         ends = len(self._crashes) + len(self._hangs)
-        return f"skipped after {MAX_CRASHES} ends of its process" if ends >= MAX_CRASHES else ""
+        return f"its process had ended {MAX_CRASHES} times" if ends >= MAX_CRASHES else ""
 
     def _run_process(self, names: list[str]) -> None:
         """Check rules until all are done or the process ends early, which breaks the current rule."""
@@ -180,9 +193,16 @@ class _RuleRunner:
     def _watch(self, child: ChildProcess, folder: Path) -> tuple[bool, str]:
         """Watches the process until it ends; whether it hangs, and the limit it exceeded or ""."""
         count, begin = 0, Usage(0.0, 0.0, 0)
+        rule, since_s = "", math.inf
         for used in child.watch():
-            if (size := len(_read_lines(folder))) > count:
+            lines = _read_lines(folder)
+            if (size := len(lines)) > count:
                 count, begin = size, used
+            if lines and (now := lines[-1].get("begun", "")) != rule:
+                rule, since_s = now, used.wall_s
+            if rule and used.wall_s - since_s > SLOW_S:
+                self._report_slow(rule)
+                since_s = math.inf
             limit_s = self._limit_s if count else LOADING_S
             if used.exceeds(limit_s, begin):
                 return True, f"no answer for {limit_s:g} s"

@@ -154,7 +154,8 @@ def check_final_read_only(fixture: SlamFixture) -> str:
     if not np.array_equal(asked.answers, once.answers):
         at = int(np.argmax((asked.answers != once.answers).any(axis=1)))
         raise RuleBroken(
-            f"asked after each frame, it answers {asked.answers[at]} at frame {at + 1}, else {once.answers[at]}"
+            f"asked after each frame, it answers {asked.answers[at].tolist()} at frame {at + 1}, else "
+            f"{once.answers[at].tolist()}"
         )
     _require_same(once, asked, "asked after each frame, it has")
     return f"{len(once.answers)} answers and the corrected poses are the same"
@@ -189,7 +190,8 @@ def _require_same(one: Corrected, other: Corrected, how: str) -> None:
     if not np.array_equal(one.final.poses, other.final.poses):
         at = int(np.argmax((one.final.poses != other.final.poses).any(axis=1)))
         raise RuleBroken(
-            f"{how} another corrected pose at frame {at + 1}: {other.final.poses[at]}, {one.final.poses[at]}"
+            f"{how} another corrected pose at frame {at + 1}: {other.final.poses[at].tolist()}, "
+            f"{one.final.poses[at].tolist()}"
         )
     if one.closures != other.closures:
         raise RuleBroken(f"{how} other loop closures: {len(other.closures)} candidates, {len(one.closures)} before")

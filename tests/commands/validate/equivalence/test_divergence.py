@@ -9,7 +9,7 @@ import pytest
 from evalkit.commands.validate.equivalence.comparison import count_equal_fields, count_fields
 from evalkit.commands.validate.equivalence.correspondences import explain_difference
 from evalkit.commands.validate.equivalence.diagnosis import best_step, find_mistake, name_cost
-from evalkit.commands.validate.equivalence.divergence import first_divergence, wrong_fields
+from evalkit.commands.validate.equivalence.divergence import describe_field, first_divergence, wrong_fields
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.equivalence.margins import Margin
 from evalkit.commands.validate.equivalence.other_points import written_decimals
@@ -91,7 +91,7 @@ STOPS = {  # the length of the first answer, the second one, without iterations,
     "elsewhere, later": (1, match(FAR, iterations=3), "different: 1 iterations against 3; not both report"),
     "later than known": (2, match(FAR, iterations=5), "different: 2 iterations against 5; not both report"),
     "elsewhere, unconverged": (3, match(FAR, iterations=3, converged=False), "different: not both report"),
-    "counted wrongly": (3, match(PATH[2], iterations=2), "field: the pose is equal, but not iterations: iterations 3"),
+    "counted wrongly": (3, match(PATH[2], iterations=2), "field: the pose is equal, but not iterations: 2, expected 3"),
 }  # fmt: skip
 
 
@@ -135,7 +135,19 @@ def test_a_trace_that_only_one_reports_is_no_difference_and_hides_none():
     assert difference(a, b) is difference(b, a) is None
     assert wrong_fields(a, b, Margin()) == []
     assert wrong_fields(a, match(history=path[1:], iterations=2), Margin())[0] == "trace length"
-    assert difference(a, replace(b, inliers=5)).endswith("the pose is equal, but not inliers: inliers 6 against 5")
+    assert difference(a, replace(b, inliers=5)).endswith("the pose is equal, but not inliers: 5, expected 6")
+
+
+def test_a_wrong_field_is_described_by_both_values_and_one_of_a_trace_by_its_iteration():
+    path = [entry(OTHER), entry()]
+    a = match(history=path, iterations=2)
+    b = match(history=[path[0], replace(entry(), inliers=4, error=0.5)], iterations=3)
+    said = {name: describe_field(name, a, b, Margin()) for name in wrong_fields(a, b, Margin())}
+    assert said["iterations"] == "3, expected 2"
+    assert said["trace inliers"] == f"iteration 2: 4, expected {entry().inliers}"
+    assert said["trace error"].startswith("iteration 2: 0.5 m, expected ")
+    moved = match(history=[entry(), entry()], iterations=2)
+    assert describe_field("trace pose", a, moved, Margin()).startswith("iteration 1: ")
 
 
 def test_equal_fields_are_counted_where_the_pose_is_equal_and_others_are_excused():

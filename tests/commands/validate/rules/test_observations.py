@@ -1,6 +1,7 @@
 """What a rule observes in a fixture written by hand: each fault is named, and what cannot be observed is not judged."""
 
 import math
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -17,7 +18,7 @@ from evalkit.commands.validate.rules import (
 )
 from evalkit.commands.validate.rules.odometry_fixture import last_pose
 from evalkit.commands.validate.rules.resource_rules import LEAK_BYTES, ResourceUse
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, RuleNotJudged
 from evalkit.core.errors import BadData
 from evalkit.core.ground_truth import Truth
 from evalkit.core.match import Match
@@ -36,7 +37,7 @@ def measured(**changes):
 def test_resources_that_grow_are_named_with_their_amount():
     calls = 50 * resource_rules.BATCHES
     growing = np.linspace(0.0, 1000.0 * calls, resource_rules.BATCHES + 1)
-    with pytest.raises(RuleBroken, match=f"{calls} calls: 1000 bytes more per call, twice"):
+    with pytest.raises(RuleBroken, match=f"grows by 1000 bytes with each question, in {calls} calls"):
         resource_rules.check_memory(measured(heap=growing))
     with pytest.raises(RuleBroken, match=f"each instance leaves {2 * LEAK_BYTES:.0f} bytes behind"):
         resource_rules.check_memory(measured(instances=2.0 * LEAK_BYTES))
@@ -131,6 +132,27 @@ def raising(error):
         raise error
 
     return run
+
+
+def test_the_slowest_call_is_named():
+    calls = iter(range(1000))
+
+    def call():
+        time.sleep(0.05 if next(calls) == 7 else 0.0)
+
+    *_, slowest_ns = resource_rules._run_batches(call, 2, 1e4)
+    assert slowest_ns >= 5e7
+    use = ResourceUse(4, np.zeros(11), np.full(10, 1e4), 0.0, {}, {}, slowest_ns=3e8)
+    observed = resource_rules.check_slowdown(SimpleNamespace(endurance=use))
+    assert observed.endswith("us after 40 calls; the slowest took 300 ms, waiting included")
+
+
+def test_the_first_beam_is_not_judged_where_the_first_answer_is_wrong():
+    def run(frames):
+        return np.tile([0.05, 0.0, 0.0], (len(frames), 1))
+
+    with pytest.raises(RuleNotJudged, match="the first answer is not the identity, see the rule first"):
+        odometry_rules.check_first_beam(Driven(run))
 
 
 def test_an_odometry_without_answers_or_that_writes_to_its_scans_is_named():
