@@ -115,6 +115,13 @@ def test_benchmarks_on_one_side_only_are_named():
     assert found.remarks == ("a: not in the new measurement", "b: not in the old measurement")
 
 
+@pytest.mark.parametrize("option", ["--limit-ate", "--limit-time"])
+def test_a_limit_of_results_is_a_usage_error_between_benchmarks(tmp_path, option):
+    path = str(write_benchmark("speed", [BenchmarkSeries("call", "ms", (1.0,))], RAN_ON, tmp_path))
+    shown = CliRunner().invoke(app, ["diff", path, path, option, "5%"])
+    assert (shown.exit_code, f"{option} is for results folders" in shown.stderr) == (2, True)
+
+
 @pytest.mark.parametrize(("middle", "code"), [(1.0, 0), (2.0, 1)])
 def test_the_command_exits_with_1_if_something_became_slower(tmp_path, middle, code):
     old = write_benchmark("speed", [BenchmarkSeries("a|b", "ms", samples(1.0))], RAN_ON, tmp_path / "old")

@@ -284,7 +284,14 @@ def test_the_command_exits_with_1_only_on_a_regression(folder):
     assert runner.invoke(cli.app, ["diff", str(old), str(folder("wide", 1.5)), "--limit-ate", "60%"]).exit_code == 0
 
 
-@pytest.mark.parametrize("text", ["much", "-5%", "nan", "inf"])
+@pytest.mark.parametrize(("option", "value"), [("--limit", ["1%"]), ("--across-machines", [])])
+def test_an_option_of_benchmarks_is_a_usage_error_between_results(folder, option, value):
+    old = str(folder("old"))
+    shown = CliRunner().invoke(cli.app, ["diff", old, old, option, *value])
+    assert (shown.exit_code, f"{option} is for benchmarks" in shown.stderr) == (2, True)
+
+
+@pytest.mark.parametrize("text", ["much", "-5%", "nan", "inf", "5", "1", "inf%"])
 def test_a_limit_that_is_not_a_share_is_a_usage_error(folder, text):
     old = folder("old")
     assert CliRunner().invoke(cli.app, ["diff", str(old), str(old), "--limit-ate", text]).exit_code == 2
@@ -345,6 +352,23 @@ def test_a_folder_of_runs_without_a_report_is_read(tmp_path, record):
 
 def test_a_results_folder_is_not_compared_with_a_benchmark(folder, tmp_path):
     (tmp_path / "bench.json").write_text("{}", encoding="utf-8")
-    result = CliRunner().invoke(cli.app, ["diff", str(folder("old")), str(tmp_path / "bench.json")])
+    old, bench = str(folder("old")), str(tmp_path / "bench.json")
+    result = CliRunner().invoke(cli.app, ["diff", old, bench])
     assert result.exit_code != 0
-    assert "compare two results folders or two benchmarks" in str(result.exception)
+    assert f"{bench}: is a JSON file, {old} is a results folder; compare two" in str(result.exception)
+    result = CliRunner().invoke(cli.app, ["diff", str(tmp_path), old])
+    assert f"{old}: is a results folder, {tmp_path} is a folder of JSON files" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("old/results.json", "is a file of a results folder; name the folder: "),
+     ("old/scores.csv", "is neither a results folder nor a benchmark"),
+     ("empty", "holds neither results nor benchmarks"), ("none", "there is no such file or folder")],
+)  # fmt: skip
+def test_a_path_that_holds_nothing_to_compare_is_named_with_what_it_is(folder, tmp_path, name, said):
+    old = folder("old")
+    (tmp_path / "empty").mkdir()
+    for pair in ([old, tmp_path / name], [tmp_path / name, old]):
+        result = CliRunner().invoke(cli.app, ["diff", *map(str, pair)])
+        assert f"{tmp_path / name}: {said}" in str(result.exception)
