@@ -48,5 +48,15 @@ def format_markdown(text: ChangeText) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+def format_lines(text: ChangeText) -> list[str]:
+    """Return one line for each change, for a terminal that is too narrow for the table."""
+    first = text.columns.index("old")
+    lines = []
+    for row in text.rows:
+        values = [f"{what} {cell}" for what, cell in zip(text.columns[first:-1], row[first:-1], strict=True) if cell]
+        lines.append(f"{', '.join(row[:first])}: {', '.join(values)}: {row[-1]}")
+    return lines
+
+
 def _format_row(cells: Sequence[str]) -> str:
     return f"| {' | '.join(escape_markdown(cell.replace('|', '/')) for cell in cells)} |"

@@ -150,10 +150,20 @@ def _compare_results(old: Path, new: Path, error: float, time: float, everything
 
 
 def _print(text: ChangeText) -> None:
-    table = Table(*text.columns, expand=out.is_terminal)
-    for row in text.rows:
-        table.add_row(*row)
-    if text.rows:
+    """Print the changes as a table, or one line each where the table would break words; then the remarks."""
+    from evalkit.commands.diff.changes import format_lines  # noqa: PLC0415
+
+    columns = list(zip(text.columns, *text.rows, strict=True))
+    longest = [max(len(word) for cell in cells for word in cell.split()) for cells in columns]
+    if progress.has_width(out) and sum(longest) + 3 * len(longest) + 1 > out.width:
+        for line in format_lines(text):
+            out.print(line)
+    elif text.rows:
+        table = Table(expand=out.is_terminal)
+        for name, width in zip(text.columns, longest, strict=True):
+            table.add_column(name, min_width=width)
+        for row in text.rows:
+            table.add_row(*row)
         progress.print_table(out, table)
     for line in (*text.remarks, text.conclusion):
         out.print(line)

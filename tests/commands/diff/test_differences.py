@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit import cli
+from evalkit.commands.diff import command
 from evalkit.commands.diff.changes import format_markdown
 from evalkit.commands.diff.results_changes import DiffLimits, compare_results, describe_results_diff
 from evalkit.core.errors import StoreError
@@ -19,6 +20,7 @@ from evalkit.metrics import all_metrics
 from evalkit.report import write_report
 from evalkit.results.reader import StoredResults, StoredRun, load_stored_results
 from evalkit.results.seal import seal
+from evalkit.terminal.console import WordConsole
 
 METRICS = {metric.name: metric for metric in all_metrics()}
 ATE, TIME = "ate_rmse_m", "cpu_median_ms"
@@ -282,6 +284,16 @@ def test_the_command_exits_with_1_only_on_a_regression(folder):
     worse = runner.invoke(cli.app, ["diff", str(old), str(folder("worse", 1.5)), "--json"])
     assert (worse.exit_code, json.loads(worse.stdout)["regressions"]) == (1, 1)
     assert runner.invoke(cli.app, ["diff", str(old), str(folder("wide", 1.5)), "--limit-ate", "60%"]).exit_code == 0
+
+
+@pytest.mark.parametrize(("width", "lines"), [(60, True), (150, False)])
+def test_a_narrow_terminal_shows_one_line_for_each_change_and_no_broken_word(folder, monkeypatch, width, lines):
+    shown = io.StringIO()
+    monkeypatch.setattr(command, "out", WordConsole(file=shown, width=width, force_terminal=True))
+    CliRunner().invoke(cli.app, ["diff", str(folder("old")), str(folder("worse", 1.5))])
+    text = " ".join(shown.getvalue().split())
+    assert ("a, room, ATE RMSE [m]: old 0.0205, new 0.0307, change +50.0 %, interval " in text) == lines
+    assert all(word in text for word in ("regression: more than 5 %,", "interval"))
 
 
 @pytest.mark.parametrize(("option", "value"), [("--limit", ["1%"]), ("--across-machines", [])])
