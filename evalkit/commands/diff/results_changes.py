@@ -142,8 +142,11 @@ class ResultsDiff:
     @property
     def regressions(self) -> int:
         """The number of regressions among statuses, losses of the track and metrics."""
-        groups = [one.verdict for one in self.statuses], [one.verdict for one in self.tracks]
-        return sum(group.count("regression") for group in (*groups, [one.verdict for one in self.changes]))
+        return self.count("regression")
+
+    def count(self, verdict: ChangeVerdict) -> int:
+        """Return how many statuses, losses of the track and metrics have a verdict."""
+        return sum(one.verdict == verdict for group in (self.statuses, self.tracks, self.changes) for one in group)
 
 
 def compare_results(
@@ -189,9 +192,8 @@ def describe_results_diff(diff: ResultsDiff, metrics: Mapping[str, Metric], ever
     verdicts = [one.verdict for one in diff.changes]
     count = diff.regressions
     head = "No regression" if count == 0 else f"{count} regression{'s' if count > 1 else ''}"
-    limits = f"{100 * diff.limits.error:g} % of an error, {100 * diff.limits.time:g} % of CPU time"
     conclusion = (
-        f"{head} beyond {limits} and the noise; {verdicts.count('improvement')} improved, "
+        f"{head} beyond {_describe_limits(diff)} and the noise; {diff.count('improvement')} improved, "
         f"{sum(map(verdicts.count, COUNTED))} of {len(verdicts)} numbers are unchanged or within the limit."
     )
     remarks = (
@@ -202,6 +204,18 @@ def describe_results_diff(diff: ResultsDiff, metrics: Mapping[str, Metric], ever
     )
     content: dict[str, Any] = {"regressions": count, **asdict(diff)}
     return ChangeText(COLUMNS, tuple(rows), remarks, conclusion, count, content)
+
+
+def _describe_limits(diff: ResultsDiff) -> str:
+    """Return the limits that were applied; those of a single run are larger."""
+    single = {change.runs == 1 for change in diff.changes}
+    factor, remark = 1.0, ""
+    if single == {True}:
+        factor, remark = ONE_RUN, " (doubled: single runs)"
+    elif True in single:
+        remark = " (doubled for single runs)"
+    error, time = (100.0 * factor * limit for limit in (diff.limits.error, diff.limits.time))
+    return f"{error:g} % of an error, {time:g} % of CPU time{remark}"
 
 
 def _session_factor(old: StoredResults, new: StoredResults, comparable: Sequence[tuple[str, str]]) -> float:

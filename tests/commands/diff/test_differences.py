@@ -217,6 +217,18 @@ def test_a_run_that_no_longer_completes_is_a_regression_and_a_new_method_is_not(
     found = _between(old, new)
     assert [(one.method, one.verdict) for one in found.statuses] == [("a", "regression"), ("b", "improvement")]
     assert (found.only_old, found.only_new, found.regressions) == (("gone over room",), ("come over room",), 1)
+    assert "; 1 improved, 0 of 0 numbers" in describe_results_diff(found, METRICS).conclusion
+
+
+@pytest.mark.parametrize(
+    ("runs", "limits"),
+    [({"a": 2}, "5 % of an error, 10 % of CPU time and"),
+     ({"a": 1}, "10 % of an error, 20 % of CPU time (doubled: single runs) and"),
+     ({"a": 1, "b": 2}, "5 % of an error, 10 % of CPU time (doubled for single runs) and")],
+)  # fmt: skip
+def test_the_conclusion_states_the_limits_that_were_applied(runs, limits):
+    same = {(who, "room", seed): _run() for who, count in runs.items() for seed in range(count)}
+    assert f" beyond {limits} the noise" in describe_results_diff(_between(same, same), METRICS).conclusion
 
 
 def test_changed_parameters_make_another_sequence_and_new_ones_at_their_default_do_not():
