@@ -11,7 +11,7 @@ from rich.table import Table
 
 from evalkit.core.errors import BadData
 from evalkit.terminal import options, progress
-from evalkit.terminal.console import out, print_json
+from evalkit.terminal.console import err, out, print_json
 from evalkit.terminal.options import Json
 
 if TYPE_CHECKING:
@@ -49,6 +49,9 @@ def diff(
     across_machines: Annotated[
         bool, typer.Option("--across-machines", help="Benchmarks: accept different processors.")
     ] = False,
+    allow_missing: Annotated[
+        bool, typer.Option("--allow-missing", help="Accept runs or series of OLD without a counterpart in NEW.")
+    ] = False,
     everything: Annotated[bool, typer.Option("--all", help="List unchanged values as well.")] = False,
     markdown: options.Markdown = False,
     as_json: Json = False,
@@ -56,7 +59,7 @@ def diff(
     """Compare two results folders, or two sets of benchmarks.
 
     Benchmarks are the JSON files of ``make bench``, or a folder of them. Exit code 1 if anything is worse by more than
-    the noise and the limits.
+    the noise and the limits, or if something in OLD has no counterpart in NEW.
     """
     from evalkit.commands.diff.changes import format_markdown  # noqa: PLC0415 - loads what formats a report
 
@@ -76,7 +79,9 @@ def diff(
         out.print(format_markdown(text), end="")
     else:
         _print(text)
-    if text.regressions:
+    if text.missing and not allow_missing:
+        err.print("exit code 1: something in OLD has no counterpart in NEW; --allow-missing accepts this")
+    if text.regressions or (text.missing and not allow_missing):
         raise typer.Exit(1)
 
 

@@ -217,7 +217,30 @@ def test_a_run_that_no_longer_completes_is_a_regression_and_a_new_method_is_not(
     found = _between(old, new)
     assert [(one.method, one.verdict) for one in found.statuses] == [("a", "regression"), ("b", "improvement")]
     assert (found.only_old, found.only_new, found.regressions) == (("gone over room",), ("come over room",), 1)
+    assert found.missing == 1
     assert "; 1 improved, 0 of 0 numbers" in describe_results_diff(found, METRICS).conclusion
+
+
+def test_a_run_that_completed_before_and_is_missing_now_is_counted():
+    """Of four completed runs two are missing; a run that had crashed, and runs that are new, are no loss."""
+    old = {("a", "room", seed): _run() for seed in (0, 1)} | {("b", "room", 0): _run(), ("c", "room", 0): _run()}
+    old[("a", "room", 2)] = _run(status="crashed")
+    new = {("a", "room", 0): _run(), ("c", "room", 0): _run(), ("c", "room", 1): _run()}
+    found = _between(old, new)
+    assert (found.only_old, found.only_new) == (
+        ("a over room (seed 1, seed 2)", "b over room"),
+        ("c over room (seed 1)",),
+    )
+    assert (found.missing, found.regressions) == (2, 0)
+    conclusion = describe_results_diff(found, METRICS).conclusion
+    assert conclusion.startswith("2 runs of old have no counterpart in new. No regression beyond")
+    assert _between(new, new).missing == 0
+
+
+def test_a_run_over_another_sequence_is_no_counterpart():
+    old = _seeds([0.02], laps=1.0) | {("a", "hall", 0): _run()}
+    found = _between(old, old | _seeds([0.02], laps=0.5))
+    assert (found.missing, found.only_old, len(found.not_comparable)) == (1, (), 1)
 
 
 @pytest.mark.parametrize(
@@ -296,6 +319,17 @@ def test_the_command_exits_with_1_only_on_a_regression(folder):
     worse = runner.invoke(cli.app, ["diff", str(old), str(folder("worse", 1.5)), "--json"])
     assert (worse.exit_code, json.loads(worse.stdout)["regressions"]) == (1, 1)
     assert runner.invoke(cli.app, ["diff", str(old), str(folder("wide", 1.5)), "--limit-ate", "60%"]).exit_code == 0
+
+
+def test_the_command_exits_with_1_if_a_run_is_missing_unless_it_is_allowed(folder, tmp_path, record, build):
+    old = str(folder("old"))
+    write_report(build([record("a", "room", {ATE: 0.02, TIME: 1.0}, seed=0)]), tmp_path / "new")
+    arguments = ["diff", old, str(tmp_path / "new")]
+    shown = CliRunner().invoke(cli.app, arguments)
+    assert (shown.exit_code, "--allow-missing" in shown.stderr) == (1, True)
+    assert "a over room (seed 1)" in shown.stdout
+    accepted = CliRunner().invoke(cli.app, [*arguments, "--allow-missing", "--json"])
+    assert (accepted.exit_code, json.loads(accepted.stdout)["missing"], accepted.stderr) == (0, 1, "")
 
 
 @pytest.mark.parametrize(("width", "lines"), [(60, True), (150, False)])
