@@ -88,13 +88,6 @@ def describe_environment() -> dict[str, str]:
     return environment.describe(dict.fromkeys(("numpy", "scipy", *chain.from_iterable(required))))
 
 
-def is_benchmark(path: Path) -> bool:
-    """Return whether a path is a benchmark file, or a folder of JSON files without results in it."""
-    if path.is_dir():
-        return not (path / "results.json").exists() and not (path / "runs").exists() and any(path.glob("*.json"))
-    return path.is_file()
-
-
 def load_benchmarks(path: Path) -> dict[str, Benchmark]:
     """Load the benchmarks of a file, or of all files of a folder, by name.
 

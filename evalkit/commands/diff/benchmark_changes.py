@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from evalkit.commands.diff.benchmark import Benchmark, BenchmarkSeries
-from evalkit.commands.diff.changes import MARKS, ChangeText, ChangeVerdict
+from evalkit.commands.diff.changes import MARKS, ChangeText, ChangeVerdict, describe_missing
 from evalkit.core.errors import BadData
 from evalkit.stats.bootstrap import DRAWS
 from evalkit.stats.intervals import CONFIDENCE, Interval
@@ -46,11 +46,15 @@ class BenchmarkChange:
 
 @dataclass(frozen=True)
 class BenchmarkDiff:
-    """The changes, worst first. ``remarks``: series on one side only, and units that differ. ``limit``: a share."""
+    """The changes, worst first. ``remarks``: series on one side only, and units that differ. ``limit``: a share.
+
+    ``missing``: how many series of the old side have no counterpart on the new one.
+    """
 
     changes: tuple[BenchmarkChange, ...]
     remarks: tuple[str, ...]
     limit: float
+    missing: int
 
     @property
     def regressions(self) -> int:
@@ -86,7 +90,8 @@ def compare_benchmarks(
             else:
                 changes.append(_compare_series(name, series, after_by_name[what], limit))
     changes.sort(key=lambda one: (ORDER.index(one.verdict), -abs(math.log(max(one.ratio, 1e-12)))))
-    return BenchmarkDiff(tuple(changes), tuple(remarks), limit)
+    missing = sum(len(one.series) for one in old.values()) - len(changes)
+    return BenchmarkDiff(tuple(changes), tuple(remarks), limit, missing)
 
 
 def describe_benchmark_diff(diff: BenchmarkDiff, everything: bool = False) -> ChangeText:
@@ -95,6 +100,7 @@ def describe_benchmark_diff(diff: BenchmarkDiff, everything: bool = False) -> Ch
     head = "No regression" if not diff.regressions else f"{diff.regressions} of {len(verdicts)} series became worse"
     few = f"; {verdicts.count('too few samples')} have too few samples" if "too few samples" in verdicts else ""
     conclusion = (
+        f"{describe_missing(diff.missing, 'series', 'the old measurement', 'the new one')}"
         f"{head} beyond {100 * diff.limit:g} % and the noise (Mann-Whitney, p < {MAX_P}); "
         f"{verdicts.count('improvement')} improved, {sum(map(verdicts.count, COUNTED))} of {len(verdicts)} series are "
         f"unchanged or within the limit{few}."
@@ -108,7 +114,7 @@ def describe_benchmark_diff(diff: BenchmarkDiff, everything: bool = False) -> Ch
         if everything or one.verdict not in COUNTED
     )  # fmt: skip
     content = {**asdict(diff), "regressions": diff.regressions}
-    return ChangeText(COLUMNS, rows, diff.remarks, conclusion, diff.regressions, content)
+    return ChangeText(COLUMNS, rows, diff.remarks, conclusion, diff.regressions, diff.missing, content)
 
 
 def can_show_difference(old: int, new: int) -> bool:

@@ -27,7 +27,8 @@ SAME = "the same to the last digit"
 class ChangeText:
     """A comparison as text: one table (rows as long as ``columns``), remarks, and the conclusion in one sentence.
 
-    ``content``: the same comparison as plain values for JSON.
+    ``missing``: how many runs or series of OLD have no counterpart in NEW. ``content``: the same comparison as plain
+    values for JSON.
     """
 
     columns: tuple[str, ...]
@@ -35,6 +36,7 @@ class ChangeText:
     remarks: tuple[str, ...]
     conclusion: str
     regressions: int
+    missing: int
     content: Mapping[str, Any]
 
 
@@ -46,6 +48,24 @@ def format_markdown(text: ChangeText) -> str:
         lines += [*map(_format_row, (text.columns, rule, *text.rows)), ""]
     lines += [f"- {escape_markdown(remark)}" for remark in text.remarks]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def format_lines(text: ChangeText) -> list[str]:
+    """Return one line for each change, for a terminal that is too narrow for the table."""
+    first = text.columns.index("old")
+    lines = []
+    for row in text.rows:
+        values = [f"{what} {cell}" for what, cell in zip(text.columns[first:-1], row[first:-1], strict=True) if cell]
+        lines.append(f"{', '.join(row[:first])}: {', '.join(values)}: {row[-1]}")
+    return lines
+
+
+def describe_missing(count: int, what: str, old: str, new: str) -> str:
+    """Return "2 runs of OLD have no counterpart in NEW. ", "" for a count of 0. ``what``: "run" or "series"."""
+    if not count:
+        return ""
+    plural = "s" if count > 1 and not what.endswith("s") else ""
+    return f"{count} {what}{plural} of {old} {'have' if count > 1 else 'has'} no counterpart in {new}. "
 
 
 def _format_row(cells: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.diff.changes import MARKS, SAME, ChangeText, ChangeVerdict
+from evalkit.commands.diff.changes import MARKS, SAME, ChangeText, ChangeVerdict, describe_missing
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import LostTrack
 from evalkit.core.run_status import NOT_EXECUTED
@@ -123,8 +123,9 @@ class TrackChange:
 
 @dataclass(frozen=True, slots=True)
 class ResultsDiff:
-    """All changes. ``only_old``, ``only_new``: "method over sequence" that one folder alone has.
+    """All changes. ``only_old``, ``only_new``: "method over sequence", or seeds of it, that one folder alone has.
 
+    ``missing``: how many runs that completed in the old folder have no comparable run in the new one.
     ``not_comparable``: pairs with the reason. ``notes``: conditions that limit the comparison.
     """
 
@@ -136,14 +137,18 @@ class ResultsDiff:
     changes: tuple[MetricChange, ...]
     only_old: tuple[str, ...]
     only_new: tuple[str, ...]
+    missing: int
     not_comparable: tuple[str, ...]
     notes: tuple[str, ...]
 
     @property
     def regressions(self) -> int:
         """The number of regressions among statuses, losses of the track and metrics."""
-        groups = [one.verdict for one in self.statuses], [one.verdict for one in self.tracks]
-        return sum(group.count("regression") for group in (*groups, [one.verdict for one in self.changes]))
+        return self.count("regression")
+
+    def count(self, verdict: ChangeVerdict) -> int:
+        """Return how many statuses, losses of the track and metrics have a verdict."""
+        return sum(one.verdict == verdict for group in (self.statuses, self.tracks, self.changes) for one in group)
 
 
 def compare_results(
@@ -169,8 +174,11 @@ def compare_results(
         tuple(one for pair in comparable for one in _status_changes(old, new, pair)),
         tuple(one for pair in comparable if (one := _track_change(old, new, pair)) is not None),
         tuple(one for pair in comparable for one in _metric_changes(old, new, pair, metrics, limits, session)),
-        tuple(f"{method} over {sequence}" for method, sequence in pairs if (method, sequence) not in after),
-        tuple(f"{method} over {sequence}" for method, sequence in pairs if (method, sequence) not in before),
+        tuple(_list_unpaired(old, new, [pair for pair in pairs if pair not in reasons])),
+        tuple(_list_unpaired(new, old, [pair for pair in pairs if pair not in reasons])),
+        sum(
+            run.status == "complete" and (name not in new.runs or name[:2] in reasons) for name, run in old.runs.items()
+        ),
         tuple(_group_reasons(reasons)),
         tuple(_notes(old, new, session)),
     )
@@ -189,9 +197,9 @@ def describe_results_diff(diff: ResultsDiff, metrics: Mapping[str, Metric], ever
     verdicts = [one.verdict for one in diff.changes]
     count = diff.regressions
     head = "No regression" if count == 0 else f"{count} regression{'s' if count > 1 else ''}"
-    limits = f"{100 * diff.limits.error:g} % of an error, {100 * diff.limits.time:g} % of CPU time"
     conclusion = (
-        f"{head} beyond {limits} and the noise; {verdicts.count('improvement')} improved, "
+        f"{describe_missing(diff.missing, 'run', diff.old, diff.new)}"
+        f"{head} beyond {_describe_limits(diff)} and the noise; {diff.count('improvement')} improved, "
         f"{sum(map(verdicts.count, COUNTED))} of {len(verdicts)} numbers are unchanged or within the limit."
     )
     remarks = (
@@ -201,7 +209,29 @@ def describe_results_diff(diff: ResultsDiff, metrics: Mapping[str, Metric], ever
         *diff.notes,
     )
     content: dict[str, Any] = {"regressions": count, **asdict(diff)}
-    return ChangeText(COLUMNS, tuple(rows), remarks, conclusion, count, content)
+    return ChangeText(COLUMNS, tuple(rows), remarks, conclusion, count, diff.missing, content)
+
+
+def _describe_limits(diff: ResultsDiff) -> str:
+    """Return the limits that were applied; those of a single run are larger."""
+    single = {change.runs == 1 for change in diff.changes}
+    factor, remark = 1.0, ""
+    if single == {True}:
+        factor, remark = ONE_RUN, " (doubled: single runs)"
+    elif True in single:
+        remark = " (doubled for single runs)"
+    error, time = (100.0 * factor * limit for limit in (diff.limits.error, diff.limits.time))
+    return f"{error:g} % of an error, {time:g} % of CPU time{remark}"
+
+
+def _list_unpaired(own: StoredResults, other: StoredResults, pairs: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """Return the methods over sequences that only one folder has, with the seeds if the other has some of them."""
+    for pair in pairs:
+        runs, others = _runs_of(own, pair), _runs_of(other, pair)
+        alone = [name for name in runs if name not in others]
+        if alone:
+            seeds = f" ({', '.join(_name_seed(name[2]) for name in alone)})" if others else ""
+            yield f"{pair[0]} over {pair[1]}{seeds}"
 
 
 def _session_factor(old: StoredResults, new: StoredResults, comparable: Sequence[tuple[str, str]]) -> float:

@@ -113,6 +113,29 @@ def test_benchmarks_on_one_side_only_are_named():
     found = compare_benchmarks(make_benchmark(samples(1.0), name="a"), make_benchmark(samples(1.0), name="b"), 0.1)
     assert found.changes == ()
     assert found.remarks == ("a: not in the new measurement", "b: not in the old measurement")
+    assert found.missing == 1
+
+
+def test_a_series_that_the_new_measurement_lacks_fails_unless_it_is_allowed(tmp_path):
+    """A benchmark script that ended early must not pass as one that became no slower."""
+    kept, gone = (BenchmarkSeries(name, "ms", samples(1.0)) for name in ("kept", "gone"))
+    both, one = (
+        str(write_benchmark("speed", series, RAN_ON, tmp_path / name))
+        for name, series in (("both", [kept, gone]), ("one", [kept]))
+    )
+    shown = CliRunner().invoke(app, ["diff", both, one])
+    assert (shown.exit_code, "--allow-missing" in shown.stderr) == (1, True)
+    assert "1 series of the old measurement has no counterpart in the new one. No regression" in shown.stdout
+    assert json.loads(CliRunner().invoke(app, ["diff", both, one, "--json"]).stdout)["missing"] == 1
+    assert CliRunner().invoke(app, ["diff", both, one, "--allow-missing"]).exit_code == 0
+    assert CliRunner().invoke(app, ["diff", one, both]).exit_code == 0
+
+
+@pytest.mark.parametrize("option", ["--limit-ate", "--limit-time"])
+def test_a_limit_of_results_is_a_usage_error_between_benchmarks(tmp_path, option):
+    path = str(write_benchmark("speed", [BenchmarkSeries("call", "ms", (1.0,))], RAN_ON, tmp_path))
+    shown = CliRunner().invoke(app, ["diff", path, path, option, "5%"])
+    assert (shown.exit_code, f"{option} is for results folders" in shown.stderr) == (2, True)
 
 
 @pytest.mark.parametrize(("middle", "code"), [(1.0, 0), (2.0, 1)])

@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit import cli
+from evalkit.commands.diff import command
 from evalkit.commands.diff.changes import format_markdown
 from evalkit.commands.diff.results_changes import DiffLimits, compare_results, describe_results_diff
 from evalkit.core.errors import StoreError
@@ -19,6 +20,7 @@ from evalkit.metrics import all_metrics
 from evalkit.report import write_report
 from evalkit.results.reader import StoredResults, StoredRun, load_stored_results
 from evalkit.results.seal import seal
+from evalkit.terminal.console import WordConsole
 
 METRICS = {metric.name: metric for metric in all_metrics()}
 ATE, TIME = "ate_rmse_m", "cpu_median_ms"
@@ -215,6 +217,41 @@ def test_a_run_that_no_longer_completes_is_a_regression_and_a_new_method_is_not(
     found = _between(old, new)
     assert [(one.method, one.verdict) for one in found.statuses] == [("a", "regression"), ("b", "improvement")]
     assert (found.only_old, found.only_new, found.regressions) == (("gone over room",), ("come over room",), 1)
+    assert found.missing == 1
+    assert "; 1 improved, 0 of 0 numbers" in describe_results_diff(found, METRICS).conclusion
+
+
+def test_a_run_that_completed_before_and_is_missing_now_is_counted():
+    """Of four completed runs two are missing; a run that had crashed, and runs that are new, are no loss."""
+    old = {("a", "room", seed): _run() for seed in (0, 1)} | {("b", "room", 0): _run(), ("c", "room", 0): _run()}
+    old[("a", "room", 2)] = _run(status="crashed")
+    new = {("a", "room", 0): _run(), ("c", "room", 0): _run(), ("c", "room", 1): _run()}
+    found = _between(old, new)
+    assert (found.only_old, found.only_new) == (
+        ("a over room (seed 1, seed 2)", "b over room"),
+        ("c over room (seed 1)",),
+    )
+    assert (found.missing, found.regressions) == (2, 0)
+    conclusion = describe_results_diff(found, METRICS).conclusion
+    assert conclusion.startswith("2 runs of old have no counterpart in new. No regression beyond")
+    assert _between(new, new).missing == 0
+
+
+def test_a_run_over_another_sequence_is_no_counterpart():
+    old = _seeds([0.02], laps=1.0) | {("a", "hall", 0): _run()}
+    found = _between(old, old | _seeds([0.02], laps=0.5))
+    assert (found.missing, found.only_old, len(found.not_comparable)) == (1, (), 1)
+
+
+@pytest.mark.parametrize(
+    ("runs", "limits"),
+    [({"a": 2}, "5 % of an error, 10 % of CPU time and"),
+     ({"a": 1}, "10 % of an error, 20 % of CPU time (doubled: single runs) and"),
+     ({"a": 1, "b": 2}, "5 % of an error, 10 % of CPU time (doubled for single runs) and")],
+)  # fmt: skip
+def test_the_conclusion_states_the_limits_that_were_applied(runs, limits):
+    same = {(who, "room", seed): _run() for who, count in runs.items() for seed in range(count)}
+    assert f" beyond {limits} the noise" in describe_results_diff(_between(same, same), METRICS).conclusion
 
 
 def test_changed_parameters_make_another_sequence_and_new_ones_at_their_default_do_not():
@@ -284,7 +321,35 @@ def test_the_command_exits_with_1_only_on_a_regression(folder):
     assert runner.invoke(cli.app, ["diff", str(old), str(folder("wide", 1.5)), "--limit-ate", "60%"]).exit_code == 0
 
 
-@pytest.mark.parametrize("text", ["much", "-5%", "nan", "inf"])
+def test_the_command_exits_with_1_if_a_run_is_missing_unless_it_is_allowed(folder, tmp_path, record, build):
+    old = str(folder("old"))
+    write_report(build([record("a", "room", {ATE: 0.02, TIME: 1.0}, seed=0)]), tmp_path / "new")
+    arguments = ["diff", old, str(tmp_path / "new")]
+    shown = CliRunner().invoke(cli.app, arguments)
+    assert (shown.exit_code, "--allow-missing" in shown.stderr) == (1, True)
+    assert "a over room (seed 1)" in shown.stdout
+    accepted = CliRunner().invoke(cli.app, [*arguments, "--allow-missing", "--json"])
+    assert (accepted.exit_code, json.loads(accepted.stdout)["missing"], accepted.stderr) == (0, 1, "")
+
+
+@pytest.mark.parametrize(("width", "lines"), [(60, True), (150, False)])
+def test_a_narrow_terminal_shows_one_line_for_each_change_and_no_broken_word(folder, monkeypatch, width, lines):
+    shown = io.StringIO()
+    monkeypatch.setattr(command, "out", WordConsole(file=shown, width=width, force_terminal=True))
+    CliRunner().invoke(cli.app, ["diff", str(folder("old")), str(folder("worse", 1.5))])
+    text = " ".join(shown.getvalue().split())
+    assert ("a, room, ATE RMSE [m]: old 0.0205, new 0.0307, change +50.0 %, interval " in text) == lines
+    assert all(word in text for word in ("regression: more than 5 %,", "interval"))
+
+
+@pytest.mark.parametrize(("option", "value"), [("--limit", ["1%"]), ("--across-machines", [])])
+def test_an_option_of_benchmarks_is_a_usage_error_between_results(folder, option, value):
+    old = str(folder("old"))
+    shown = CliRunner().invoke(cli.app, ["diff", old, old, option, *value])
+    assert (shown.exit_code, f"{option} is for benchmarks" in shown.stderr) == (2, True)
+
+
+@pytest.mark.parametrize("text", ["much", "-5%", "nan", "inf", "5", "1", "inf%"])
 def test_a_limit_that_is_not_a_share_is_a_usage_error(folder, text):
     old = folder("old")
     assert CliRunner().invoke(cli.app, ["diff", str(old), str(old), "--limit-ate", text]).exit_code == 2
@@ -345,6 +410,23 @@ def test_a_folder_of_runs_without_a_report_is_read(tmp_path, record):
 
 def test_a_results_folder_is_not_compared_with_a_benchmark(folder, tmp_path):
     (tmp_path / "bench.json").write_text("{}", encoding="utf-8")
-    result = CliRunner().invoke(cli.app, ["diff", str(folder("old")), str(tmp_path / "bench.json")])
+    old, bench = str(folder("old")), str(tmp_path / "bench.json")
+    result = CliRunner().invoke(cli.app, ["diff", old, bench])
     assert result.exit_code != 0
-    assert "compare two results folders or two benchmarks" in str(result.exception)
+    assert f"{bench}: is a JSON file, {old} is a results folder; compare two" in str(result.exception)
+    result = CliRunner().invoke(cli.app, ["diff", str(tmp_path), old])
+    assert f"{old}: is a results folder, {tmp_path} is a folder of JSON files" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("old/results.json", "is a file of a results folder; name the folder: "),
+     ("old/scores.csv", "is neither a results folder nor a benchmark"),
+     ("empty", "holds neither results nor benchmarks"), ("none", "there is no such file or folder")],
+)  # fmt: skip
+def test_a_path_that_holds_nothing_to_compare_is_named_with_what_it_is(folder, tmp_path, name, said):
+    old = folder("old")
+    (tmp_path / "empty").mkdir()
+    for pair in ([old, tmp_path / name], [tmp_path / name, old]):
+        result = CliRunner().invoke(cli.app, ["diff", *map(str, pair)])
+        assert f"{tmp_path / name}: {said}" in str(result.exception)
