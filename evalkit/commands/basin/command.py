@@ -17,7 +17,7 @@ from evalkit.io.output_files import write_texts
 from evalkit.plugins import registry
 from evalkit.plugins.specs import RegistrationSpec
 from evalkit.terminal import options, progress
-from evalkit.terminal.console import err, out, print_json
+from evalkit.terminal.console import err, out, print_json, table_width
 from evalkit.terminal.options import Jobs, Json, Out
 
 if TYPE_CHECKING:
@@ -100,34 +100,39 @@ def _finish(result: BasinResult, folder: Path, as_json: bool) -> None:
     if as_json:
         print_json(content | {"page": str(file)})
     else:
-        progress.print_table(out, _table(result))
+        progress.print_table(out, _table(result, table_width(out)))
+        for row in result.rows:
+            if row.reason:
+                out.print(f"{row.backend} over {row.scene}: {row.reason}")
         out.print(str(file.resolve()))
     if result.broken:
         raise typer.Exit(1)
 
 
-MAX_WHOLE_NAME = 22
-"""Longest name, in characters, that is not broken into two lines."""
+WIDEST_WORDS = (7, 5, 5, 5, 5)
+"""Characters that the columns of numbers need at least, so that no word of their heads is cut."""
 
 
-def _table(result: BasinResult) -> Any:
+def _table(result: BasinResult, width: int) -> Any:
+    """Return the table; names are broken only where a terminal of that width cannot hold them beside the numbers."""
     from rich.table import Table  # noqa: PLC0415 - only where a table is printed
 
-    heads = ("back end", "scene", "success [%]", "reach [m]", "reach [deg]", "A50 [m]", "A95 [m]", "remark")
-    table = Table(*heads)  # printed as they are: a unit in brackets is no markup
+    table = Table()  # its heads are printed as they are: a unit in brackets is no markup
+    names = max(len(row.backend) for row in result.rows) + max(len(row.scene) for row in result.rows)
+    whole = names + sum(WIDEST_WORDS) + 3 * (2 + len(WIDEST_WORDS)) + 1 <= width
+    for head in ("back end", "scene"):
+        table.add_column(head, no_wrap=whole)
+    heads = ("success [%]", "reach [m]", "reach [deg]", "A50 [m]", "A95 [m]")
+    for head, least in zip(heads, WIDEST_WORDS, strict=True):
+        table.add_column(head, min_width=least)
     for row in result.rows:
         if row.basin is None:
-            table.add_row(row.backend, row.scene, "-", "-", "-", "-", "-", row.reason)
+            table.add_row(row.backend, row.scene, *["-"] * len(heads))
             continue
         share, accuracy = row.basin.overall(), row.basin.accuracy()[:, 0]
         table.add_row(
             row.backend, row.scene,
             f"{100 * share.value:.0f} ({100 * share.low:.0f} to {100 * share.high:.0f})",
             f"{row.reach_m(0.95):.2f}", f"{row.reach_deg(0.95):.0f}", f"{accuracy[0]:.3f}", f"{accuracy[2]:.3f}",
-            row.reason,
         )  # fmt: skip
-    if not any(row.reason for row in result.rows):
-        table.columns.pop()
-    for column in table.columns[:2]:
-        column.no_wrap = max(len(str(cell)) for cell in column.cells) <= MAX_WHOLE_NAME
     return table

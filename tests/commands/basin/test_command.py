@@ -39,6 +39,7 @@ def test_a_back_end_that_keeps_its_guess_succeeds_where_the_guess_is_good_enough
     assert kept["error_m"]["A95"] > 0.5
     assert set(absent) == {"backend", "scene", "reason"}
     assert absent["reason"]
+    assert f"kiss-icp over long-corridor: {absent['reason']}" in " ".join(found.output.split())
     assert "Failures with the best guesses" in page
     assert "kiss-icp" in page
     for head in ("success [%]", "reach [m]", "reach [deg]", "A95 [m]"):  # brackets are no markup of the terminal
@@ -74,10 +75,8 @@ def test_a_data_set_with_the_name_of_a_scene_is_rejected(tmp_path, monkeypatch):
     assert "a scene has the same name" in " ".join(found.output.split())
 
 
-def test_names_stay_whole_and_the_column_of_remarks_is_shown_only_where_there_is_one():
-    row = SimpleNamespace(backend="mine", scene="room", basin=None, reason="no answer")
-    assert str(command._table(SimpleNamespace(rows=[row])).columns[-1].header) == "remark"
-    assert [column.no_wrap for column in command._table(SimpleNamespace(rows=[row])).columns[:3]] == [True, True, False]
-    row.reason, row.backend = "", "exec:./a_long_program --with words"
-    assert not command._table(SimpleNamespace(rows=[row])).columns[0].no_wrap
-    assert str(command._table(SimpleNamespace(rows=[row])).columns[-1].header) == "A95 [m]"
+@pytest.mark.parametrize(("width", "broken"), [(80, False), (53, False), (52, True)])
+def test_names_stay_whole_where_a_terminal_can_hold_them_beside_the_numbers(width, broken):
+    row = SimpleNamespace(backend="mine", scene="roof", basin=None)  # 8 letters, 27 of heads, 22 of lines and spaces
+    table = command._table(SimpleNamespace(rows=[row]), width + 4)
+    assert [column.no_wrap for column in table.columns[:3]] == [not broken, not broken, False]
