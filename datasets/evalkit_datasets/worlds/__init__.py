@@ -1,5 +1,5 @@
 """Synthetic worlds: floor plans, the robot that drives through them, its lidar and its wheel odometry.
 
 To add a world, write its floor plan and route into ``floorplans.toml`` and its spec at the end of ``synthetic.py``; a
-line in ``pyproject.toml`` registers it.
+line in ``pyproject.toml`` registers it. ``random_office.py`` draws a floor plan and a route from a seed.
 """

@@ -39,7 +39,7 @@ def load_plan(name: str) -> FloorPlan:
         *(
             wall
             for each in plan.get("partitions", ())
-            for wall in _partition(each["from"], each["to"], each.get("doors", ()))
+            for wall in build_partition(each["from"], each["to"], each.get("doors", ()))
         ),
         *(closed_outline(_rectangle(*box)) for box in plan.get("boxes", ())),
     ]
@@ -78,7 +78,7 @@ def _outline(corners: Sequence[Numbers], niches: Sequence[Numbers]) -> Floats:
     return np.array(points)
 
 
-def _partition(start: Numbers, end: Numbers, doors: Sequence[Numbers]) -> list[Floats]:
+def build_partition(start: Numbers, end: Numbers, doors: Sequence[Numbers]) -> list[Floats]:
     """Return the boxes of a wall along x or y with doors (distance from its start, width, thickness; 0: open)."""
     origin, forward, length = _direction(start, end)
     pieces, done = [], 0.0

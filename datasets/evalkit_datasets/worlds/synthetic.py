@@ -20,6 +20,7 @@ from evalkit_datasets.worlds.disturbances import NEVER, Episodes
 from evalkit_datasets.worlds.floorplans import FloorPlan, load_plan
 from evalkit_datasets.worlds.lidar import LidarModel
 from evalkit_datasets.worlds.pedestrians import Walk, plan_walks
+from evalkit_datasets.worlds.random_office import draw_office
 from evalkit_datasets.worlds.robot import Route, RouteDrive, WheelOdometryModel
 from evalkit_datasets.worlds.true_map import build_true_grid
 
@@ -184,10 +185,13 @@ PARAMETERS = (
 
 
 def make_sequence(name: str, base_from_sensor: Pose, **parameters: object) -> Synthetic:
-    """Return the sequence of a floor plan by its name; ``parameters`` not given have the defaults of ``PARAMETERS``."""
+    """Return the sequence of a floor plan by its name; ``parameters`` not given have the defaults of ``PARAMETERS``.
+
+    The plan of ``random-office`` is drawn from the seed.
+    """
     value = resolve_parameters(name, PARAMETERS, parameters)
     number = {key: float(setting) for key, setting in value.items()}
-    floor_plan = load_plan(name)
+    floor_plan = draw_office(int(value["seed"])) if name == "random-office" else load_plan(name)
     return Synthetic(
         floor_plan,
         _make_drive(floor_plan.route, number["speed_mps"], number["laps"], float(np.radians(number["turn_dps"]))),
@@ -302,4 +306,9 @@ LONG_LOOP = _make_spec(
     laps=1.05,
     speed_mps=0.8,
     rate_hz=5.0,
+)
+RANDOM_OFFICE = _make_spec(
+    "random-office",
+    "another office for each seed, 25 to 46 m, turns up to 43 deg/s at 0.3 m/s; no settings are chosen on it",
+    _AHEAD,
 )

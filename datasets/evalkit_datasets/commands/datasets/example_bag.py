@@ -28,6 +28,7 @@ WORLDS = {
     "wings": synthetic.WINGS,
     "symmetric-office": synthetic.SYMMETRIC_OFFICE,
     "long-loop": synthetic.LONG_LOOP,
+    "random-office": synthetic.RANDOM_OFFICE,
 }
 DEFAULTS: Mapping[str, Value] = {"laps": 0.25}
 """Defaults of an example: long enough to contain a turn, short enough to compare in seconds."""
