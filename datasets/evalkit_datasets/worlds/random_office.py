@@ -133,11 +133,12 @@ def draw_office(seed: int) -> FloorPlan:
     """
     draws = _Draws(seed)
     draw_shape = (_draw_straight, _draw_bent, _draw_ring)[seed % 3]
-    tour = None
-    while tour is None:
+    while True:
         shape = draw_shape(draws)
         rooms = [list(_divide(draws, row)) for row in shape.rows]
         tour = _plan_tour(draws, shape, rooms)
+        if tour is not None:
+            break
     world = _build(draws, shape, rooms, tour)
     return _mirror(draws, world, _add_radii(draws, tour.corners))
 
