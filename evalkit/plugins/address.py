@@ -52,12 +52,26 @@ def address_of(plug_in: str | BackendSpec | DatasetSpec | type) -> Address:
 
     Raises NotInstalled for an object that another process cannot import.
     """
-    if not isinstance(plug_in, str):
-        return _address_of_object(plug_in)
-    module, colon, attribute = plug_in.partition(":")
+    address = _address_of_text(plug_in) if isinstance(plug_in, str) else _address_of_object(plug_in)
+    if _is_being_imported(address.module):
+        what = f"the module {address.module} is being imported: its import would run this comparison again and again"
+        remedy = f"move the comparison to another file, or into a function that is called after import {address.module}"
+        raise NotInstalled(address.label, what, remedy)
+    return address
+
+
+def _address_of_text(name: str) -> Address:
+    module, colon, attribute = name.partition(":")
     if not colon or module in registry.names("schemes"):
-        return Address(plug_in)
-    return Address(plug_in, module, attribute)
+        return Address(name)
+    return Address(name, module, attribute)
+
+
+def _is_being_imported(module: str) -> bool:
+    """Return whether the import of a module, or of a package that holds it, has not ended."""
+    parts = module.split(".")
+    found = (sys.modules.get(".".join(parts[:count])) for count in range(1, len(parts) + 1))
+    return any(getattr(getattr(one, "__spec__", None), "_initializing", False) for one in found)
 
 
 def label_of(plug_in: str | BackendSpec | DatasetSpec, otherwise: str) -> str:

@@ -116,7 +116,7 @@ def check_same_experiment(folder: Path, experiment: Experiment) -> None:
     try:
         content = _load_object(path)
         labels, command, title = content["sequences"].keys(), content["command"], content["title"]
-        mine = f"evalkit {experiment.source}"
+        mine = experiment.whole_command
         renamed = _find_file_name(command) != _find_file_name(mine) and title != experiment.title
     except (StoreError, KeyError, AttributeError, TypeError, ValueError):
         return
@@ -126,8 +126,9 @@ def check_same_experiment(folder: Path, experiment: Experiment) -> None:
 
 
 def _find_file_name(command: str) -> str:
-    """Return the name of the experiment or recording of a command "evalkit compare FILE ..."; "" without one."""
-    return Path(next(iter(shlex.split(command)[2:]), "")).name
+    """Return the name of the file of a command "evalkit compare FILE ..." or "python -c CODE FILE"; "" without one."""
+    words = [word for word in shlex.split(command) if not word.startswith("PYTHONPATH=")]
+    return Path(next(iter(words[3 if words[:1] == ["python"] else 2 :]), "")).name
 
 
 def _check_keys(path: Path, content: Mapping[str, Any]) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
@@ -15,9 +13,12 @@ import typer
 from evalkit.config.adhoc_experiment import (
     Recording,
     experiment_from_recording,
+    format_command,
     name_experiment,
     open_recording,
+    option_name,
     read_first_frame,
+    split_names,
 )
 from evalkit.config.experiment import RESULTS, Experiment, load_experiment
 from evalkit.core.run_result import NO_STEPS
@@ -150,8 +151,8 @@ def compare(
         flags: dict[str, object] = {
             "backends": backends, "set": setting, "all": everything, "as-is": as_is, "reader": reader
         }  # fmt: skip
-        flags |= {_option(name): value for name, value in keys.items()}
-        for name in [*map(_option, given), *(name for name, value in flags.items() if value)]:
+        flags |= {option_name(name): value for name, value in keys.items()}
+        for name in [*map(option_name, given), *(name for name, value in flags.items() if value)]:
             raise typer.BadParameter(f"--{name}: needs a recording; in an experiment it is a key of the file")
         recording, named = None, []
     else:
@@ -176,15 +177,9 @@ def compare(
             _run_and_report(experiment, Store(folder), how, as_json, again)
 
 
-def _option(parameter: str) -> str:
-    """Return the name of the option of a parameter."""
-    return "start" if parameter == MAP_START else parameter.replace("_", "-")
-
-
 def _name_backends(text: str, everything: bool) -> list[str]:
     """Return the named back ends, all, or those that declare themselves a default, which are printed."""
-    words = re.findall(r"(?:\?tf=[^,]*,|[^,])+", text)  # the comma of "?tf=map,base_link" separates no names
-    names = [name for word in words if (name := word.strip())]
+    names = split_names(text)
     if names and everything:
         raise typer.BadParameter("--all: contradicts --backends")
     if names or everything:
@@ -209,14 +204,8 @@ def _experiment_of_recording(
     choices = () if as_is else recording.choose()
     for choice in choices:
         err.print(choice.reason)
-    words = ["compare", str(source)]
-    words += [word for name, value in given.items() for word in (f"--{_option(name)}", value)]
-    for name, value in keys.items():
-        words += [f"--{_option(name)}", *([] if value is True else [str(value)])]
-    words += ["--backends", ",".join(backends), *(["--as-is"] if as_is else [])]
-    words += ["--reader", reader] if reader else []
-    words += [word for item in settings for word in ("--set", item)]
-    experiment = experiment_from_recording(recording, choices, backends, shlex.join(words), keys)
+    command = format_command(source, given, keys, backends, settings, as_is, reader)
+    experiment = experiment_from_recording(recording, choices, backends, command, keys)
     read_first_frame(experiment)
     return experiment
 
