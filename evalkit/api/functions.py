@@ -36,7 +36,7 @@ from evalkit.execution.executors import LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.odometry import frontend
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.address import address_of
+from evalkit.plugins.address import address_of, require_imported
 from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, NUISANCE, Value
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 from evalkit.results.store import Store
@@ -213,7 +213,10 @@ def _method_tables(methods: Sequence[MethodChoice] | None) -> list[dict[str, obj
         return [{"use": name} for name in defaults.find_default_backends()]
     if isinstance(methods, (str, type, BackendSpec, Mapping)) or not methods:
         raise BadParameter("compare", "methods", methods, "a list of methods, such as ['paper', 'embedded']")
-    return [_method_table(method) for method in methods]
+    tables = [_method_table(method) for method in methods]
+    for table in tables:
+        require_imported(address_of(str(table["use"])))
+    return tables
 
 
 def _method_table(method: MethodChoice) -> dict[str, object]:
@@ -223,7 +226,7 @@ def _method_table(method: MethodChoice) -> dict[str, object]:
     notebook's cell or of a script.
     """
     if isinstance(method, Mapping) and "use" in method:
-        return {**method, "use": address_of(str(method["use"])).label}
+        return dict(method)
     if not isinstance(method, (str, type, BackendSpec)):
         expected = 'a name, a class, a spec or a table with "use"'
         raise BadParameter("evalkit", "method", method, f"{expected}; give a class itself, not an object of it")

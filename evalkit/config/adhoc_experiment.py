@@ -43,6 +43,8 @@ class Recording:
 
         Raises UnknownName or BadParameter for a given parameter, BadData if the recording cannot be read.
         """
+        if self.path.is_file() and self.path.stat().st_size == 0:
+            raise BadData(str(self.path), "", "the file is empty", "give a bag or a log")
         resolve_parameters(self.reader, self.spec.parameters, self.given)
         if self.spec.choose is None:
             return ()

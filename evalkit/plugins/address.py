@@ -52,19 +52,20 @@ def address_of(plug_in: str | BackendSpec | DatasetSpec | type) -> Address:
 
     Raises NotInstalled for an object that another process cannot import.
     """
-    address = _address_of_text(plug_in) if isinstance(plug_in, str) else _address_of_object(plug_in)
+    if not isinstance(plug_in, str):
+        return _address_of_object(plug_in)
+    module, colon, attribute = plug_in.partition(":")
+    if not colon or module in registry.names("schemes"):
+        return Address(plug_in)
+    return Address(plug_in, module, attribute)
+
+
+def require_imported(address: Address) -> None:
+    """Raise NotInstalled for a module whose import has not ended: in another process it would not end either."""
     if _is_being_imported(address.module):
         what = f"the module {address.module} is being imported: its import would run this comparison again and again"
         remedy = f"move the comparison to another file, or into a function that is called after import {address.module}"
         raise NotInstalled(address.label, what, remedy)
-    return address
-
-
-def _address_of_text(name: str) -> Address:
-    module, colon, attribute = name.partition(":")
-    if not colon or module in registry.names("schemes"):
-        return Address(name)
-    return Address(name, module, attribute)
 
 
 def _is_being_imported(module: str) -> bool:
@@ -89,11 +90,12 @@ def spec_at(address: Address, wanted: type[Spec], registered: Callable[[str], Sp
     if not address.module:
         return registered(address.label)
     try:
-        spec = getattr(_module(address), address.attribute)
+        spec = registry.as_spec(getattr(_module(address), address.attribute), wanted)
     except Exception as error:  # third-party code; a plug-in under development may raise anything
         raise NotInstalled(address.label, f"does not load ({type(error).__name__}: {error})", _REMEDY) from error
     if not isinstance(spec, wanted):
-        found = f"is a {type(spec).__name__}, expected a {wanted.__name__}"
+        or_class = " or a class with register or update" if wanted is BackendSpec else ""
+        found = f"is a {type(spec).__name__}, expected a {wanted.__name__}{or_class}"
         raise NotInstalled(address.label, found, _REMEDY)
     return spec
 

@@ -85,7 +85,9 @@ def load_results_json(folder: Path) -> dict[str, Any]:
     """
     path = folder / "results.json"
     if not path.exists():
-        raise StoreError(str(path), "there is no such file", REMEDY)
+        unreported = (folder / "runs").is_dir()
+        remedy = "a comparison with --no-page writes none: repeat it with --collect in place of --no-page"
+        raise StoreError(str(path), "there is no such file", remedy if unreported else REMEDY)
     content = _load_object(path)
     schema = content.get("schema")
     if not isinstance(schema, dict) or (schema.get("name"), schema.get("version")) != (RESULTS_NAME, RESULTS_VERSION):
@@ -122,7 +124,7 @@ def check_same_experiment(folder: Path, experiment: Experiment) -> None:
         return
     if command != mine and (renamed or labels.isdisjoint(one.label for one in experiment.sequences)):
         what = f"holds the results of another experiment, {brief(title)} ({brief(command)})"
-        raise StoreError(str(folder), what, "name another folder with --out, or delete this one")
+        raise StoreError(str(folder), what, "name another folder, or delete this one")
 
 
 def _find_file_name(command: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
@@ -167,14 +168,14 @@ def compare(
         else:
             experiment = _experiment_of_recording(recording, source, given, keys, named, setting or [], as_is, reader)
         experiment = experiment.without_times() if accuracy_only else experiment
-        experiment = experiment.select(sequence or [], method or [], seed or [])
+        whole, experiment = experiment, experiment.select(sequence or [], method or [], seed or [])
         how = RunOptions.of(jobs, resume, rerun, collect, engine, scheduler, insecure)
         if no_page:
             _run(experiment, Store(folder), how, as_json)
         else:
             once = recording is not None and not nuisance
             again = f"evalkit {experiment.source} --nuisance {VERDICT_REPETITIONS}" if once else ""
-            _run_and_report(experiment, Store(folder), how, as_json, again)
+            _run_and_report(experiment, Store(folder), how, as_json, again, whole)
 
 
 def _name_backends(text: str, everything: bool) -> list[str]:
@@ -221,10 +222,13 @@ def _run(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -
     )
 
 
-def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_json: bool, again: str) -> None:
+def _run_and_report(
+    experiment: Experiment, store: Store, how: RunOptions, as_json: bool, again: str, whole: Experiment
+) -> None:
     """Run the experiment, load its records, analyse them, render the page, print the summary.
 
     ``again``: the command that repeats the runs, "" if they need no repetition; printed where methods can be compared.
+    ``whole``: the experiment of which this one may be a part; a note tells which of its finished runs are left out.
     """
     from evalkit.api.pipeline import NothingToCollectError, run_and_report  # noqa: PLC0415 - loads pandas and matplotlib
     from evalkit.terminal.ranked_table import print_answer  # noqa: PLC0415 - as above
@@ -239,6 +243,11 @@ def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_js
     if not as_json and any(record.result.is_complete for record in records):
         print_answer(out, analysis)
     runs = [(record.spec, record.result) for record in records]
+    shown = {spec.key for spec, _ in runs}
+    if left_out := sum(store.is_finished(spec.key) for spec in whole.runs() if spec.key not in shown):
+        words = f"evalkit {whole.source} --collect --out {shlex.quote(str(store.folder))}"
+        count = f"{left_out} finished run{'s' * (left_out != 1)}"
+        err.print(f"this report leaves out {count} in this folder; with all: {words}", soft_wrap=True)
     compared = len({record.method for record in records if record.result.is_complete}) > 1
     run_summary.print_summary(runs, experiment.title, store, page, as_json, again if compared else "")
 
