@@ -218,7 +218,7 @@ class Store:
             frame, body = [grid.resolution_m, grid.origin_x, grid.origin_y], BytesIO()
             np.savez_compressed(body, log_odds=grid.log_odds, observed=grid.observed, frame=frame)
             files[GRID] = body.getvalue()
-            map_server.write_map(self.folder / "maps" / key, grid, self.folder)
+            map_server.write_map(self.folder / "maps" / key, grid, self.folder, scores.map_from_start)
         final = scores.final
         final_errors = final.errors_m if final else None
         for name, array in ((ERRORS, scores.errors_m), (FINAL_ERRORS, final_errors), (FIT, scores.fit)):
