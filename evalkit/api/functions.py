@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,19 +15,28 @@ from numpy.typing import ArrayLike
 
 from evalkit.api.pipeline import run_and_report
 from evalkit.api.results import ComparisonResults
-from evalkit.config.adhoc_experiment import experiment_from_recording, open_recording, read_first_frame
+from evalkit.config.adhoc_experiment import (
+    experiment_from_recording,
+    format_command,
+    open_recording,
+    read_first_frame,
+    split_names,
+)
 from evalkit.config.experiment import RESULTS, Experiment, load_experiment
+from evalkit.config.forms import METHOD
+from evalkit.config.toml_tables import flatten
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Cloud, Scan
+from evalkit.core.se2 import Floats
 from evalkit.execution.environment import describe
 from evalkit.execution.executors import LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.odometry import frontend
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.address import address_of
+from evalkit.plugins.address import address_of, require_imported
 from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, NUISANCE, Value
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 from evalkit.results.store import Store
@@ -37,7 +48,7 @@ an experiment file: ``{"use": ..., "label": ..., PARAMETER: value}``."""
 
 def compare(
     recording: str | Path,
-    methods: Sequence[MethodChoice] = (),
+    methods: Sequence[MethodChoice] | None = None,
     reference: str | Path | None = None,
     *,
     relations: str | Path | None = None,
@@ -54,11 +65,12 @@ def compare(
     """Compare methods on a recording and return the results, with the report in a folder.
 
     ``recording``: a bag (ROS 1 or 2) or a log, or an experiment file (then the other sources are keys of that file).
-    ``methods``: one of each family if empty. ``reference``: ground truth (TUM: s, m, quaternion; frame of the base).
-    ``relations``: measured relations (Kuemmerle et al. 2009). ``reader``: the data set that reads the recording, found
-    by its content if not given. ``out``: the results folder; ``./evalkit-results/NAME`` if not given. ``map``: the
-    map_server YAML file of a map in which the methods track the robot, from ``start`` (x m, y m, yaw deg in the map) or
-    from where the first scans are found. ``align_truth``: the ground truth is in another frame than the map.
+    ``methods``: one of each family if not given. ``reference``: ground truth (TUM: s, m, quaternion; frame of the
+    base). ``relations``: measured relations (Kuemmerle et al. 2009). ``reader``: the data set that reads the recording,
+    found by its content if not given. ``out``: the results folder; ``./evalkit-results/NAME`` if not given.
+    ``map``: the map_server YAML file of a map in which the methods track the robot, from ``start`` (x m, y m, yaw deg
+    in the map) or from where the first scans are found. ``align_truth``: the ground truth is in another frame than the
+    map.
     ``nuisance``: further runs of each method under small perturbations, 0 or 2 to 64; a verdict takes 5. ``jobs``: runs
     at a time. ``resume``: use stored results of equal code, data and parameters.
     ``settings``: parameters of the reader, such as ``topic="/scan"``; others are what the reader finds in the
@@ -67,20 +79,31 @@ def compare(
     Runs that fail are rows of the results. Raises BadData, BadParameter or UnknownName for wrong input.
     """
     path = Path(recording)
-    keys: dict[str, Value] = {MAP: str(map or ""), ALIGN_TRUTH: align_truth, NUISANCE: nuisance}
-    keys[MAP_START] = ",".join(str(float(one)) for one in start or ())
+    start_text = _format_start(start)
+    keys: dict[str, Value] = {
+        MAP: str(map or ""), MAP_START: start_text, ALIGN_TRUTH: align_truth, NUISANCE: nuisance
+    }  # fmt: skip
     keys = {name: value for name, value in keys.items() if value}
     files = {"ground_truth": reference, "relations": relations}
     given = {name: str(value) for name, value in files.items() if value is not None}
     if path.suffix == ".toml":
-        for name in (*given, *settings, *keys, *(["methods"] if methods else [])):
+        for name in (*given, *settings, *keys, *(["methods"] if methods is not None else [])):
             raise BadParameter(str(path), name, "an argument", "a key of the experiment file")
         return run(load_experiment(path), out, jobs=jobs, resume=resume)
-    tables = [_method_table(method) for method in methods]
-    found = open_recording(path, {name: str(value) for name, value in settings.items()} | given, reader)
-    experiment = experiment_from_recording(
-        found, found.choose(), tables or defaults.find_default_backends(), f"compare {path}", keys
-    )
+    tables = _method_tables(methods)
+    texts = {name: str(value) for name, value in settings.items()}
+    found = open_recording(path, texts | given, reader)
+    names = [str(table["use"]) for table in tables]
+    source = format_command(path, given, keys, names, [f"{name}={text}" for name, text in texts.items()], reader=reader)
+    experiment = experiment_from_recording(found, found.choose(), tables, source, keys)
+    if split_names(",".join(names)) != names or any(set(table) != {"use"} for table in tables):
+        place = [float(number) for number in start_text.split(",") if number]
+        arguments: dict[str, object] = {
+            "methods": json.loads(json.dumps(tables)), "reference": given.get("ground_truth"),
+            "relations": given.get("relations"), "reader": reader, MAP: keys.get(MAP), "start": place,
+            ALIGN_TRUTH: align_truth, NUISANCE: nuisance, **texts,
+        }  # fmt: skip
+        experiment = replace(experiment, arguments={name: one for name, one in arguments.items() if one})
     read_first_frame(experiment)
     return run(experiment, out, jobs=jobs, resume=resume)
 
@@ -92,6 +115,8 @@ def run(
 
     ``out``: the results folder; ``./evalkit-results/NAME`` if not given. See ``compare`` for the rest.
     """
+    if not isinstance(jobs, int) or isinstance(jobs, bool) or jobs < 1:
+        raise BadParameter("evalkit", "jobs", jobs, "a whole number from 1 on")
     if not isinstance(experiment, Experiment):
         experiment = load_experiment(Path(experiment))
     folder = Path(out) if out is not None else RESULTS / experiment.name
@@ -122,41 +147,90 @@ def register(
     (x m, y m, theta rad); the identity if not given. ``parameters``: of the method; its defaults otherwise.
 
     The method runs in this process. Raises NotInstalled if it cannot run here, BadParameter for a method that is no
-    registration or for a wrong parameter, ValueError for clouds of another shape.
+    registration or for a wrong argument, ValueError for clouds of another shape.
     """
-    name = _method_name(method)
+    table = _method_table(method)
+    name = str(table["use"])
+    of_table = flatten({key: value for key, value in table.items() if key not in METHOD.keys})
     spec = registry.backend(name)
     if why := spec.missing():
         raise NotInstalled(name, "cannot run here", why)
     if not isinstance(spec, RegistrationSpec):
         raise BadParameter("register", "method", name, "a registration; this one estimates whole drives (use compare)")
-    complete = frontend.complete_parameters(name, spec, parameters)
+    complete = frontend.complete_parameters(name, spec, {**of_table, **parameters})
     _, registration = spec.make_stages(complete)
-    start = guess if isinstance(guess, Pose) else Pose() if guess is None else Pose.of(guess)
-    return registration.register(_cloud(target), _cloud(source), start)
+    clouds = _cloud("target", target), _cloud("source", source)
+    return registration.register(*clouds, _pose(guess))
 
 
-def _cloud(points: ArrayLike | Cloud | Scan) -> Cloud:
+def _cloud(name: str, points: ArrayLike | Cloud | Scan) -> Cloud:
     if isinstance(points, Cloud):
         return points
-    return Cloud(points.points(), "sensor") if isinstance(points, Scan) else Cloud(np.asarray(points, dtype=np.float64))
+    if isinstance(points, Scan):
+        return Cloud(points.points(), "sensor")
+    return Cloud(_numbers("register", name, points, "points (N, 2) in m, a Cloud or a Scan"))
+
+
+def _pose(guess: Pose | ArrayLike | None) -> Pose:
+    if isinstance(guess, Pose):
+        return guess
+    return (
+        Pose()
+        if guess is None
+        else Pose(*_three_numbers("register", "guess", guess, "a Pose, or x, y (m), theta (rad)"))
+    )
+
+
+def _format_start(start: tuple[float, float, float] | None) -> str:
+    """Return the start in a known map as text, "" where it is searched."""
+    expected = "x (m), y (m), yaw (deg)"
+    return "" if start is None else ",".join(map(str, _three_numbers("compare", "start", start, expected)))
+
+
+def _three_numbers(owner: str, name: str, values: ArrayLike, expected: str) -> list[float]:
+    """Return three finite numbers; raises BadParameter for anything else."""
+    numbers = _numbers(owner, name, values, expected)
+    if numbers.shape != (3,) or not np.isfinite(numbers).all():
+        raise BadParameter(owner, name, values, expected)
+    row: list[float] = numbers.tolist()
+    return row
+
+
+def _numbers(owner: str, name: str, values: ArrayLike, expected: str) -> Floats:
+    """Return an array of real numbers; raises BadParameter for text, complex numbers, and rows of unequal length."""
+    try:
+        found = np.asarray(values)
+    except ValueError:
+        found = np.array(None)
+    if found.dtype.kind not in "iuf":
+        raise BadParameter(owner, name, values, expected)
+    return found.astype(np.float64)
+
+
+def _method_tables(methods: Sequence[MethodChoice] | None) -> list[dict[str, object]]:
+    """Return the methods of a comparison as tables of an experiment file; one of each family if not given."""
+    if methods is None:
+        return [{"use": name} for name in defaults.find_default_backends()]
+    if isinstance(methods, (str, type, BackendSpec, Mapping)) or not methods:
+        raise BadParameter("compare", "methods", methods, "a list of methods, such as ['paper', 'embedded']")
+    tables = [_method_table(method) for method in methods]
+    for table in tables:
+        require_imported(address_of(str(table["use"])))
+    return tables
 
 
 def _method_table(method: MethodChoice) -> dict[str, object]:
-    """Return a method as the table of an experiment file."""
-    return dict(method) if isinstance(method, Mapping) else {"use": _method_name(method)}
+    """Return a method as the table of an experiment file.
 
-
-def _method_name(method: MethodChoice) -> str:
-    """Return the name by which another process finds a method.
-
-    Raises NotInstalled for an object that only this process has: a class of a notebook's cell or of a script.
+    Raises BadParameter for what is no method, and NotInstalled for an object that only this process has: a class of a
+    notebook's cell or of a script.
     """
-    if isinstance(method, Mapping):
-        return str(method["use"])
-    if isinstance(method, str):
-        return method
-    return address_of(method).label
+    if isinstance(method, Mapping) and "use" in method:
+        return dict(method)
+    if not isinstance(method, (str, type, BackendSpec)):
+        expected = 'a name, a class, a spec or a table with "use"'
+        raise BadParameter("evalkit", "method", method, f"{expected}; give a class itself, not an object of it")
+    return {"use": address_of(method).label}
 
 
 @contextmanager

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import html
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from io import BytesIO
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evalkit.core.errors import StoreError, UnknownName
+from evalkit.core.errors import BadParameter, StoreError, UnknownName
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.loop_closure import LoopClosure
@@ -43,6 +45,12 @@ class ComparisonResults:
     def load(cls, folder: Path) -> ComparisonResults:
         """Load a results folder. Raises StoreError if it holds no report, or one of another version."""
         return cls(folder, load_results_json(folder))
+
+    def __repr__(self) -> str:
+        """Return one line: folder, runs and methods."""
+        count = len(self.content["runs"])
+        shown = f"{count} run{'s' * (count != 1)} of {', '.join(self.methods) or 'no method'}"
+        return f"ComparisonResults({str(self.folder)!r}: {shown})"
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -113,9 +121,14 @@ class ComparisonResults:
     ) -> None:  # fmt: skip
         """Require that every run of a method over a sequence has a metric within limits, in the metric's unit.
 
-        Raises AssertionError with every run beyond them or without a value; UnknownName for unknown names.
+        Without limits, every run must have a value. Raises AssertionError with every run beyond the limits or without
+        a value; UnknownName for unknown names, BadParameter for a limit that is no number.
         """
         chosen = self._sequence(sequence)
+        given: dict[str, object] = {"below": below, "above": above}
+        for name, limit in given.items():
+            if limit is not None and (not isinstance(limit, Real) or math.isnan(limit)):
+                raise BadParameter("require", name, limit, f"a number in the unit of {metric}")
         if metric not in self.units:
             raise UnknownName("metric", metric, self.units)
         if method not in self.methods:

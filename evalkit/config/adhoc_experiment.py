@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from evalkit.core.errors import BadData, EvalkitError, NotInstalled, UnknownName
 from evalkit.core.scan import Frame
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.plugins.parameters import Value, resolve_parameters
+from evalkit.plugins.parameters import MAP_START, Value, resolve_parameters
 from evalkit.plugins.specs import Choice, DatasetSpec
 
 NO_KEYS: Mapping[str, Value] = {}
@@ -42,6 +43,8 @@ class Recording:
 
         Raises UnknownName or BadParameter for a given parameter, BadData if the recording cannot be read.
         """
+        if self.path.is_file() and self.path.stat().st_size == 0:
+            raise BadData(str(self.path), "", "the file is empty", "give a bag or a log")
         resolve_parameters(self.reader, self.spec.parameters, self.given)
         if self.spec.choose is None:
             return ()
@@ -99,6 +102,40 @@ def read_first_frame(experiment: Experiment) -> Frame:
     if frame is None:
         raise BadData(spec.label, "", "it contains no scan", "give a recording with laser scans")
     return frame
+
+
+def format_command(
+    source: Path,
+    given: Mapping[str, str],
+    keys: Mapping[str, Value],
+    backends: Sequence[str],
+    settings: Sequence[str],
+    as_is: bool = False,
+    reader: str = "",
+) -> str:
+    """Return the command line of a comparison on one recording, without "evalkit".
+
+    ``given``: files and topic, by the name of the reader's parameter. ``keys``: as for the experiment. ``settings``:
+    other parameters of the reader, as NAME=VALUE.
+    """
+    words = ["compare", str(source)]
+    words += [word for name, value in given.items() for word in (f"--{option_name(name)}", value)]
+    for name, value in keys.items():
+        words += [f"--{option_name(name)}", *([] if value is True else [str(value)])]
+    words += ["--backends", ",".join(backends), *(["--as-is"] if as_is else [])]
+    words += ["--reader", reader] if reader else []
+    words += [word for item in settings for word in ("--set", item)]
+    return shlex.join(words)
+
+
+def option_name(parameter: str) -> str:
+    """Return the name of the option of a parameter."""
+    return "start" if parameter == MAP_START else parameter.replace("_", "-")
+
+
+def split_names(text: str) -> list[str]:
+    """Return the back ends of a list separated by commas; the comma of "?tf=map,base_link" separates no names."""
+    return [name for word in re.findall(r"(?:\?tf=[^,]*,|[^,])+", text) if (name := word.strip())]
 
 
 @contextmanager

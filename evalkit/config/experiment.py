@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -116,6 +117,7 @@ class Experiment:
 
     ``source``: the command line that runs it, without "evalkit". ``timed``: whether times count; if not, runs may
     share the machine with other work. ``skip_tuned``: a method does not run on data sets that it was tuned on.
+    ``arguments``: those of ``evalkit.compare`` in Python, for methods that no command line can state; else empty.
     """
 
     name: str
@@ -128,6 +130,7 @@ class Experiment:
     limits: Limits
     timed: bool = True
     skip_tuned: bool = False
+    arguments: Mapping[str, object] = field(default_factory=dict)
 
     def runs(self) -> Iterator[RunSpec]:
         """Every run, with the methods interleaved in each repetition and every second repetition in reverse: AB BA AB.
@@ -149,18 +152,31 @@ class Experiment:
             if not (self.skip_tuned and sequence.dataset in method.tuned_on)
         )
 
+    @property
+    def whole_command(self) -> str:
+        """The command line that repeats the experiment. It sets PYTHONPATH where a plug-in is found by it."""
+        whole = self._python_call() if self.arguments else f"evalkit {self.source}"
+        return _environment(self.methods, self.sequences) + whole
+
     def command(self, spec: RunSpec) -> str:
         """The command line that reproduces one run alone in a folder of its own; other results stay untouched.
 
-        It sets PYTHONPATH where a plug-in is found by it.
+        It sets PYTHONPATH where a plug-in is found by it. With ``arguments``, it repeats all runs in that folder.
         """
-        path = registry.find_search_path(spec.method.backend, spec.sequence.dataset)
-        environment = f"PYTHONPATH={shlex.quote(path)} " if path else ""
+        folder, environment = f"{RESULTS}/{self.name}-one", _environment((spec.method,), (spec.sequence,))
+        if self.arguments:
+            return environment + self._python_call(out=folder)
         seed = "" if spec.seed is None else f" --seed {spec.seed}"
         sequence, method = shlex.quote(spec.sequence.label), shlex.quote(spec.method.label)
-        folder = shlex.quote(f"{RESULTS}/{self.name}-one")
-        words = f"evalkit {self.source} --sequence {sequence} --method {method}{seed} --no-page --out {folder}"
-        return environment + words
+        words = f"evalkit {self.source} --sequence {sequence} --method {method}{seed} --no-page --out"
+        return f"{environment}{words} {shlex.quote(folder)}"
+
+    def _python_call(self, **more: object) -> str:
+        arguments = ", ".join(
+            f"{name}={value!r}" for name, value in {**self.arguments, **more, "resume": False}.items()
+        )
+        code = f"import sys, evalkit; evalkit.compare(sys.argv[1], {arguments})"
+        return shlex.join(["python", "-c", code, shlex.split(self.source)[1]])
 
     def without_times(self) -> Experiment:
         """The same experiment with times that do not count."""
@@ -311,6 +327,13 @@ def _require_other_than_truth(methods: tuple[Method, ...], sequence: SequenceSpe
             what = f"'{method.label}': its poses are the ground truth of {sequence.label}, {truth}: its error is zero"
             remedy = f"give another ground truth ({GROUND_TRUTH}, --ground-truth), or leave the method out"
             raise BadExperiment(file, "", f"{what}; {remedy}")
+
+
+def _environment(methods: Iterable[Method], sequences: Iterable[SequenceSpec]) -> str:
+    """Return the setting of PYTHONPATH by which the plug-ins are found, "" where they are installed."""
+    paths = [registry.find_search_path(one.backend, other.dataset) for one in methods for other in sequences]
+    entries = dict.fromkeys(entry for path in paths for entry in path.split(os.pathsep) if entry)
+    return f"PYTHONPATH={shlex.quote(os.pathsep.join(entries))} " if entries else ""
 
 
 def _select(

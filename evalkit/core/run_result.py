@@ -233,3 +233,8 @@ class Scores:
     lost: LostTrack | None = None
     final: FinalAlignment | None = None
     fit: Floats | None = None
+
+    @property
+    def map_from_start(self) -> Pose:
+        """The alignment of the trajectory that ``grid`` is drawn from."""
+        return (self.final or self).world_from_start

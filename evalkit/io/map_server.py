@@ -92,18 +92,26 @@ def draw_pixels(grid: OccupancyGrid) -> Shades:
     return pixels[::-1]
 
 
-def write_map(stem: Path, grid: OccupancyGrid, root: Path | None = None) -> None:
+def write_map(stem: Path, grid: OccupancyGrid, root: Path | None = None, world_from_start: Pose | None = None) -> None:
     """Write STEM.pgm (row 0 on top; 254 free, 0 occupied, 205 unknown) and STEM.yaml with every digit.
 
-    ``root``: as in ``output_files.write_bytes``. Raises StoreError.
+    ``root``: as in ``output_files.write_bytes``. ``world_from_start``: from the frame of the trajectory that the map is
+    drawn from to that of the map, as a comment of the YAML file. Raises StoreError.
     """
+    comment = ""
+    if world_from_start is not None:
+        moved = " ".join(map(repr, world_from_start.row.tolist()))
+        comment = (
+            f"# frame: world; the trajectory is start_from_base, world_from_start = {moved} (x y theta: m, m, rad)\n"
+        )
     rows, columns = grid.shape
     size, x, y = (float(value) for value in (grid.resolution_m, grid.origin_x, grid.origin_y))  # no numpy in repr
     header = b"P5\n%d %d\n255\n" % (columns, rows)
     write_bytes(stem.with_name(stem.name + ".pgm"), header + draw_pixels(grid).tobytes(), root)
     write_text(
         stem.with_name(stem.name + ".yaml"),
-        f"image: {stem.name}.pgm\nmode: trinary\nresolution: {size!r}\norigin: [{x!r}, {y!r}, 0.0]\nnegate: 0\n"
+        f"{comment}image: {stem.name}.pgm\nmode: trinary\nresolution: {size!r}\n"
+        f"origin: [{x!r}, {y!r}, 0.0]\nnegate: 0\n"
         "occupied_thresh: 0.65\nfree_thresh: 0.196\n",
         root,
     )

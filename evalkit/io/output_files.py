@@ -13,7 +13,7 @@ from typing import Any
 
 from evalkit.core.errors import StoreError
 
-ANOTHER_FOLDER = "name another folder with --out"
+ANOTHER_FOLDER = "name another folder"
 REMEDY = f"free some space or {ANOTHER_FOLDER}"
 
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

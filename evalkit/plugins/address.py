@@ -60,6 +60,21 @@ def address_of(plug_in: str | BackendSpec | DatasetSpec | type) -> Address:
     return Address(plug_in, module, attribute)
 
 
+def require_imported(address: Address) -> None:
+    """Raise NotInstalled for a module whose import has not ended: in another process it would not end either."""
+    if _is_being_imported(address.module):
+        what = f"the module {address.module} is being imported: its import would run this comparison again and again"
+        remedy = f"move the comparison to another file, or into a function that is called after import {address.module}"
+        raise NotInstalled(address.label, what, remedy)
+
+
+def _is_being_imported(module: str) -> bool:
+    """Return whether the import of a module, or of a package that holds it, has not ended."""
+    parts = module.split(".")
+    found = (sys.modules.get(".".join(parts[:count])) for count in range(1, len(parts) + 1))
+    return any(getattr(getattr(one, "__spec__", None), "_initializing", False) for one in found)
+
+
 def label_of(plug_in: str | BackendSpec | DatasetSpec, otherwise: str) -> str:
     """Name a plug-in as its address does, or otherwise if no module has it."""
     if isinstance(plug_in, str):
@@ -75,11 +90,12 @@ def spec_at(address: Address, wanted: type[Spec], registered: Callable[[str], Sp
     if not address.module:
         return registered(address.label)
     try:
-        spec = getattr(_module(address), address.attribute)
+        spec = registry.as_spec(getattr(_module(address), address.attribute), wanted)
     except Exception as error:  # third-party code; a plug-in under development may raise anything
         raise NotInstalled(address.label, f"does not load ({type(error).__name__}: {error})", _REMEDY) from error
     if not isinstance(spec, wanted):
-        found = f"is a {type(spec).__name__}, expected a {wanted.__name__}"
+        or_class = " or a class with register or update" if wanted is BackendSpec else ""
+        found = f"is a {type(spec).__name__}, expected a {wanted.__name__}{or_class}"
         raise NotInstalled(address.label, found, _REMEDY)
     return spec
 

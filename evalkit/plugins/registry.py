@@ -216,7 +216,7 @@ def _load_address(name: str, address: str, wanted: type[Spec]) -> Spec:
     """Load a spec from "module:SPEC"; see ``load``."""
     module, _, attributes = address.partition(":")
     try:
-        spec = _as_spec(reduce(getattr, attributes.split("."), import_module(module)), wanted)
+        spec = as_spec(reduce(getattr, attributes.split("."), import_module(module)), wanted)
     except Exception as error:  # third-party code may raise anything; the other plug-ins stay usable
         raise NotInstalled(name, f"its plug-in {address} does not load ({error})", "reinstall its package") from error
     if not isinstance(spec, wanted):
@@ -224,7 +224,7 @@ def _load_address(name: str, address: str, wanted: type[Spec]) -> Spec:
     return spec
 
 
-def _as_spec(loaded: object, wanted: type[Spec]) -> object:
+def as_spec(loaded: object, wanted: type[Spec]) -> object:
     """Return the spec of a class that is a back end itself, anything else as it is."""
     if isinstance(loaded, type) and wanted is BackendSpec:
         return spec_of_class(loaded) or loaded

@@ -45,7 +45,7 @@ def build_comparison(
         methods={method.label: build_method_card(method) for method in experiment.methods},
         sequences={sequence.label: build_sequence_card(sequence, runs) for sequence in experiment.sequences},
         environment={**where, **environment.versions(libraries)},
-        command=f"evalkit {experiment.source}",
+        command=experiment.whole_command,
         started=started,
         finished=finished,
         mapper=describe_mapper(experiment.mapper),

@@ -89,7 +89,9 @@ def load_results_json(folder: Path) -> dict[str, Any]:
     """
     path = folder / "results.json"
     if not path.exists():
-        raise StoreError(str(path), "there is no such file", REMEDY)
+        unreported = (folder / "runs").is_dir()
+        remedy = "a comparison with --no-page writes none: repeat it with --collect in place of --no-page"
+        raise StoreError(str(path), "there is no such file", remedy if unreported else REMEDY)
     content = _load_object(path)
     schema = content.get("schema")
     if not isinstance(schema, dict) or (schema.get("name"), schema.get("version")) != (RESULTS_NAME, RESULTS_VERSION):
@@ -120,18 +122,19 @@ def check_same_experiment(folder: Path, experiment: Experiment) -> None:
     try:
         content = _load_object(path)
         labels, command, title = content["sequences"].keys(), content["command"], content["title"]
-        mine = f"evalkit {experiment.source}"
+        mine = experiment.whole_command
         renamed = _find_file_name(command) != _find_file_name(mine) and title != experiment.title
     except (StoreError, KeyError, AttributeError, TypeError, ValueError):
         return
     if command != mine and (renamed or labels.isdisjoint(one.label for one in experiment.sequences)):
         what = f"holds the results of another experiment, {brief(title)} ({brief(command)})"
-        raise StoreError(str(folder), what, "name another folder with --out, or delete this one")
+        raise StoreError(str(folder), what, "name another folder, or delete this one")
 
 
 def _find_file_name(command: str) -> str:
-    """Return the name of the experiment or recording of a command "evalkit compare FILE ..."; "" without one."""
-    return Path(next(iter(shlex.split(command)[2:]), "")).name
+    """Return the name of the file of a command "evalkit compare FILE ..." or "python -c CODE FILE"; "" without one."""
+    words = [word for word in shlex.split(command) if not word.startswith("PYTHONPATH=")]
+    return Path(next(iter(words[3 if words[:1] == ["python"] else 2 :]), "")).name
 
 
 def _check_keys(path: Path, content: Mapping[str, Any]) -> None:

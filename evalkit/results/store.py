@@ -80,9 +80,9 @@ class Store:
             lock.acquire(timeout=0)
         except Timeout as error:
             what = "another evalkit writes to this folder"
-            raise StoreError(str(self.folder), what, "wait for it or name another folder with --out") from error
+            raise StoreError(str(self.folder), what, "wait for it or name another folder") from error
         except (OSError, NotImplementedError) as error:  # a folder of this name, or a file system without locks
-            remedy = "remove it, or name a folder on a local disk with --out"
+            remedy = "remove it, or name a folder on a local disk"
             raise StoreError(str(path), f"cannot be locked ({error})", remedy) from error
         try:
             yield
@@ -136,6 +136,10 @@ class Store:
 
     def _attempts_file(self, key: str) -> Path:
         return self.folder / "attempts" / f"{key}.json"
+
+    def is_finished(self, key: str) -> bool:
+        """Return whether a run has ended and its result is stored."""
+        return (self.run_folder(key) / RESULT).is_file()
 
     def save_result(self, spec: RunSpec, result: RunResult) -> None:
         """Write how a run went and its trajectory for other tools; ``RESULT``, written last, marks it as complete."""
@@ -214,7 +218,7 @@ class Store:
             frame, body = [grid.resolution_m, grid.origin_x, grid.origin_y], BytesIO()
             np.savez_compressed(body, log_odds=grid.log_odds, observed=grid.observed, frame=frame)
             files[GRID] = body.getvalue()
-            map_server.write_map(self.folder / "maps" / key, grid, self.folder)
+            map_server.write_map(self.folder / "maps" / key, grid, self.folder, scores.map_from_start)
         final = scores.final
         final_errors = final.errors_m if final else None
         for name, array in ((ERRORS, scores.errors_m), (FINAL_ERRORS, final_errors), (FIT, scores.fit)):

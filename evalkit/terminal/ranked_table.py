@@ -31,6 +31,9 @@ BARS = (18, 8)
 """Widest and narrowest bar, in columns; a table without room for the narrowest has none."""
 
 CPU, CORRECTED = "CPU/scan", "corrected"
+DROPPED = (2, 3, 4)
+"""Columns that a narrow table leaves out, in this order: against the baseline, corrected poses, CPU time."""
+
 LINEAR_RATIO = 8.0
 """Bars are on a logarithmic scale if the largest value exceeds the smallest more than this."""
 
@@ -185,7 +188,7 @@ def format_rows(head: str, rows: Sequence[RankedRow], width: int, cost: str = CP
 
     Columns: method, error, its interval as a bar, error by the baseline's, error of corrected poses, CPU time a scan,
     note. ``cost``: heading of the column of the CPU time, "" without one. What is too wide goes in this order: the
-    bar, the middle of the names, unless two become equal, and the end of the line.
+    bar, the middle of the names, unless two become equal, the columns ``DROPPED``, and the end of the line.
     """
     for line in _format_lines(head, rows, width, cost):
         line.truncate(width, overflow="ellipsis")
@@ -197,13 +200,9 @@ def _format_lines(head: str, rows: Sequence[RankedRow], width: int, cost: str) -
     cells = [[row.method, row.error, row.against, row.corrected, row.cost, row.note] for row in shown]
     sizes = [max(map(len, column)) for column in zip(*cells, strict=True)]
     sizes[3:5] = (max(size, len(head)) if size else 0 for size, head in zip(sizes[3:5], (CORRECTED, cost), strict=True))
-    room = width - sum(size + 2 for size in sizes if size)
+    room = _room(sizes, width)
     bar = min(room - 2, BARS[0]) if room - 2 >= BARS[1] else 0
-    if room < 0:
-        size = min(sizes[0], max(sizes[0] + room, LEAST_NAME))
-        names = [cut_middle(own[0], size) for own in cells]
-        if len({*names}) == len({own[0] for own in cells}):  # else the lines are cut at their ends
-            sizes[0], cells = size, [[name, *own[1:]] for name, own in zip(names, cells, strict=True)]
+    _fit(cells, sizes, width)
     scale = _Scale([value for row in shown for value in (row.low, row.value, row.high) if value is not None], bar)
     left = sum(size + 2 for size in (*sizes[:2], bar, sizes[2]) if size)
     heads = [f"{text:>{size}}" for text, size in ((CORRECTED, sizes[3]), (cost, sizes[4])) if size]
@@ -223,6 +222,26 @@ def _format_lines(head: str, rows: Sequence[RankedRow], width: int, cost: str) -
         yield Text(line.replace("\u00a0", " "), style=style)
     if len(rows) > len(shown):
         yield Text(f"  and {len(rows) - len(shown)} more on the page", style="dim")
+
+
+def _room(sizes: Sequence[int], width: int) -> int:
+    """Return the columns of the terminal that a table leaves free; negative if it is too wide."""
+    return width - sum(size + 2 for size in sizes if size)
+
+
+def _fit(cells: list[list[str]], sizes: list[int], width: int) -> None:
+    """Cut the names and empty columns of a table until it fits, if that is enough; ``sizes``: of its columns."""
+    least = min(sizes[0], LEAST_NAME)
+    if len({cut_middle(own[0], least) for own in cells}) < len({own[0] for own in cells}):
+        least = sizes[0]
+    for column in DROPPED:
+        if _room([least, *sizes[1:]], width) < 0:
+            sizes[column] = 0
+            for own in cells:
+                own[column] = ""
+    sizes[0] = min(sizes[0], max(sizes[0] + _room(sizes, width), least))
+    for own in cells:
+        own[0] = cut_middle(own[0], sizes[0])
 
 
 class _Scale:

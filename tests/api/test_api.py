@@ -1,9 +1,12 @@
 """The Python API gives the numbers of the report, and says what it needs."""
 
+import importlib
 import json
+import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -185,11 +188,14 @@ def test_importing_the_api_keeps_the_code_hash_of_runs_and_starts_light():
     assert shown.split() == ["True", here]
 
 
+KEEP = (
+    "from evalkit import Match\n\nclass Keep:\n    'Answer the guess.'\n"
+    "    def register(self, target, source, guess):\n        return Match(guess, True, 1, 0.0, len(source))\n"
+)
+
+
 def test_a_script_needs_no_main_guard(tmp_path, results):
-    (tmp_path / "my_icp.py").write_text(
-        "from evalkit import Match\n\nclass Keep:\n    'Answer the guess.'\n"
-        "    def register(self, target, source, guess):\n        return Match(guess, True, 1, 0.0, len(source))\n"
-    )
+    (tmp_path / "my_icp.py").write_text(KEEP)
     script = tmp_path / "script.py"
     script.write_text(
         "import sys, evalkit, my_icp\nprint('once')\n"
@@ -203,6 +209,78 @@ def test_a_script_needs_no_main_guard(tmp_path, results):
     once, runs = ended.stdout.splitlines()
     assert once == "once"
     assert json.loads(runs) == [["my_icp:Keep", "complete"], ["mine", "complete"]]
+
+
+OWN = {"use": "embedded", "label": "my own", "max_iterations": 6}
+
+
+@pytest.mark.parametrize(("module", "other"), [("first_icp", OWN), ("second_icp", "wheel-odometry")])
+def test_the_stored_commands_repeat_the_comparison_and_one_run(tmp_path, monkeypatch, module, other):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / f"{module}.py").write_text(KEEP)
+    (tmp_path / "drive.log").write_text(carmen_log())
+    made = evalkit.compare("drive.log", [importlib.import_module(module).Keep, other], out="here", limit=8)
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    subprocess.run(made.content["command"], shell=True, check=True, capture_output=True)
+    (again,) = (tmp_path / "evalkit-results").iterdir()
+    assert [run["key"] for run in evalkit.load(again).content["runs"]] == [run["key"] for run in made.content["runs"]]
+    shutil.rmtree(again)
+    subprocess.run(made.content["runs"][0]["command"], shell=True, check=True, capture_output=True)
+    (alone,) = (tmp_path / "evalkit-results").iterdir()
+    assert made.content["runs"][0]["key"] in [run.name for run in (alone / "runs").iterdir()]
+
+
+def test_a_module_that_compares_a_class_of_its_own_on_import_is_refused(tmp_path):
+    (tmp_path / "drive.log").write_text(carmen_log())
+    for given in ("Keep", "'own:Keep'"):
+        (tmp_path / "own.py").write_text(f"import evalkit\n{KEEP}\nevalkit.compare('drive.log', [{given}], limit=8)\n")
+        ended = subprocess.run(
+            [sys.executable, "-c", "import own"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=100
+        )
+        assert "the module own is being imported" in ended.stderr
+        assert "move the comparison to another file" in ended.stderr
+
+
+class Unready:
+    """No method."""
+
+
+@pytest.mark.parametrize("methods", ["paper", [], Unready, [Unready()], [{"label": "mine"}]])
+def test_what_is_no_list_of_methods_is_refused(tmp_path, methods):
+    (tmp_path / "drive.log").write_text(carmen_log())
+    with pytest.raises(BadParameter, match=r"expected a (list of methods|name, a class)"):
+        evalkit.compare(tmp_path / "drive.log", methods)
+
+
+def test_arguments_that_are_no_numbers_are_refused(tmp_path, results):
+    points = np.zeros((3, 2))
+    for clouds in (("a", points), (points.astype(complex), points), (points, [[0.0, 1.0], [2.0]]), (points, None)):
+        with pytest.raises(BadParameter, match=r"expected points \(N, 2\) in m"):
+            evalkit.register(*clouds, "embedded")
+    for guess in ((1.0, 2.0), (np.nan, 0.0, 0.0), "here"):
+        with pytest.raises(BadParameter, match=r"expected a Pose, or x, y \(m\), theta \(rad\)"):
+            evalkit.register(points, points, "embedded", guess)
+    for limit in ("5 cm", np.nan):
+        with pytest.raises(BadParameter, match=r"'below'.*expected a number in the unit of ate_rmse_m"):
+            results.require("ate_rmse_m", "core", below=limit)
+    with pytest.raises(BadParameter, match="found 0, expected a whole number from 1"):
+        evalkit.run(tmp_path / "any.toml", jobs=0)
+    (tmp_path / "drive.log").write_text(carmen_log())
+    with pytest.raises(BadParameter, match=r"expected x \(m\), y \(m\), yaw \(deg\)"):
+        evalkit.compare(tmp_path / "drive.log", ["embedded"], start=(1.0, 2.0))
+
+
+def test_a_table_gives_parameters_to_one_registration():
+    points = np.random.default_rng(0).uniform(-3.0, 3.0, (300, 2))
+    one = evalkit.register(
+        points + np.array([0.1, 0.0]), points, {"use": "embedded", "label": "mine", "max_iterations": 1}
+    )
+    assert one.iterations == 1
+
+
+def test_results_are_shown_in_one_line(results):
+    assert repr(results) == f"ComparisonResults({str(results.folder)!r}: 4 runs of wheel-odometry, core)"
 
 
 def test_python_and_the_command_line_use_the_same_results_folder(tmp_path, monkeypatch):

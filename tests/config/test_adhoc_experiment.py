@@ -23,6 +23,13 @@ def plan(path, settings=(), backends=("wheel-odometry",), choices=()):
     return experiment_from_recording(open_recording(path, dict(settings)), choices, list(backends), "compare it")
 
 
+def test_an_empty_file_is_called_empty_whatever_its_suffix(tmp_path):
+    for name in ("empty.csv", "empty.bag", "empty.log"):
+        (tmp_path / name).write_bytes(b"")
+        with pytest.raises(BadData, match="the file is empty"):
+            open_recording(tmp_path / name, {}).choose()
+
+
 def test_a_log_is_read_by_the_reader_of_its_suffix(log):
     made = plan(log)
     (sequence,) = made.sequences

@@ -14,6 +14,7 @@ import pytest
 import evalkit
 from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.plugins import defaults, registry
+from evalkit.plugins.address import backend_at
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, OdometrySpec
 
 HEAVY = (
@@ -157,6 +158,17 @@ def test_a_back_end_under_development_is_found_by_its_module():
         registry.backend("evalkit_baselines.paper:CITATION")
     of_module, of_name = (registry.hash_run_code(n, "room") for n in ("evalkit_baselines.paper:SPEC", "paper"))
     assert of_module == of_name
+
+
+def test_a_class_of_a_module_is_checked_like_its_spec(tmp_path, monkeypatch):
+    lines = (
+        "class Keep:\n    'Answer the guess.'\n    def register(self, target, source, guess): ...\nclass Other: ...\n"
+    )
+    (tmp_path / "class_of_a_method.py").write_text(lines)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert backend_at("class_of_a_method:Keep").summary == "Answer the guess."
+    with pytest.raises(NotInstalled, match="is a type, expected a BackendSpec or a class with register or update"):
+        backend_at("class_of_a_method:Other")
 
 
 def test_a_module_that_is_not_found_is_named_with_what_to_do(tmp_path, monkeypatch):

@@ -49,6 +49,17 @@ def test_a_path_that_the_system_refuses_is_an_error_that_names_it(called, path):
     assert len(err) < 2100
 
 
+@pytest.mark.parametrize(("number", "expected"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_the_exit_code_tells_the_signal_that_ended_a_command(called, number, expected):
+    def app():
+        try:
+            signal.raise_signal(number)
+        except KeyboardInterrupt:  # as typer does
+            sys.exit(130)
+
+    assert called(app)[0] == expected
+
+
 def test_an_error_of_the_system_without_a_path_is_not_hidden():
     with pytest.raises(BrokenPipeError):
         run(lambda: os.write(os.dup(_closed_pipe()), b"x"))

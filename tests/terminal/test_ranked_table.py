@@ -47,6 +47,19 @@ def test_a_table_is_within_its_width_for_any_name():
         assert max(len(one.plain) for one in format_rows("error, " + "r" * 90, rows, width)) == width
 
 
+def test_a_narrow_table_leaves_out_columns_and_cuts_no_number():
+    """With 12 of a name, a line takes 2 + 12 + (2 + 4) + (2 + 6) + (2 + 9) + (2 + 8) + (2 + 4) = 55 columns.
+
+    Less 8 against the baseline it is 47, less 11 of the corrected poses 36, less 10 of the CPU time 26.
+    """
+    row = replace(make_row("wheel-odometry", 1.0, note="tied", against="0.50 x"), corrected="2 mm")
+    lines = {width: list(format_rows("", [row], width))[1].plain.split() for width in (55, 47, 36, 30)}
+    assert lines[55][1:] == ["1", "mm", "0.50", "x", "2", "mm", "1.0", "ms", "tied"]
+    assert lines[47][1:] == ["1", "mm", "2", "mm", "1.0", "ms", "tied"]
+    assert lines[36][1:] == ["1", "mm", "1.0", "ms", "tied"]
+    assert lines[30] == ["wheel-odometry", "1", "mm", "tied"]
+
+
 def test_an_address_is_named_by_its_file_unless_two_have_the_same():
     addresses = ("exec:python /opt/my slam/slam.py --fast", "exec:ssh me@board.local ./my_icp", "exec:python slam.py",
                  "lib:../libmine.so epsilon=1", "file:../online.tum?final=../final.tum", "file:run.mcap?topic=/pose",

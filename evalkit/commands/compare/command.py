@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -15,9 +14,12 @@ import typer
 from evalkit.config.adhoc_experiment import (
     Recording,
     experiment_from_recording,
+    format_command,
     name_experiment,
     open_recording,
+    option_name,
     read_first_frame,
+    split_names,
 )
 from evalkit.config.experiment import RESULTS, Experiment, load_experiment
 from evalkit.core.run_result import NO_STEPS
@@ -150,8 +152,8 @@ def compare(
         flags: dict[str, object] = {
             "backends": backends, "set": setting, "all": everything, "as-is": as_is, "reader": reader
         }  # fmt: skip
-        flags |= {_option(name): value for name, value in keys.items()}
-        for name in [*map(_option, given), *(name for name, value in flags.items() if value)]:
+        flags |= {option_name(name): value for name, value in keys.items()}
+        for name in [*map(option_name, given), *(name for name, value in flags.items() if value)]:
             raise typer.BadParameter(f"--{name}: needs a recording; in an experiment it is a key of the file")
         recording, named = None, []
     else:
@@ -166,25 +168,19 @@ def compare(
         else:
             experiment = _experiment_of_recording(recording, source, given, keys, named, setting or [], as_is, reader)
         experiment = experiment.without_times() if accuracy_only else experiment
-        experiment = experiment.select(sequence or [], method or [], seed or [])
+        whole, experiment = experiment, experiment.select(sequence or [], method or [], seed or [])
         how = RunOptions.of(jobs, resume, rerun, collect, engine, scheduler, insecure)
         if no_page:
             _run(experiment, Store(folder), how, as_json)
         else:
             once = recording is not None and not nuisance
             again = f"evalkit {experiment.source} --nuisance {VERDICT_REPETITIONS}" if once else ""
-            _run_and_report(experiment, Store(folder), how, as_json, again)
-
-
-def _option(parameter: str) -> str:
-    """Return the name of the option of a parameter."""
-    return "start" if parameter == MAP_START else parameter.replace("_", "-")
+            _run_and_report(experiment, Store(folder), how, as_json, again, whole)
 
 
 def _name_backends(text: str, everything: bool) -> list[str]:
     """Return the named back ends, all, or those that declare themselves a default, which are printed."""
-    words = re.findall(r"(?:\?tf=[^,]*,|[^,])+", text)  # the comma of "?tf=map,base_link" separates no names
-    names = [name for word in words if (name := word.strip())]
+    names = split_names(text)
     if names and everything:
         raise typer.BadParameter("--all: contradicts --backends")
     if names or everything:
@@ -209,14 +205,8 @@ def _experiment_of_recording(
     choices = () if as_is else recording.choose()
     for choice in choices:
         err.print(choice.reason)
-    words = ["compare", str(source)]
-    words += [word for name, value in given.items() for word in (f"--{_option(name)}", value)]
-    for name, value in keys.items():
-        words += [f"--{_option(name)}", *([] if value is True else [str(value)])]
-    words += ["--backends", ",".join(backends), *(["--as-is"] if as_is else [])]
-    words += ["--reader", reader] if reader else []
-    words += [word for item in settings for word in ("--set", item)]
-    experiment = experiment_from_recording(recording, choices, backends, shlex.join(words), keys)
+    command = format_command(source, given, keys, backends, settings, as_is, reader)
+    experiment = experiment_from_recording(recording, choices, backends, command, keys)
     read_first_frame(experiment)
     return experiment
 
@@ -232,10 +222,13 @@ def _run(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -
     )
 
 
-def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_json: bool, again: str) -> None:
+def _run_and_report(
+    experiment: Experiment, store: Store, how: RunOptions, as_json: bool, again: str, whole: Experiment
+) -> None:
     """Run the experiment, load its records, analyse them, render the page, print the summary.
 
     ``again``: the command that repeats the runs, "" if they need no repetition; printed where methods can be compared.
+    ``whole``: the experiment of which this one may be a part; a note tells which of its finished runs are left out.
     """
     from evalkit.api.pipeline import NothingToCollectError, run_and_report  # noqa: PLC0415 - loads pandas and matplotlib
     from evalkit.terminal.ranked_table import print_answer  # noqa: PLC0415 - as above
@@ -250,6 +243,11 @@ def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_js
     if not as_json and any(record.result.is_complete for record in records):
         print_answer(out, analysis)
     runs = [(record.spec, record.result) for record in records]
+    shown = {spec.key for spec, _ in runs}
+    if left_out := sum(store.is_finished(spec.key) for spec in whole.runs() if spec.key not in shown):
+        words = f"evalkit {whole.source} --collect --out {shlex.quote(str(store.folder))}"
+        count = f"{left_out} finished run{'s' * (left_out != 1)}"
+        err.print(f"this report leaves out {count} in this folder; with all: {words}", soft_wrap=True)
     compared = len({record.method for record in records if record.result.is_complete}) > 1
     run_summary.print_summary(runs, experiment.title, store, page, as_json, again if compared else "")
 

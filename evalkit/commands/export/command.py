@@ -126,7 +126,7 @@ def _write_files(files: Iterator[tuple[str, bytes]], folder: Path) -> Iterator[P
 def _write_maps(selection: ExportSelection, folder: Path) -> Iterator[Path]:
     for run in selection.runs:
         if run.scores.grid is not None:
-            write_map(folder / run.key, run.scores.grid, folder)
+            write_map(folder / run.key, run.scores.grid, folder, run.scores.map_from_start)
             yield from (folder / f"{run.key}.yaml", folder / f"{run.key}.pgm")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from evalkit.io.output_files import staging_folder
 from evalkit.plugins.protocols import Sequence as SensorSequence
 from evalkit.results.run_record import RunRecord
 
-WORLD, BASE, TRUTH, LASER = "world", "base_link", "truth", "laser"
+WORLD, BASE, TRUTH, LASER, ODOM = "world", "base_link", "truth", "laser", "odom"
 MIN_STAMP_NS = 10**9
 """In ROS, time 0 means "no time": a sequence that begins before one second is shifted to begin there."""
 
@@ -45,7 +45,8 @@ BagMessage = tuple[int, str, Any]
 def write_run(folder: Path, run: RunRecord, sequence: SensorSequence) -> Path:
     """Write the bag of one run (metadata.yaml and one .mcap) and return its folder; older files are replaced.
 
-    Frames: world_from_base_link is the estimate, world_from_truth the ground truth; /scan is in the lidar's frame.
+    Frames: world_from_base_link is the estimate, world_from_truth the ground truth, world_from_odom such that the wheel
+    odometry begins at the estimate; /scan is in the lidar's frame.
     """
     builder = MessageBuilder()
     path = folder / run.key
@@ -95,22 +96,31 @@ def _run_messages(builder: MessageBuilder, run: RunRecord, sequence: SensorSeque
             yield stamp + shift, "/tf", builder.transform(stamp + shift, WORLD, TRUTH, Pose.of(row))
     for stamp, row in zip(stamps.tolist(), poses, strict=True):
         yield stamp + shift, "/tf", builder.transform(stamp + shift, WORLD, BASE, Pose.of(row))
-    yield from sequence_messages(builder, sequence, shift, begin)
+    answers = {stamp: Pose.of(row) for stamp, row in zip(stamps.tolist(), poses, strict=True)}
+    yield from sequence_messages(builder, sequence, shift, begin, answers)
 
 
 def sequence_messages(
-    builder: MessageBuilder, sequence: SensorSequence, shift: int, begin: int
+    builder: MessageBuilder, sequence: SensorSequence, shift: int, begin: int, answers: Mapping[int, Pose] | None = None
 ) -> Iterator[BagMessage]:
-    """Yield scans, wheel odometry and the lidar's mount, shifted by ``shift`` ns; the mount at latest at ``begin``."""
-    mount = None
+    """Yield scans, wheel odometry and the lidar's mount, shifted by ``shift`` ns; the mount at latest at ``begin``.
+
+    ``answers``: world_from_base by stamp; the first one of a frame with odometry states where that has its origin.
+    """
+    mount, waiting = None, answers or {}
     for frame in sequence.frames():
         stamp = frame.scan.stamp_ns + shift
         if frame.base_from_sensor != mount:
             mount = frame.base_from_sensor
             yield min(stamp, begin), "/tf_static", builder.transform(stamp, BASE, LASER, mount)
         yield stamp, "/scan", builder.scan(stamp, frame.scan)
-        if frame.odom_from_base is not None:
-            yield stamp, "/odom", builder.odometry(stamp, frame)
+        if frame.odom_from_base is None:
+            continue
+        yield stamp, "/odom", builder.odometry(stamp, frame)
+        if (answer := waiting.get(frame.scan.stamp_ns)) is not None:
+            origin = answer @ frame.odom_from_base.inverse()
+            yield begin, "/tf_static", builder.transform(begin, WORLD, ODOM, origin)
+            waiting = {}
 
 
 class MessageBuilder:
@@ -154,7 +164,7 @@ class MessageBuilder:
         twist = self._build("geometry_msgs/msg/Twist", none, none)
         return self._build(
             "nav_msgs/msg/Odometry",
-            self._header(stamp, "odom"),
+            self._header(stamp, ODOM),
             BASE,
             self._build(
                 "geometry_msgs/msg/PoseWithCovariance", self._pose(frame.odom_from_base or Pose()), np.zeros(36)

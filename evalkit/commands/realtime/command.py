@@ -67,7 +67,8 @@ def realtime(
         "factors": _parse_factors(factors), "policies": [policy], "repetitions": repetitions,
         "bridged": odometry,
     }  # fmt: skip
-    dataset, given_on = parse_dataset(on or defaults.find_simulated_dataset())
+    on = on or defaults.find_simulated_dataset()
+    dataset, given_on = parse_dataset(on)
     task = _make_task(backend, dataset, options.settings(setting or []), given_on, devices)
     store = TaskStore(folder or RESULTS / "realtime")
     with progress.show_tasks(err, 1, 1) as done:
@@ -76,7 +77,7 @@ def realtime(
     if as_json:
         print_json(content)
     else:
-        _print(content)
+        _print(content, on)
 
 
 def _make_task(
@@ -147,8 +148,11 @@ def _is_broken(device: dict[str, Any], reference: float | None) -> bool:
     return reference is None or RULE.is_broken(None if device["lost"] else ate, reference)
 
 
-def _print(content: dict[str, Any]) -> None:
-    """Print the limit of the device, a line for each factor (equal ones together), and the next command."""
+def _print(content: dict[str, Any], on: str) -> None:
+    """Print the limit of the device, a line for each factor (equal ones together), and the next command.
+
+    ``on``: the data set with its parameters.
+    """
     from evalkit.terminal.ranked_table import format_rows  # noqa: PLC0415 - loads scipy
 
     backend, slowest, waits = content["backend"], content["slowest"], content["waits"]
@@ -176,7 +180,7 @@ def _print(content: dict[str, Any]) -> None:
     head = "device: error of the newest pose, dropped and late scans, age (95 %)"
     for line in format_rows(head, _make_rows(content), table_width(out), cost=""):
         out.print(line)
-    words = shlex.join(["evalkit", "tune", content["backend"], "--on", content["sequence"]])
+    words = shlex.join(["evalkit", "tune", content["backend"], "--on", on])
     out.print(f"\nnext: {words} (cheaper or better parameters)", soft_wrap=True)
 
 

@@ -101,7 +101,7 @@ def _write(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path:
 
     texts = {
         "points.csv": results_json.format_csv(results_json.make_run_rows(outcome)),
-        "effects.csv": results_json.format_csv(results_json.make_effect_rows(outcome)),
+        "effects.csv": results_json.format_csv(results_json.make_effect_rows(outcome), results_json.EFFECT_COLUMNS),
         "study.json": indent_json(results_json.study_as_json(outcome)),
         "index.html": render(page.build_document(outcome, ran_on)),
     }

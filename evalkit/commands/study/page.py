@@ -16,7 +16,7 @@ from evalkit.commands.study.formatting import (
     describe_lost_runs,
     describe_main_effects,
 )
-from evalkit.commands.study.result import StudyResult
+from evalkit.commands.study.result import WITH_EFFECTS, StudyResult
 from evalkit.design.designs import assess_design
 from evalkit.report.html.blocks import Block, Bullets, Cell, Column, Command, Document, Fold, Section, Table, Text
 
@@ -77,7 +77,7 @@ def build_design_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     for design in outcome.study.designs:
         lost, runs = outcome.counts(design)
         full = int(np.prod([len(factor.levels) for factor in design.factors]))
-        good = assess_design(design.model, design.positions) if design.kind in ("optimal", "fractional") else None
+        good = assess_design(design.model, design.positions) if design.kind in WITH_EFFECTS else None
         rows.append((
             design.name,
             KIND_SENTENCES[design.kind],
@@ -96,7 +96,10 @@ def build_design_blocks(outcome: StudyResult) -> tuple[Block, ...]:
         Column("Efficiency", number=True, tip="information per point and column, as a share of the full grid's"),
         Column("Correlation", number=True, tip="the largest between two factors' slopes; 0: orthogonal"),
     )  # fmt: skip
-    return (Table(columns, rows, sortable=False), Text(describe_lost_runs(outcome.study), "note"))
+    notes = [Text(describe_lost_runs(outcome.study), "note")]
+    if all(design.kind not in WITH_EFFECTS for design in outcome.study.designs):
+        notes.append(Text(f"No design here estimates effects: that takes kind {' or '.join(WITH_EFFECTS)}.", "note"))
+    return (Table(columns, rows, sortable=False), *notes)
 
 
 def build_point_blocks(outcome: StudyResult) -> tuple[Block, ...]:

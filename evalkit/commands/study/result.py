@@ -14,6 +14,9 @@ from evalkit.core.se2 import Floats
 from evalkit.design.responses import Response, bounded_value, find_loss_reason, to_scale
 from evalkit.design.run_points import RunScores
 
+WITH_EFFECTS = ("optimal", "fractional")
+"""The kinds of design that estimate effects."""
+
 
 @dataclass(frozen=True, eq=False)
 class StudyResult:
@@ -62,7 +65,7 @@ class StudyResult:
     @cache  # noqa: B019 - an outcome lives as long as its page is made
     def _fit(self, design: Design, response: Response) -> tuple[ModelFit | None, str]:
         """The effects (of the logarithm on a log scale) from means over the seeds, or why there are none."""
-        if design.kind not in ("optimal", "fractional"):
+        if design.kind not in WITH_EFFECTS:
             return None, ""
         values = to_scale(response, self.table(design, response))
         known = np.isfinite(values).any(axis=1)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, fields
 from typing import Any
 
 from evalkit.commands.study.envelope import Panel, compute_panels, find_envelope_axes
@@ -14,6 +15,11 @@ from evalkit.design.responses import Response
 from evalkit.stats.intervals import Interval
 
 JsonRow = dict[str, Any]
+
+EFFECT_COLUMNS = (
+    "design", "metric", "scale", "kind", "factor", "level", *(field.name for field in fields(Interval)), "share",
+)  # fmt: skip
+"""The columns of effects.csv."""
 
 
 def make_run_rows(outcome: StudyResult) -> list[JsonRow]:
@@ -88,10 +94,10 @@ def study_as_json(outcome: StudyResult) -> JsonRow:
     }
 
 
-def format_csv(rows: list[JsonRow]) -> str:
-    """Rows with the same names as CSV text."""
+def format_csv(rows: list[JsonRow], columns: Sequence[str] = ()) -> str:
+    """Rows with the same names as CSV text; ``columns``: the names where there may be no row."""
     out = io.StringIO()
-    writer = csv.DictWriter(out, list(rows[0]) if rows else [], lineterminator="\n")
+    writer = csv.DictWriter(out, columns or list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return out.getvalue()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from contextlib import nullcontext
 from datetime import UTC, datetime
@@ -35,7 +36,8 @@ FILE = ".toml"
 def tune(
     what: Annotated[list[str], typer.Argument(help="A tuning file (*.toml), or back ends.", show_default=False)],
     on: Annotated[
-        list[str] | None, typer.Option(help="Train on this data set (repeatable).", show_default=False)
+        list[str] | None,
+        typer.Option(help="Train on this data set, 'NAME laps=0.3' (repeatable).", show_default=False),
     ] = None,
     held_out: Annotated[
         list[str] | None, typer.Option(help="Judge on this data set (repeatable).", show_default="fresh seeds of --on")
@@ -79,7 +81,7 @@ def tune(
 def _name_tuning(what: list[str], on: list[str]) -> str:
     """The name of a tuning, and of its results folder: by its file, or by the data sets of the command line."""
     if not what[0].endswith(FILE):
-        return f"tune-{'-'.join(on)}"
+        return re.sub(r"[^\w.=+-]+", "-", f"tune-{'-'.join(on)}")
     stem = Path(what[0]).stem
     return stem if stem.startswith("tune") else f"tune-{stem}"
 

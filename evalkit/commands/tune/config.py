@@ -19,7 +19,7 @@ from evalkit.design.responses import Response
 from evalkit.io.toml import load_toml
 from evalkit.metrics import all_metrics, spans
 from evalkit.plugins import registry
-from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.parameter_parsing import from_text, parse_dataset
 from evalkit.plugins.parameters import Parameter, Value
 
 MIN_CONFIRM_RUNS = 4
@@ -71,13 +71,15 @@ def make_tuning_tables(
     """The tables of a tuning of back ends and data sets named on the command line.
 
     Each training world has two seeds to search with and four to confirm; each held-out world (by default the training
-    worlds) has six fresh seeds. ``given``: parameters of every data set, as text.
+    worlds) has six fresh seeds. ``on``, ``held_out``: data sets, as "NAME laps=0.3". ``given``: parameters of every
+    data set, as text.
     """
 
-    def sequence(dataset: str, **seeds: list[int]) -> dict[str, Any]:
+    def sequence(text: str, **seeds: list[int]) -> dict[str, Any]:
+        dataset, own = parse_dataset(text)
         spec = registry.dataset(dataset)
-        parameters = from_text(dataset, spec.parameters, given)
-        return {"use": dataset, **parameters, **(seeds if spec.seeded else {})}
+        parameters = from_text(dataset, spec.parameters, given) | own
+        return {"use": dataset, "label": text, **parameters, **(seeds if spec.seeded else {})}
 
     return {
         "title": f"Fair tuning on {', '.join(on)}",

@@ -276,6 +276,8 @@ def test_a_map_read_by_nav2s_rules_equals_the_exported_grid(finished_folder):
     assert np.array_equal(cells == 100, grid.occupied())
     assert np.array_equal(cells == 0, grid.free())
     assert (cells[0] == 100).all()  # the wall at the lowest y
+    first = "# frame: world; the trajectory is start_from_base, world_from_start = 0.0 0.0 0.0 (x y theta: m, m, rad)"
+    assert path.read_text(encoding="utf-8").splitlines()[0] == first
 
 
 # --- papers
@@ -560,7 +562,7 @@ def test_an_mcap_file_read_by_the_mcap_library_contains_estimate_ground_truth_an
         messages = [(schema, channel.topic, message) for schema, channel, message in
                     reader.make_reader(file, validate_crcs=True).iter_messages()]  # fmt: skip
     counts = Counter(topic for _, topic, _ in messages)
-    assert counts == {"/scan": N, "/odom": N, "/tf": 2 * N, "/tf_static": 1, "/estimate": 1, "/truth": 1, "/map": 1}
+    assert counts == {"/scan": N, "/odom": N, "/tf": 2 * N, "/tf_static": 2, "/estimate": 1, "/truth": 1, "/map": 1}
     assert {schema.encoding for schema, _, _ in messages} == {"ros2msg"}
     assert [message.log_time for _, _, message in messages] == sorted(m.log_time for _, _, m in messages)
     offered = (path.parent / "metadata.yaml").read_text(encoding="utf-8").split("message_count")
@@ -572,6 +574,20 @@ def test_an_mcap_file_read_by_the_mcap_library_contains_estimate_ground_truth_an
     cells = grid.data.reshape(grid.info.height, grid.info.width)
     assert (cells[0] == 95).all()  # 1 / (1 + exp(-3))
     assert (cells[5:] == -1).all()
+
+
+def test_the_odometry_of_a_bag_has_its_place_in_the_world():
+    """Its origin is where the first frame with an answer and odometry puts it; that is not where the robot starts."""
+    world_from_odom = Pose(3.0, -2.0, 0.5)
+    answers = {int(stamp): world_from_odom @ Pose.of(row) for stamp, row in zip(STAMPS[4:], TRUE[4:], strict=True)}
+    builder = mcap.MessageBuilder()
+    sent = list(mcap.sequence_messages(builder, Lap(), 0, T0, answers))
+    moved = [message.transforms[0] for _, topic, message in sent if topic == "/tf_static"]
+    assert [(one.header.frame_id, one.child_frame_id) for one in moved] == [("base_link", "laser"), ("world", "odom")]
+    place, turn = moved[1].transform.translation, moved[1].transform.rotation
+    assert (place.x, place.y, 2.0 * math.atan2(turn.z, turn.w)) == pytest.approx((3.0, -2.0, 0.5))
+    alone = [topic for _, topic, _ in mcap.sequence_messages(builder, Lap(), 0, T0)]
+    assert alone.count("/tf_static") == 1
 
 
 def test_a_recording_that_starts_at_zero_is_shifted_to_valid_ros_times(finished_folder):

@@ -88,6 +88,7 @@ def test_a_study_writes_page_and_numbers_and_every_point_can_be_repeated(file, t
     assert len(rows) == len(whole["runs"]) == 2 * (4 + 8)
     effects = list(csv.DictReader((tmp_path / "out" / "effects.csv").open()))
     assert {row["factor"] for row in effects} == {"speed", "rate", "wheels"}
+    assert "estimates effects" not in page
 
     again = run(file, "--point", rows[0]["key"], "--json")
     assert again.exit_code == 0, again.output
@@ -105,6 +106,18 @@ def test_a_study_writes_page_and_numbers_and_every_point_can_be_repeated(file, t
     scores = json.loads(report.output[report.output.index("{\n") :])["runs"][0]["scores"]
     assert scores["ate_rmse_m"] == computed["ate_rmse_m"]
     assert scores["map_f1"] == computed["map_f1"]
+
+
+def test_a_study_whose_designs_estimate_no_effects_says_so(tmp_path):
+    (tmp_path / "grid.toml").write_text(STUDY[: STUDY.index('[[design]]\nname = "array"')].replace("[0, 1]", "[0]"))
+    done = run(tmp_path / "grid.toml", "--out", tmp_path / "out", "--jobs", "1")
+    assert done.exit_code == 0, done.output
+    assert (
+        "No design here estimates effects: that takes kind optimal or fractional."
+        in (tmp_path / "out" / "index.html").read_text()
+    )
+    effects = (tmp_path / "out" / "effects.csv").read_text()
+    assert effects == "design,metric,scale,kind,factor,level,value,low,high,support,confidence,share\n"
 
 
 def test_an_unknown_point_is_rejected_and_the_known_ones_are_listed(file):

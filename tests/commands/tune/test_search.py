@@ -248,6 +248,15 @@ def test_back_ends_named_on_the_command_line_get_equal_budgets():
     assert [sequence.label for sequence in made.held_out] == ["room"]
 
 
+def test_data_sets_named_on_the_command_line_have_parameters_of_their_own():
+    tables = make_tuning_tables(["embedded"], ["lab laps=0.1", "lab laps=0.2"], [], 8, {"laps": "0.05", "rate_hz": "5"})
+    made = tuning_from_tables(tables, "evalkit tune", "x", "y")
+    assert [one.sequence.label for one in made.training] == ["lab laps=0.1", "lab laps=0.2"]
+    own = [(one.sequence.parameters["laps"], one.sequence.parameters["rate_hz"]) for one in made.training]
+    assert own == [(0.1, 5.0), (0.2, 5.0)]
+    assert [one.parameters["laps"] for one in made.held_out] == [0.1, 0.2]
+
+
 def test_the_held_out_experiment_contains_default_and_tuned_methods_and_is_read_back():
     made = plan()
     found = search_loop.run_search(made, Known(off))
