@@ -79,15 +79,17 @@ class Scan:
         hits = self.hits
         return _polar(self.ranges[hits], self.angles[hits])
 
-    def deskewed(self, base_from_sensor: Pose, start_from_end: Pose | None) -> Scan:
+    def deskewed(self, base_from_sensor: Pose, start_from_end: Pose | None, at: float = 0.0) -> Scan:
         """Return the scan as if all beams had been fired at ``stamp_ns``, for a base at constant velocity.
+
+        ``at``: where ``stamp_ns`` lies in the sweep, 0: at the first beam, 1: at the last one.
 
         ``start_from_end`` is the motion of the *base* from the first beam to the last; None: unknown, the scan is
         returned unchanged. Hits are moved, no-returns are rotated, and the range limits are widened for moved hits.
         """
         if start_from_end is None or len(self.ranges) < 2 or self.time_increment_ns == 0:
             return self
-        share = np.arange(len(self.ranges)) / (len(self.ranges) - 1)
+        share = np.arange(len(self.ranges)) / (len(self.ranges) - 1) - at
         start_from_beam = se2.fraction(start_from_end.row, share)
         sensor_from_moved = se2.compose(
             base_from_sensor.inverse().row, se2.compose(start_from_beam, base_from_sensor.row)

@@ -215,6 +215,10 @@ class FrontEnd:
         start_from_last, last_from_base = self._motion.predict(frame)
         return start_from_last @ last_from_base
 
+    def extrapolate(self, elapsed_ns: int) -> Pose:
+        """Return the motion of the base over a time, which may be negative, at the velocity of the last step."""
+        return self._motion.extrapolate(elapsed_ns)
+
     def is_measured(self, frame: Frame) -> bool:
         """Return whether wheel odometry measured the motion that ``predict`` returns."""
         return self._motion.is_measured(frame)
@@ -302,6 +306,10 @@ class Motion:
             elapsed = 0 if self._last is None else frame.scan.stamp_ns - self._last.stamp_ns
             step = self._constant_velocity(self._step, elapsed)
         return self._start_from_points, step if self._points_from_base is None else self._points_from_base @ step
+
+    def extrapolate(self, elapsed_ns: int) -> Pose:
+        """Return the motion over a time, which may be negative, at the velocity of the last step."""
+        return self._constant_velocity(self._step, elapsed_ns)
 
     def is_measured(self, frame: Frame) -> bool:
         """Return whether wheel odometry measured the motion since the previous scan."""

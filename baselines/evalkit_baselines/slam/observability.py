@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from evalkit.core import se2
-from evalkit.core.arrays import Bools
+from evalkit.core.arrays import Bools, Ints
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -96,6 +96,14 @@ class _Sample(NamedTuple):
     normals: Floats
 
 
+class Pairs(NamedTuple):
+    """Some points (K, 2) of a scan, the normals (K, 2) of the walls at them, and their target points, in its frame."""
+
+    points: Floats
+    normals: Floats
+    targets: Floats
+
+
 def _sample(points: Floats) -> _Sample:
     thinned = voxel_means(points, _VOXEL_M)
     every = max(len(thinned) // _SAMPLES, 1)
@@ -146,13 +154,25 @@ class ObservableIcp:
         x, y = moved - (1.0 - trust) * float(moved @ along) * along
         return replace(match, target_from_source=Pose(guess.x + x, guess.y + y, pose.theta))
 
+    def find_pairs(self, target: Cloud, source: Cloud, target_from_source: Pose) -> Pairs:
+        """Return some points of a source whose nearest point of the target is at most ``paired_m`` away."""
+        sample, nearest = self._find_nearest(target, source, target_from_source)
+        paired = nearest < len(target)
+        targets = target_from_source.inverse().transform(target.points[nearest[paired]])
+        return Pairs(sample.points[paired], sample.normals[paired], targets)
+
     def _measure(self, target: Cloud, source: Cloud, target_from_source: Pose) -> Openness:
+        sample, nearest = self._find_nearest(target, source, target_from_source)
+        return _measure(sample, nearest < len(target))
+
+    def _find_nearest(self, target: Cloud, source: Cloud, target_from_source: Pose) -> tuple[_Sample, Ints]:
+        """Return the sample of a source, and the nearest point of the target (K,) to each; len(target): none."""
         from scipy.spatial import cKDTree  # noqa: PLC0415 - specs are listed without SciPy
 
         sample = self._samples.get(source, lambda cloud: _sample(cloud.points))
         tree = self._trees.get(target, lambda cloud: cKDTree(cloud.points, balanced_tree=False))
-        away_m, _ = tree.query(target_from_source.transform(sample.points), distance_upper_bound=self.paired_m)
-        return _measure(sample, np.isfinite(away_m))
+        moved = target_from_source.transform(sample.points)
+        return sample, np.asarray(tree.query(moved, distance_upper_bound=self.paired_m)[1], dtype=np.int64)
 
 
 def _turn_back(pose: Pose, guess: Pose, openness: Openness) -> Pose:

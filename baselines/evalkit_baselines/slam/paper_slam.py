@@ -48,6 +48,7 @@ from evalkit_baselines.slam.second_try import (
 )
 from evalkit_baselines.slam.settings import SharedSettings
 from evalkit_baselines.slam.speckles import Speckles
+from evalkit_baselines.slam.sweep_times import SweepTimes, deskew
 from evalkit_baselines.slam.uneven_turns import UnevenTurns
 
 DCS_PHI = 10.0
@@ -126,6 +127,7 @@ class PaperSlam:
         self._doubt = MatchDoubt()
         self._turns = UnevenTurns()
         self._speckles = Speckles()
+        self._sweeps = SweepTimes()
         self._companions = Companions()
         self._hits = 0  # of the front end's last keyframe
         self._wheels: Pose | None = None  # raw odometry at the last keyframe
@@ -145,11 +147,8 @@ class PaperSlam:
             found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {self._stamps_ns[-1]} ns"
             raise ValueError(f"paper-slam: {found}; give the scans in the order of time")
         self._corrected = False
-        wheels = frame.odom_from_base
-        frame = self._scale.correct(replace(frame, scan=self._speckles.drop(smooth_ranges(frame.scan))))
-        odom = frame.odom_from_base if self._settings.prior == "odometry" else None
-        odom_from_sensor = None if odom is None else odom @ frame.base_from_sensor
-        frame = replace(frame, scan=self._companions.drop(frame.scan, odom_from_sensor))
+        wheels, came = frame.odom_from_base, frame
+        frame = self._prepare(frame)
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         last = Pose.of(self._odom_from_base[-1]) if self._stamps_ns else None
         step = last.inverse() @ predicted if measured and last is not None else None
@@ -177,6 +176,7 @@ class PaperSlam:
             self._fitted_ns = frame.scan.stamp_ns
         if lost and measured and frame.scan.stamp_ns - self._fitted_ns <= PATIENCE_NS:
             return self._set_aside(frame, replace(estimate, pose=predicted))
+        self._observe_sweep(came, matched if is_matched else None, predicted if direct else pose)
         self._front.keep(frame, matched, may_be_keyframe=not uneven)
         self._continuity.keep(points, pose, frame.base_from_sensor)
         fits = False
@@ -192,6 +192,24 @@ class PaperSlam:
         elif fits and not uneven:
             self._map.add_between(points, pose, frame.base_from_sensor)
         return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
+
+    def _prepare(self, frame: Frame) -> Frame:
+        """Return a frame with what is known of the wheels, of the lidar and of what moves along corrected."""
+        took_ns = self._sweeps.take(frame)
+        frame = self._scale.correct(replace(frame, scan=self._speckles.drop(smooth_ranges(frame.scan))))
+        odom = frame.odom_from_base if self._settings.prior == "odometry" else None
+        odom_from_sensor = None if odom is None else odom @ frame.base_from_sensor
+        frame = replace(frame, scan=self._companions.drop(frame.scan, odom_from_sensor))
+        return deskew(frame, self._front.extrapolate(took_ns)) if took_ns else frame
+
+    def _observe_sweep(self, came: Frame, matched: Matched | None, near: Pose) -> None:
+        """Let a scan, as it came, tell the times of its beams, if it matched with the map around a pose."""
+        if matched is None:
+            return
+        pose, last = matched.start_from_points, Pose.of(self._odom_from_base[-1])
+        if self._sweeps.is_told(came, last.inverse() @ pose):
+            pairs = self._icps[0].find_pairs(self._map.cloud(near), matched.source, pose)
+            self._sweeps.observe(came.scan.angles, came.base_from_sensor, last.inverse() @ pose, pairs)
 
     def _is_closed(self, hits: int, predicted: Pose) -> bool:
         """Return whether nothing is open: near a keyframe in a room, with about as many hits.

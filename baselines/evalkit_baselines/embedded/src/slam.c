@@ -351,6 +351,21 @@ static void judge(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_sla
     estimate->lost = lost && !estimate->set_aside;
 }
 
+/* Let a matched scan tell the times of its beams. */
+static void observe_sweep(ek_slam *slam, const ek_sweep *came, const ek_slam_estimate *estimate)
+{
+    const int matched = estimate->scan_to_map_accepted && !estimate->lost && !estimate->set_aside;
+    if (matched && slam->parameters.deskew && ek_sweep_times_is_asked(came)) {
+        const ek_pose pose = estimate->odom_from_base;
+        const ek_sweep_step step = {ek_se2_between(slam->motion.start_from_base, pose),
+                                    (int64_t)((uint64_t)came->stamp_ns - (uint64_t)slam->motion.stamp_ns),
+                                    ek_slam_period_ns(slam, came)};
+        ek_slam_observe(slam);
+        ek_sweep_times_observe(&slam->sweeps, &slam->observer, &slam->map_index, pose, slam->parameters.fine_correspondence,
+                               came, slam->parameters.scan.base_from_sensor, &step);
+    }
+}
+
 /* Draw a scan between two keyframes; scans are matched with it when the next part of the map is taken. */
 static void draw_between(ek_slam *slam, ek_pose odom_from_base)
 {
@@ -400,6 +415,26 @@ static ek_status set_aside(ek_slam *slam, const ek_prior *prior, ek_pose predict
     return status;
 }
 
+/* Project a prepared sweep. Where it has no times of beams, and they are found, the motion within it is undone, and its stamp
+ * lies in its middle: so the scan lies where it lay, bent, and no answer depends on what its stamp is the time of. */
+static ek_status project(ek_slam *slam, const ek_sweep *prepared)
+{
+    const ek_slam_parameters *const p = &slam->parameters;
+    const int64_t took_ns = p->deskew ? ek_sweep_times_take(&slam->sweeps, prepared, ek_slam_period_ns(slam, prepared)) : 0;
+    ek_sweep swept = *prepared;
+    if (took_ns != 0) {
+        swept.has_motion = 1;
+        swept.time_increment_ns = 1;
+        swept.start_from_end = ek_motion_extrapolate(&slam->motion, took_ns);
+    }
+    const ek_status status = ek_motion_project(&slam->motion, &slam->scan, &swept, &p->scan, p->deskew);
+    if (status == EK_OK && took_ns != 0) {
+        const ek_pose middle_from_first = ek_se2_inverse(ek_se2_fraction(swept.start_from_end, EK_R(0.5)));
+        ek_se2_transform(middle_from_first, slam->scan.hits, slam->scan.count, slam->scan.hits);
+    }
+    return status;
+}
+
 ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate *estimate)
 {
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
@@ -414,7 +449,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     ek_sweep prepared = *sweep;
     if (status == EK_OK) {
         prepared = ek_slam_prepare(slam, sweep, &noted);
-        status = ek_motion_project(&slam->motion, &slam->scan, &prepared, &p->scan, p->deskew);
+        status = project(slam, &prepared);
     }
     status = status == EK_OK ? check_points(&slam->scan) : status;
     if (status != EK_OK) {
@@ -444,6 +479,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
         judge(slam, &prior, sweep->has_odometry, estimate, &work);
     }
     ek_slam_note_turn(slam, &prior, uneven, estimate);
+    observe_sweep(slam, sweep, estimate);
     if (status == EK_OK && estimate->set_aside) {
         status = set_aside(slam, &prior, predicted, estimate, &task);
     } else if (status == EK_OK) {

@@ -52,6 +52,13 @@ static ek_pose scaled(ek_pose motion, ek_real scale)
     return motion;
 }
 
+int64_t ek_slam_period_ns(const ek_slam *slam, const ek_sweep *sweep)
+{
+    const int64_t before_ns = slam->motion.interval_ns[0];
+    const uint64_t elapsed_ns = (uint64_t)sweep->stamp_ns - (uint64_t)slam->motion.stamp_ns;
+    return slam->motion.started && elapsed_ns < (uint64_t)before_ns ? (int64_t)elapsed_ns : before_ns;
+}
+
 ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_noted *noted)
 {
     const ek_real scale = slam->wheels.matched / slam->wheels.driven;
@@ -338,16 +345,21 @@ static ek_real usual_gap_of(const ek_slam *slam, ek_pose predicted)
     return slam->usual_gap > least ? slam->usual_gap : least;
 }
 
-ek_pose ek_slam_limit(ek_slam *slam, const ek_index *target, ek_pose answer, ek_pose guess)
+void ek_slam_observe(ek_slam *slam)
 {
-    if (slam->closed) {
-        return answer;
-    }
     if (!slam->observed) {
         ek_work work = ek_work_make(INT64_MAX);
         ek_observer_take(&slam->observer, &slam->thinner, slam->scan.hits, slam->scan.count, &work);
         slam->observed = 1;
     }
+}
+
+ek_pose ek_slam_limit(ek_slam *slam, const ek_index *target, ek_pose answer, ek_pose guess)
+{
+    if (slam->closed) {
+        return answer;
+    }
+    ek_slam_observe(slam);
     const ek_openness open =
         ek_observer_measure_on(&slam->observer, target, answer, slam->parameters.fine_correspondence);
     return ek_openness_limit(&open, answer, guess);

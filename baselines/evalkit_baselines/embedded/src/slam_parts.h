@@ -6,10 +6,12 @@
 
 #define ek_noted EK_NAME(noted)
 #define ek_slam_start_wheels EK_NAME(slam_start_wheels)
+#define ek_slam_period_ns EK_NAME(slam_period_ns)
 #define ek_slam_prepare EK_NAME(slam_prepare)
 #define ek_slam_observe_wheels EK_NAME(slam_observe_wheels)
 #define ek_slam_unevenness EK_NAME(slam_unevenness)
 #define ek_slam_note_turn EK_NAME(slam_note_turn)
+#define ek_slam_observe EK_NAME(slam_observe)
 #define ek_slam_match EK_NAME(slam_match)
 #define ek_slam_limit EK_NAME(slam_limit)
 #define ek_slam_match_directly EK_NAME(slam_match_directly)
@@ -46,6 +48,9 @@ typedef struct {
     ek_company company;
 } ek_noted;
 
+/* The shorter of the last two intervals between scans, this one included; 0 before the third one. */
+int64_t ek_slam_period_ns(const ek_slam *slam, const ek_sweep *sweep);
+
 /* The sweep with smoothed ranges, without the speckles of a dirty lidar and without what moves along, and with scaled odometry;
  * `noted` becomes what is known after this sweep. */
 ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_noted *noted);
@@ -68,6 +73,9 @@ void ek_slam_note_turn(ek_slam *slam, const ek_prior *prior, ek_real by, const e
  * and its pairs, if enough, are counted as those of all points. */
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,
                         ek_match *match);
+
+/* Let the observer take the projected scan, once. */
+void ek_slam_observe(ek_slam *slam);
 
 /* The answer of a match with a target; what that leaves open is left to the guess (observability.h). */
 ek_pose ek_slam_limit(ek_slam *slam, const ek_index *target, ek_pose answer, ek_pose guess);
