@@ -342,7 +342,8 @@ def test_a_failed_run_is_exit_code_1_and_a_plain_line_and_the_other_runs_are_kep
     assert "\x1b" not in err
     lines = err.splitlines()
     assert [line.split("straight")[0] for line in lines] == ["[1/2] ", "[2/2] "]
-    assert sum("straight / raise: failed (RuntimeError: lost the plot), " in line for line in lines) == 1, lines
+    failed = "straight / raise: failed (RuntimeError: lost the plot; at scan 9 (stamp 800000000 ns)), "
+    assert sum(failed in line for line in lines) == 1, lines
     assert sum("straight / none: complete, " in line for line in lines) == 1
     result = json.loads(out)  # alone on standard output
     assert result["page"] is None

@@ -383,7 +383,7 @@ def test_a_folder_with_the_report_of_another_experiment_is_refused_and_unchanged
     with pytest.raises(StoreError, match="another experiment"):
         start(mine)
     for same in (
-        lambda: report(f"evalkit {mine.source}", "lab"),  # its sequences were exchanged
+        lambda: report(mine.whole_command, "lab"),  # its sequences were exchanged
         lambda: report("evalkit compare elsewhere.toml", "lab", label, title=mine.title),  # its file was renamed
         lambda: report("evalkit compare elsewhere/t.toml", label),  # moved, with another title
         lambda: (tmp_path / "results.json").write_text('{"title": "La'),  # half-written: a run writes it again

@@ -29,7 +29,7 @@ _CLOSED_DOOR_CM = 4  # thickness
 _TILTS = ((1.0, 0.0), (0.8, 0.6), (0.96, 0.28), (0.6, -0.8), (0.96, -0.28))  # cosine and sine
 
 _T = TypeVar("_T")
-Point = tuple[int, int]
+Spot = tuple[int, int]
 Rectangle = tuple[int, int, int, int]  # smallest x and y, largest x and y
 
 
@@ -59,14 +59,14 @@ class _Row:
     ``lane``: distance from the wall at which the route drives in the hallway.
     """
 
-    origin: Point
-    along: Point
-    into: Point
+    origin: Spot
+    along: Spot
+    into: Spot
     length: int
     depth: int
     lane: int
 
-    def at(self, u: int, v: int) -> Point:
+    def at(self, u: int, v: int) -> Spot:
         """Return the place of u and v in the building."""
         return tuple(o + u * a + v * i for o, a, i in zip(self.origin, self.along, self.into, strict=True))  # type: ignore[return-value]
 
@@ -85,8 +85,8 @@ class _Room:
     door: int
 
     @property
-    def entry(self) -> Point:
-        """Place on the route in front of the door."""
+    def entry(self) -> Spot:
+        """Spot on the route in front of the door."""
         return self.row.at(self.door, -self.row.lane)
 
 
@@ -97,10 +97,10 @@ class _Shape:
     ``corners`` of the route in the hallway: of a ring in driving order, of an L one.
     """
 
-    outline: list[Point]
+    outline: list[Spot]
     rows: list[_Row]
-    corners: list[Point] = field(default_factory=list)
-    walls: list[tuple[Point, Point]] = field(default_factory=list)
+    corners: list[Spot] = field(default_factory=list)
+    walls: list[tuple[Spot, Spot]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -111,11 +111,11 @@ class _Visit:
     """
 
     rooms: tuple[_Room, ...]
-    corners: list[Point]
-    passage: Point | None = None
+    corners: list[Spot]
+    passage: Spot | None = None
 
 
-Stop = Point | list[_Room]  # a corner of the hallway, or rooms to choose a visit from
+Stop = Spot | list[_Room]  # a corner of the hallway, or rooms to choose a visit from
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class _Tour:
     """The visits of the route, and all its corners."""
 
     visits: list[_Visit]
-    corners: list[Point]
+    corners: list[Spot]
 
 
 def draw_office(seed: int) -> FloorPlan:
@@ -252,12 +252,12 @@ def _draw_visit(draws: _Draws, room: _Room, rooms: list[list[_Room]]) -> _Visit:
     return _Visit((room,), [room.entry, *(row.at(*each) for each in turns), room.entry])
 
 
-def _side_lengths(corners: list[Point]) -> list[int]:
+def _side_lengths(corners: list[Spot]) -> list[int]:
     """Return the lengths from each corner of a route to the next; all are parallel to x or y."""
     return [abs(x - u) + abs(y - v) for (x, y), (u, v) in pairwise([*corners, corners[0]])]
 
 
-def _add_radii(draws: _Draws, corners: list[Point]) -> Floats:
+def _add_radii(draws: _Draws, corners: list[Spot]) -> Floats:
     """Return the corners of a route in m with a radius each."""
     sides = _side_lengths(corners)
     radii = [min(draws.between(*_RADIUS_CM), side // 2, sides[n - 1] // 2) for n, side in enumerate(sides)]
@@ -311,7 +311,7 @@ class _Pieces:
     walls: list[Floats]
     circles: list[tuple[float, float, float]] = field(default_factory=list)
 
-    def add_wall(self, start: Point, end: Point, doors: Sequence[tuple[float, float, float]]) -> None:
+    def add_wall(self, start: Spot, end: Spot, doors: Sequence[tuple[float, float, float]]) -> None:
         """Add a wall with doors in m, given as for a partition in floorplans.toml."""
         self.walls += build_partition([each / 100.0 for each in start], [each / 100.0 for each in end], doors)
 
@@ -353,7 +353,7 @@ def _furnish_hallway(draws: _Draws, row: _Row, taken: list[Rectangle], pieces: _
             _add_piece(draws, kind, place, pieces)
 
 
-def _draw_size(draws: _Draws, kind: str, along: bool) -> Point:
+def _draw_size(draws: _Draws, kind: str, along: bool) -> Spot:
     """Return the extent along the hallway and into the room."""
     if kind in ("box", "column", "chair"):
         size = {"box": draws.between(60, 120), "column": draws.between(20, 60), "chair": 60}[kind]
@@ -389,7 +389,7 @@ def _add_piece(draws: _Draws, kind: str, place: Rectangle, pieces: _Pieces) -> N
         pieces.walls.append(closed_outline(np.array(turned) / 100.0))
 
 
-def _bounds(points: Sequence[Point]) -> Rectangle:
+def _bounds(points: Sequence[Spot]) -> Rectangle:
     xs, ys = zip(*points, strict=True)
     return min(xs), min(ys), max(xs), max(ys)
 

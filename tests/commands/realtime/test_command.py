@@ -50,7 +50,7 @@ def result_of(costs_ms, late=(0.0, 0.0), waits_ms=(0.0, 0.0, 0.0)):
 
 
 def show(result, capsys):
-    command._print(command._as_json("mine", "room", result))
+    command._print(command._as_json("mine", "room", result), "room")
     return " ".join(capsys.readouterr().out.split())
 
 
