@@ -155,8 +155,8 @@ def _rows_of_answer(analysis: Analysis) -> tuple[str, list[RankedRow]]:
         by_base = compare(answer.contests, one.method, base).error
         against = "baseline" if one.method in baselines else f"{by_base:.2f} x" if by_base is not None else ""
         rows.append(RankedRow(one.method, f"{ratio:.2f} x", against, _cost(counted, one.method), note, ratio))
-    over = f"geometric mean over the data sets of both, at most {len(answer.contests)}"
-    return f"error by that of {answer.common}, {over}", rows
+    by = " and ".join(dict.fromkeys(filter(None, (answer.common, base))))
+    return f"error by that of {by}, mean over shared data", rows
 
 
 def _format_corrected(sequence: SequenceAnalysis, method: str) -> str:
