@@ -29,13 +29,13 @@ POSES = 20
 
 OUTCOMES = (
     "chi2 {:.1f}, overlap {:.2f}",
-    "too few points: {:.0f}",
-    "low score: at most {:.2f}, below {:.2f}",
+    "{:.0f} points, fewer than {:.0f}",
+    "score at most {:.4f}, not above {:g}",
     "ambiguous: another motion has {:.2f} of the score {:.2f}",
-    "overlap {:.2f} < {:.2f}",
-    "degenerate: position known to {:.2f} m",
-    "chi2 too large: {:.1f}",
-    "contradicted: {:.2f} of what could be seen there, overlap {:.2f}",
+    "overlap {:.3f} < {:g}",
+    "degenerate: position known to {:.3f} m > {:g} m",
+    "chi2 {:.1f} > {:.1f}",
+    "contradicted: {:.3f} < {:g} of what could be seen there",
 )
 """What decided on a candidate, with its numbers; the order is that of ek_loop_outcome (loop_finder.h)."""
 

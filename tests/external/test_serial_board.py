@@ -172,6 +172,10 @@ def test_poses_equal_those_of_the_core_to_the_bit_also_over_a_damaged_line(stand
     assert (line.harmed > 10 and link.repeats > 5) if harm else line.harmed == 0
 
 
+def in_words(reason):
+    return re.sub(r"[0-9.]+", "#", reason)
+
+
 @needs_firmware
 def test_a_slam_on_the_board_gives_the_corrections_and_loops_of_the_core_to_the_bit(stand_in):
     scans = list(frames(None, every=8, world="loop", laps=1.3, speed_mps=0.8, rate_hz=5.0, seed=1))
@@ -196,7 +200,7 @@ def test_a_slam_on_the_board_gives_the_corrections_and_loops_of_the_core_to_the_
         (one.stamp_ns, one.other_stamp_ns, one.other_from_base, one.accepted) for one in slam.loop_closures()
     ]
     assert sum(one["accepted"] for one in loops) >= 2
-    assert {one["reason"] for one in loops if one["accepted"]} <= {one.reason for one in slam.loop_closures()}
+    assert [in_words(one["reason"]) for one in loops] == [in_words(one.reason) for one in slam.loop_closures()]
 
 
 @needs_firmware

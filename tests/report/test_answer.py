@@ -245,6 +245,21 @@ def test_data_on_which_all_are_tied_do_not_count(build, three, runs):
     assert {(one.led, one.counted) for one in alone.standings} == {(2, 2)}
 
 
+def test_no_method_that_leads_is_named_as_its_own_rival(build, runs):
+    """a beats b, and c beats both, over the runs that two of them have; all three lead wherever they ran."""
+    wobble = (1.0, 1.01, 0.99, 1.02, 0.98, 1.005, 0.995, 1.0)
+    alike = {"a": 0.01, "b": 0.0115, "d": 0.03}
+    errors = {"room": {"a": 0.006, "b": 0.0068, "c": 0.005, "d": 0.03}, "lab": alike, "yard": alike}
+    records = [
+        run for sequence, values in errors.items() for method, error in values.items()
+        for run in runs(method, sequence, tuple(error * one for one in wobble))
+    ]  # fmt: skip
+    made = answer(build(records))
+    assert {one.method: one.led for one in made.standings} == {"a": 3, "b": 3, "c": 1, "d": 0}
+    assert (made.winners, made.rivals) == (("a",), ("c",))
+    assert made.title == "a is best or tied on 3 of 3 data sets, but c has smaller errors where both ran."
+
+
 def test_a_data_set_where_a_method_had_no_input_does_not_count_for_it(build, record, three):
     absent = {"status": "data-missing", "reason": "no odometry", "answered": 0}
     kept = [run for run in three if (run.method, run.sequence) != ("b", "lab")]

@@ -25,7 +25,13 @@ from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded.compiled import compiled_missing, load_core, to_real
 from evalkit_baselines.embedded.pipeline import NOT_RUN, make_stage_estimate, read_beams, to_row
 from evalkit_baselines.embedded.registration import make_icp
-from evalkit_baselines.slam.loop_closure import LoopSettings, describe_contradiction, describe_low_score
+from evalkit_baselines.slam.loop_closure import (
+    LoopSettings,
+    describe_contradiction,
+    describe_degenerate,
+    describe_little_overlap,
+    describe_low_score,
+)
 from evalkit_baselines.slam.paper_slam import SPEC as REFERENCE
 from evalkit_baselines.slam.second_try import FINE_CORRESPONDENCE_M
 from evalkit_baselines.slam.settings import SharedSettings
@@ -193,21 +199,21 @@ class EmbeddedSlam:
         return tuple(remarks)
 
     def _reason(self, outcome: _Outcome, numbers: list[float], flags: _Flag, section: int) -> str:
-        settings, (first, second) = self._settings, numbers
+        first, second = numbers
         text = {
             _Outcome.PASSED: f"chi2 {first:.1f}, overlap {second:.2f}",
-            _Outcome.FEW_POINTS: f"{first:.0f} points, fewer than 50",
+            _Outcome.FEW_POINTS: f"{first:.0f} points, fewer than {second:.0f}",
             _Outcome.SCORE: describe_low_score(first, second),
             _Outcome.AMBIGUOUS: f"ambiguous: another motion has {first:.2f} of the score {second:.2f}",
-            _Outcome.OVERLAP: f"overlap {first:.2f} < {second:.2f}",
-            _Outcome.DEGENERATE: f"degenerate: position known to {first:.2f} m",
-            _Outcome.CHI: f"chi2 {first:.1f} > {settings.loop_gate:.1f}",
-            _Outcome.CONTRADICTED: describe_contradiction(first, settings.loop_in_view, second),
+            _Outcome.OVERLAP: describe_little_overlap(first, second),
+            _Outcome.DEGENERATE: describe_degenerate(first, second),
+            _Outcome.CHI: f"chi2 {first:.1f} > {second:.1f}",
+            _Outcome.CONTRADICTED: describe_contradiction(first, second),
         }[outcome]
         if flags & _Flag.UNCONFIRMED:
             return f"not confirmed yet: {text}"
         if flags & _Flag.NO_ROOM:
-            return f"no room for more than {settings.loops} loops: {text}"
+            return f"no room for more loops: {text}"
         found = f"found again after a lost track (part {section}): " if flags & _Flag.FOUND_AGAIN else ""
         return f"{'withdrawn, contradicts other loops: ' if flags & _Flag.WITHDRAWN else ''}{found}{text}"
 

@@ -94,7 +94,8 @@ class LoopSettings:
     loop_in_view: float = parameter(
         0.95,
         "",
-        "or three quarters of it and of the score, and so many of the points that the other map's scans could see",
+        "smallest share of points on the other map among those that its scans could see, where score and overlap reach "
+        "only three quarters of their limits",
         low=0.0,
         high=1.0,
     )
@@ -260,7 +261,7 @@ class LoopFinder:
         hidden = self._count_hidden(keyframes, other, keyframes.near_in_time(other, reach), missing)
         share = on_map / (len(source) - hidden)
         if not share >= settings.loop_in_view:
-            reason = describe_contradiction(share, settings.loop_in_view, on_map / len(source))
+            reason = describe_contradiction(share, settings.loop_in_view)
             return candidate._replace(passed=False, reason=reason)
         return candidate
 
@@ -335,15 +336,15 @@ class LoopFinder:
         measured = Edge(guess.first, guess.second, motion, guess.information)
         least = predicted.part * settings.loop_overlap
         if not overlap >= least:
-            return Candidate(measured, False, f"overlap {overlap:.2f} < {least:.2f}", is_local=is_local), None
+            return Candidate(measured, False, describe_little_overlap(overlap, least), is_local=is_local), None
         is_part = not (found.score > settings.loop_score and overlap >= settings.loop_overlap)
         normals = line_normals(tree, 8)[nearest[on_map]]
         covariance = _covariance(source[on_map], normals, motion, max(match.error, 0.01)) + _FLOOR
         covariance += _open_covariance(measure_openness(source[on_map]))
         loosest = math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-        if loosest > settings.loop_degenerate_m * (_PART_DEGENERATE if is_part else 1.0):
-            reason = f"degenerate: position known to {loosest:.2f} m"
-            return Candidate(measured, False, reason, is_local=is_local), None
+        most = settings.loop_degenerate_m * (_PART_DEGENERATE if is_part else 1.0)
+        if loosest > most:
+            return Candidate(measured, False, describe_degenerate(loosest, most), is_local=is_local), None
         covariance += (_PART_VARIANCE if is_part else 0.0) * _FLOOR
         chi = _chi_square(motion, predicted.motion, predicted.covariance + covariance)
         information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
@@ -355,13 +356,31 @@ class LoopFinder:
 
 
 def describe_low_score(bound: float, least: float) -> str:
-    """Return the reason of a candidate where no motion scores more than ``bound``, which is rounded upwards."""
-    return f"score at most {math.ceil(1000.0 * bound) / 1000.0:.3f}, below {least:.2f}"
+    """Return the reason of a candidate none of whose motions has a score above ``bound``."""
+    return f"score at most {_round_up(bound, 4)}, not above {least:g}"
 
 
-def describe_contradiction(share: float, least: float, overlap: float) -> str:
+def describe_little_overlap(overlap: float, least: float) -> str:
+    """Return the reason of a candidate of whose points too small a share lies on the other map."""
+    return f"overlap {_round_down(overlap)} < {least:g}"
+
+
+def describe_degenerate(sigma_m: float, most_m: float) -> str:
+    """Return the reason of a candidate whose walls do not fix the position (1 sigma)."""
+    return f"degenerate: position known to {_round_up(sigma_m)} m > {most_m:g} m"
+
+
+def describe_contradiction(share: float, least: float) -> str:
     """Return the reason of a candidate of whose points in view of the other map's scans too few lie on that map."""
-    return f"contradicted: {share:.2f} < {least:.2f} of what could be seen there, overlap {overlap:.2f}"
+    return f"contradicted: {_round_down(share)} < {least:g} of what could be seen there"
+
+
+def _round_up(value: float, digits: int = 3) -> str:
+    return f"{math.ceil(value * 10**digits) / 10**digits:.{digits}f}"
+
+
+def _round_down(value: float, digits: int = 3) -> str:
+    return f"{math.floor(value * 10**digits) / 10**digits:.{digits}f}"
 
 
 def _chi_square(motion: Pose, predicted: Pose, covariance: Floats) -> float:

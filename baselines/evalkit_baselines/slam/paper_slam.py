@@ -203,11 +203,11 @@ class PaperSlam:
         return deskew(frame, self._front.extrapolate(took_ns)) if took_ns else frame
 
     def _observe_sweep(self, came: Frame, matched: Matched | None, near: Pose) -> None:
-        """Let a scan, as it came, tell the times of its beams, if it matched with the map around a pose."""
+        """Learn the times of the beams from a scan, as it came, if it matched with the map around a pose."""
         if matched is None:
             return
         pose, last = matched.start_from_points, Pose.of(self._odom_from_base[-1])
-        if self._sweeps.is_told(came, last.inverse() @ pose):
+        if self._sweeps.is_informative(came, last.inverse() @ pose):
             pairs = self._icps[0].find_pairs(self._map.cloud(near), matched.source, pose)
             self._sweeps.observe(came.scan.angles, came.base_from_sensor, last.inverse() @ pose, pairs)
 

@@ -1,4 +1,4 @@
-"""Find out that a lidar turns once a scan where its scans tell no times of beams.
+"""Find out that a lidar turns once a scan where its scans have no times of beams.
 
 Many drivers, and points of 3D lidars that were projected to a plane, leave them out. The scan of a robot that turns is
 then bent, by 10 deg and more, and the map with it. What a turning robot sees shows it: where the first beams lie on the
@@ -63,12 +63,12 @@ class SweepTimes:
         self._period_ns = min(later - earlier for earlier, later in pairwise(before[::-1])) if len(before) > 2 else 0
         return self._order * self._period_ns if is_full_circle(frame) else 0
 
-    def is_told(self, frame: Frame, step: Pose) -> bool:
+    def is_informative(self, frame: Frame, step: Pose) -> bool:
         """Return whether a scan, as it came, would tell something; ``step``: motion since the last one."""
         return self._period_ns > 0 and abs(step.theta) >= TURNED_RAD and is_full_circle(frame)
 
     def observe(self, angles: Floats, base_from_sensor: Pose, step: Pose, pairs: Pairs) -> None:
-        """Take a matched scan for which ``is_told``: its angles (B,) as they came, and its pairs with the map."""
+        """Take a matched scan that ``is_informative``: its angles (B,) as they came, and its pairs with the map."""
         if len(pairs.points) < MIN_PAIRS:
             return
         share = self._period_ns / (self._stamps_ns[0] - self._stamps_ns[1])

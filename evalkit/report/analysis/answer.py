@@ -19,7 +19,7 @@ from evalkit.report.analysis.standings import (
     find_lost,
 )
 from evalkit.report.analysis.statements.pills import Pill, compute_pills
-from evalkit.report.analysis.statements.title import explain_no_contest, format_subtitle, format_title, join_winners
+from evalkit.report.analysis.statements.title import explain_no_contest, format_subtitle, format_title
 from evalkit.report.analysis.statements.verdict import SequenceVerdict
 
 
@@ -62,17 +62,19 @@ def compute_answer(
 ) -> Answer:
     """Compute the answer from the tally of the data sets that count, and the paired tests over all runs.
 
-    A method that leads most often is not recommended if a paired test calls another one better.
+    A method that leads most often is not recommended if a paired test calls another one better. Where that holds for
+    all of these, one is named with those that are better, if possible one that no other of them beats.
     """
     contests, standings = tally.contests, tally.standings
     unbeaten = tuple(one for one in tally.winners if not significance.find_better(one))
-    winners = unbeaten or tally.winners
-    rivals = tuple(dict.fromkeys(other for one in winners for other in significance.find_better(one)))
+    by_others = [one for one in tally.winners if not set(significance.find_better(one)) & set(tally.winners)]
+    winners = unbeaten or tuple(by_others or tally.winners)[:1]
+    rivals = tuple(other for one in winners for other in significance.find_better(one))
     cheapest = find_cheapest(comparison, standings, winners)
     losses = find_losses(winners[0], contests) if len(winners) == 1 else ()
     return Answer(
         format_title(standings, contests, winners, rivals) if contests else explain_no_contest(sequences, verdicts),
-        join_winners(winners, rivals),
+        " or ".join(winners),
         format_subtitle(tally, winners, rivals, losses, find_lost(sequences, winners), cheapest),
         compute_pills(comparison, sequences, verdicts, {one.sequence for one in contests}),
         winners,

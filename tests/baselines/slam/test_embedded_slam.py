@@ -436,7 +436,7 @@ def test_room_for_one_loop_and_few_records_is_kept_and_said():
     slam, _ = run(embedded_slam.make, drive(), work=0, **SMALL | {"loops": 1, "records": 4})
     loops = slam.loop_closures()
     assert [loop.accepted for loop in loops] == [True, False, False, False]
-    assert loops[3].reason.startswith("no room for more than 1 loops: chi2")
+    assert loops[3].reason.startswith("no room for more loops: chi2")
 
 
 def test_memory_is_fixed_and_grows_with_the_square_of_the_loops():

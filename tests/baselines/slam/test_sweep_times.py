@@ -48,7 +48,7 @@ def observe(sweeps, share, count):
     for number in range(count):
         given = frame(number)
         sweeps.take(given)
-        if sweeps.is_told(given, STEP):
+        if sweeps.is_informative(given, STEP):
             sweeps.observe(given.scan.angles, MOUNT, STEP, bent_pairs(share))
     return sweeps
 
@@ -77,7 +77,7 @@ def test_times_that_are_told_and_a_part_of_a_circle_stay():
     sweeps = observe(SweepTimes(), 1.0, 60)
     for given in (frame(60, time_increment_ns=1000), frame(61, ANGLES[:300])):
         assert sweeps.take(given) == 0
-        assert not sweeps.is_told(given, STEP)
+        assert not sweeps.is_informative(given, STEP)
 
 
 def test_the_middle_of_a_sweep_stays_and_its_ends_turn_by_half_the_motion():
@@ -92,8 +92,8 @@ def test_the_middle_of_a_sweep_stays_and_its_ends_turn_by_half_the_motion():
 
 def test_scans_between_which_the_robot_hardly_turns_tell_nothing():
     sweeps = observe(SweepTimes(), 0.0, 3)
-    assert sweeps.is_told(frame(3), Pose(0.3, 0.0, 0.036))
-    assert not sweeps.is_told(frame(3), Pose(0.3, 0.0, 0.034))
+    assert sweeps.is_informative(frame(3), Pose(0.3, 0.0, 0.036))
+    assert not sweeps.is_informative(frame(3), Pose(0.3, 0.0, 0.034))
 
 
 @pytest.mark.parametrize("method", ["paper-slam", "embedded-slam"])

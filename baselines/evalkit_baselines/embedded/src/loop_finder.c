@@ -167,7 +167,7 @@ static void take_maps(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *
     finder->source_count = ek_thin(&finder->thinner, finder->raw, finder->raw_count, SOURCE_CELL, finder->source, work);
     const size_t fewest = finder->source_count < finder->target_count ? finder->source_count : finder->target_count;
     if (fewest < MIN_POINTS) {
-        judge_early(finder, EK_LOOP_FEW_POINTS, (ek_real)fewest, EK_R(0.0));
+        judge_early(finder, EK_LOOP_FEW_POINTS, (ek_real)fewest, (ek_real)MIN_POINTS);
         return;
     }
     fit_window(finder);

@@ -331,8 +331,9 @@ void ek_loop_judge(ek_loop_finder *finder, ek_work *work)
     const ek_real mean = EK_R(0.5) * (covariance.xx + covariance.yy), half = EK_R(0.5) * (covariance.xx - covariance.yy);
     const ek_real loosest = EK_SQRT(mean + EK_SQRT(half * half + covariance.xy * covariance.xy));
     candidate->number[0] = loosest;
+    candidate->number[1] = settings->degenerate * (in_part ? PART_DEGENERATE : EK_R(1.0));
     candidate->outcome = EK_LOOP_DEGENERATE;
-    const int is_known = loosest <= settings->degenerate * (in_part ? PART_DEGENERATE : EK_R(1.0));
+    const int is_known = loosest <= candidate->number[1];
     covariance = ek_sym3_sum(&covariance, &FLOOR, in_part ? PART_VARIANCE : EK_R(0.0));
     if (!is_known || !ek_sym3_inverse(&covariance, &candidate->edge.information)) {
         return;
@@ -340,8 +341,8 @@ void ek_loop_judge(ek_loop_finder *finder, ek_work *work)
     covariance = ek_sym3_sum(&covariance, &finder->covariance, EK_R(1.0));
     candidate->chi = chi_square(finder, finder->match, &covariance);
     candidate->number[0] = candidate->chi;
-    candidate->number[1] = overlap;
     candidate->outcome = candidate->chi <= settings->gate ? EK_LOOP_PASSED : EK_LOOP_CHI;
+    candidate->number[1] = candidate->outcome == EK_LOOP_PASSED ? overlap : settings->gate;
     if (in_part && candidate->outcome == EK_LOOP_PASSED) {
         finder->phase = EK_FINDER_LOOK;
     }
@@ -375,6 +376,7 @@ void ek_loop_look(ek_loop_finder *finder, const ek_keyframes *keyframes, ek_work
     if (!(share >= finder->settings.in_view)) {
         finder->candidate.outcome = EK_LOOP_CONTRADICTED;
         finder->candidate.number[0] = share;
+        finder->candidate.number[1] = finder->settings.in_view;
     }
     finder->phase = EK_FINDER_IDLE;
 }

@@ -351,11 +351,11 @@ static void judge(ek_slam *slam, const ek_prior *prior, int has_odometry, ek_sla
     estimate->lost = lost && !estimate->set_aside;
 }
 
-/* Let a matched scan tell the times of its beams. */
+/* Learn the times of the beams from a matched scan. */
 static void observe_sweep(ek_slam *slam, const ek_sweep *came, const ek_slam_estimate *estimate)
 {
     const int matched = estimate->scan_to_map_accepted && !estimate->lost && !estimate->set_aside;
-    if (matched && slam->parameters.deskew && ek_sweep_times_is_asked(came)) {
+    if (matched && slam->parameters.deskew && ek_sweep_times_applies(came)) {
         const ek_pose pose = estimate->odom_from_base;
         const ek_sweep_step step = {ek_se2_between(slam->motion.start_from_base, pose),
                                     (int64_t)((uint64_t)came->stamp_ns - (uint64_t)slam->motion.stamp_ns),

@@ -12,7 +12,7 @@
 #define CAUCHY EK_R(0.1)    /* m */
 #define RIDGE EK_R(1e-6)
 
-int ek_sweep_times_is_asked(const ek_sweep *sweep)
+int ek_sweep_times_applies(const ek_sweep *sweep)
 {
     return sweep->time_increment_ns == 0 && sweep->beams > 1u && sweep->angles &&
            EK_FABS(sweep->angles[sweep->beams - 1u] - sweep->angles[0]) >= FULL;
@@ -20,7 +20,7 @@ int ek_sweep_times_is_asked(const ek_sweep *sweep)
 
 int64_t ek_sweep_times_take(const ek_sweep_times *times, const ek_sweep *sweep, int64_t period_ns)
 {
-    return ek_sweep_times_is_asked(sweep) ? times->order * period_ns : 0;
+    return ek_sweep_times_applies(sweep) ? times->order * period_ns : 0;
 }
 
 /* Sums over pairs: what the pose of the scan moves (free), and what the sweep moves (moved), against the residuals. */

@@ -56,7 +56,7 @@ static ek_sweep_times observe(int order, double turn)
         ek_work work = ek_work_make(INT64_MAX);
         CHECK(ek_scan_project(&scan, &sweep, &parameters, NULL) == EK_OK);
         ek_observer_take(&observer, &thinner, scan.hits, scan.count, &work);
-        CHECK(ek_sweep_times_is_asked(&sweep));
+        CHECK(ek_sweep_times_applies(&sweep));
         ek_sweep_times_observe(&times, &observer, &map, at, EK_R(0.3), &sweep, mount, &step);
         if (times.order != 0) {
             break;
@@ -88,16 +88,16 @@ static void a_part_of_a_circle_and_times_of_beams_are_not_asked(void)
 {
     const ek_pose at = {EK_R(4.0), EK_R(2.2), EK_R(0.0)};
     ek_sweep sweep = sweep_at(at, 0);
-    CHECK(ek_sweep_times_is_asked(&sweep));
+    CHECK(ek_sweep_times_applies(&sweep));
     sweep.time_increment_ns = 1;
-    CHECK(!ek_sweep_times_is_asked(&sweep));
+    CHECK(!ek_sweep_times_applies(&sweep));
     sweep.time_increment_ns = 0;
     sweep.beams = 300u; /* 299 deg */
-    CHECK(!ek_sweep_times_is_asked(&sweep));
+    CHECK(!ek_sweep_times_applies(&sweep));
     sweep.beams = 302u;
-    CHECK(ek_sweep_times_is_asked(&sweep));
+    CHECK(ek_sweep_times_applies(&sweep));
     sweep.beams = 1u;
-    CHECK(!ek_sweep_times_is_asked(&sweep));
+    CHECK(!ek_sweep_times_applies(&sweep));
 }
 
 static void a_sweep_takes_a_period_as_soon_as_its_order_is_known(void)

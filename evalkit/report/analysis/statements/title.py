@@ -45,19 +45,14 @@ def format_title(
     return _recommend(winners, what, rivals)
 
 
-def join_winners(winners: Sequence[str], rivals: Sequence[str]) -> str:
-    """Return the names of the winners as in the title."""
-    return join_words(winners) if winners and rivals else " or ".join(winners)
-
-
 def _recommend(winners: Sequence[str], what: str, rivals: Sequence[str]) -> str:
     """Return the title: which method to take, or which one leads and which others have smaller errors all the same."""
-    names = join_winners(winners, rivals)
+    names = " or ".join(winners)
     if not rivals:
         return f"Take {names}: {what}."
-    verb, has = ("is", "are")[len(winners) > 1], ("has", "have")[len(rivals) > 1]
-    where = "where both ran" if len(winners) == len(rivals) == 1 else "where they ran too"
-    return f"{names} {verb} {what}, but {name_or_count(rivals, MAX_RIVALS)} {has} smaller errors {where}."
+    has = ("has", "have")[len(rivals) > 1]
+    where = "where both ran" if len(rivals) == 1 else "where they ran too"
+    return f"{names} is {what}, but {name_or_count(rivals, MAX_RIVALS)} {has} smaller errors {where}."
 
 
 def _describe_others(standings: Sequence[Standing], winners: Sequence[str]) -> str:

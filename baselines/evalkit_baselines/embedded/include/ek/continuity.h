@@ -18,7 +18,7 @@ extern "C" {
 
 typedef struct {
     ek_index before; /* points of the scan before, at its pose; empty: there is none */
-    ek_sight sight;    /* of the scan before */
+    ek_sight sight;  /* of the scan before */
     ek_real *moved;  /* points, thinned */
     uint32_t *seen;
     ek_pose sensor;  /* pose of the scan before */

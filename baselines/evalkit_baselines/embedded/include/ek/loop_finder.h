@@ -26,7 +26,8 @@ typedef struct {
     ek_real ambiguity;  /* share of the best score that another motion may not reach */
     ek_real near;       /* m: a point within this distance lies on the other map */
     ek_real overlap;    /* smallest share of points on the other map */
-    ek_real in_view;    /* or three quarters of it and of the score, and so many of the points that its scans could see */
+    ek_real in_view;    /* smallest share of points on the other map among those that its scans could see, where score and overlap
+                         * reach only three quarters of their limits */
     ek_real degenerate; /* m: largest 1-sigma error of the matched position */
     ek_real gate;       /* largest chi-square of a confirmed closure */
     ek_real quick_gate; /* and of one without confirmation */
@@ -34,13 +35,13 @@ typedef struct {
 
 typedef enum {
     EK_LOOP_PASSED = 0, /* numbers: chi-square, overlap */
-    EK_LOOP_FEW_POINTS, /* points */
+    EK_LOOP_FEW_POINTS, /* points, fewest that are enough */
     EK_LOOP_SCORE,      /* upper bound on the score of every motion, smallest that is enough */
     EK_LOOP_AMBIGUOUS,  /* share of the best score, best score */
     EK_LOOP_OVERLAP,    /* overlap, smallest that is enough */
-    EK_LOOP_DEGENERATE, /* m */
-    EK_LOOP_CHI,        /* chi-square */
-    EK_LOOP_CONTRADICTED /* share on the other map of the points that its scans could see, overlap */
+    EK_LOOP_DEGENERATE, /* m: 1-sigma error, largest that is allowed */
+    EK_LOOP_CHI,        /* chi-square, gate */
+    EK_LOOP_CONTRADICTED /* share on the other map of the points that its scans could see, smallest that is enough */
 } ek_loop_outcome;
 
 typedef struct {

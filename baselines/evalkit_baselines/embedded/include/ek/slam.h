@@ -144,7 +144,7 @@ typedef struct {
     ek_slam_task task;
     ek_wheels wheels;
     ek_dirt dirt;
-    ek_sweep_times sweeps;   /* of a lidar that tells no times of beams */
+    ek_sweep_times sweeps;   /* of scans without times of beams */
     ek_view views[3];
     ek_company company;      /* which of the views are kept */
     ek_doubt doubt;          /* of the step since the last keyframe */

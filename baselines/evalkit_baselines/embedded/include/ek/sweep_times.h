@@ -1,4 +1,4 @@
-/* sweep_times.h - find out that a lidar turns once a scan where its scans tell no times of beams.
+/* sweep_times.h - find out that a lidar turns once a scan where its scans have no times of beams.
  *
  * Computes the same as evalkit_baselines/slam/sweep_times.py, which gives the reasons.
  */
@@ -13,7 +13,7 @@ extern "C" {
 #endif
 
 #define ek_sweep_times EK_NAME(sweep_times)
-#define ek_sweep_times_is_asked EK_NAME(sweep_times_is_asked)
+#define ek_sweep_times_applies EK_NAME(sweep_times_applies)
 #define ek_sweep_times_take EK_NAME(sweep_times_take)
 #define ek_sweep_times_observe EK_NAME(sweep_times_observe)
 
@@ -31,7 +31,7 @@ typedef struct {
 } ek_sweep_step;
 
 /* 1 if a sweep spans a full circle without times of beams. */
-int ek_sweep_times_is_asked(const ek_sweep *sweep);
+int ek_sweep_times_applies(const ek_sweep *sweep);
 
 /* How long a sweep took (ns), negative where beams are fired in the opposite order; 0: all beams are fired at once, or have
  * times, or nothing is known yet. `period_ns`: of the scans; 0: unknown. */
