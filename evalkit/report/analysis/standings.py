@@ -113,8 +113,9 @@ def compute_tally(
 ) -> Tally:
     """Compute how the methods stand over the data sets that count."""
     contests = find_contests(sequences, verdicts)
-    standings = compute_standings(comparison, sequences, contests)
-    return Tally(contests, standings, find_winners(standings, contests), find_common(comparison, contests))
+    common = find_common(comparison, contests)
+    standings = compute_standings(comparison, sequences, contests, common)
+    return Tally(contests, standings, find_winners(standings, contests), common)
 
 
 def find_contests(
@@ -167,10 +168,10 @@ def find_common(comparison: Comparison, contests: Sequence[Contest]) -> str:
 
 
 def compute_standings(
-    comparison: Comparison, sequences: Sequence[SequenceAnalysis], contests: Sequence[Contest]
+    comparison: Comparison, sequences: Sequence[SequenceAnalysis], contests: Sequence[Contest], common: str
 ) -> tuple[Standing, ...]:
-    """Return every method's standing, best first."""
-    counted, common = select_counted(sequences, contests), find_common(comparison, contests)
+    """Return every method's standing, best first; ``common``: the method that all are compared with."""
+    counted = select_counted(sequences, contests)
     standings = [
         Standing(
             method,

@@ -19,7 +19,6 @@
 
 #include "ek/pipeline.h"
 #include "ek/scanlog.h"
-#include "ek/slam.h"
 #include "ek/table.h"
 #include "ek/tally.h"
 
@@ -249,6 +248,7 @@ static void print_shares(void)
 }
 #elif defined(BOARD_COUNT)
 #include "port.h"
+#include "small_slam.h"
 
 #define PAINT 0xA5A5A5A5u
 #define PAINTED 4096 /* words; more than a scan needs */
@@ -591,16 +591,8 @@ static int update_slam(const ek_sweep *sweep, int silent)
 /* Start the SLAM in the memory of the smallest row of README.md; stack: of ek_slam_bytes and of ek_slam_start. */
 static int start_slam(const ek_scan_parameters *scan, unsigned long stack[2])
 {
-    ek_slam_parameters parameters = ek_slam_default();
+    ek_slam_parameters parameters = small_slam(360u, 300u);
     parameters.scan = scan ? *scan : parameters.scan;
-    parameters.points = 360u;
-    parameters.keyframes = 300u;
-    parameters.keyframe_points = 200u * parameters.keyframes;
-    parameters.loops = 16u;
-    parameters.voxels = 4096u;
-    parameters.map_points = 4096u;
-    parameters.loop_points = 8192u;
-    parameters.score_cells = 256u * 256u;
     ek_status status;
     stack[0] = stack_of(call_slam_bytes, &parameters, &status);
     if (status == EK_OK) {

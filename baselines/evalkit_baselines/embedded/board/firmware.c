@@ -24,9 +24,9 @@
 #include <string.h>
 
 #include "ek/pipeline.h"
-#include "ek/slam.h"
 #include "link.h"
 #include "port.h"
+#include "small_slam.h"
 
 #ifndef BOARD_POINTS
 #define BOARD_POINTS 2048u /* of a scan or source */
@@ -213,18 +213,10 @@ static ek_status start_pipeline(size_t *bytes)
     return status == EK_OK ? ek_pipeline_start(&pipeline, memory.bytes, sizeof memory.bytes, &parameters) : status;
 }
 
-/* As delivered, with little memory; a message has fewer points than a map (README.md). */
 static ek_status start_slam(int32_t work, size_t *bytes)
 {
-    ek_slam_parameters parameters = ek_slam_default();
+    ek_slam_parameters parameters = small_slam(BOARD_POINTS, BOARD_SLAM_KEYFRAMES);
     parameters.work = work;
-    parameters.points = BOARD_POINTS;
-    parameters.keyframes = BOARD_SLAM_KEYFRAMES;
-    parameters.keyframe_points = 200u * parameters.keyframes;
-    parameters.loops = 16u;
-    parameters.voxels = parameters.map_points = 4096u;
-    parameters.loop_points = 8192u;
-    parameters.score_cells = 256u * 256u;
     const ek_status status = ek_slam_bytes(&parameters, bytes);
     return status == EK_OK ? ek_slam_start(&slam, memory.bytes, sizeof memory.bytes, &parameters) : status;
 }
