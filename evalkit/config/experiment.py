@@ -116,7 +116,7 @@ class Experiment:
     """Methods, sequences, mapper and limits of a comparison, complete and checked.
 
     ``source``: the command line that runs it, without "evalkit". ``timed``: whether times count; if not, runs may
-    share the machine with other work. ``skip_tuned``: a method does not run on data sets that it was tuned on.
+    share the machine with other work.
     ``arguments``: those of ``evalkit.compare`` in Python, for methods that no command line can state; else empty.
     """
 
@@ -129,7 +129,6 @@ class Experiment:
     mapper: MapperChoice
     limits: Limits
     timed: bool = True
-    skip_tuned: bool = False
     arguments: Mapping[str, object] = field(default_factory=dict)
 
     def runs(self) -> Iterator[RunSpec]:
@@ -149,7 +148,6 @@ class Experiment:
             RunSpec(_compute_key(method, sequence, seed, code, files), method, sequence, seed)
             for turn, (sequence, seed) in enumerate(repetitions)
             for method in self.methods[:: -1 if turn % 2 else 1]
-            if not (self.skip_tuned and sequence.dataset in method.tuned_on)
         )
 
     @property
@@ -183,10 +181,7 @@ class Experiment:
         return replace(self, timed=False, source=f"{self.source} --accuracy-only") if self.timed else self
 
     def select(self, sequences: list[str], methods: list[str], seeds: list[int]) -> Experiment:
-        """The part of the experiment with these labels and seeds; an empty list selects all.
-
-        Methods that are selected run on every selected sequence, whatever ``skip_tuned`` says.
-        """
+        """The part of the experiment with these labels and seeds; an empty list selects all."""
         chosen = _select("sequence", sequences, self.sequences, lambda sequence: sequence.label, self.source)
         chosen_methods = _select("method", methods, self.methods, lambda method: method.label, self.source)
         if seeds:
@@ -197,7 +192,7 @@ class Experiment:
                 replace(sequence, seeds=tuple(seed for seed in sequence.seeds if seed is None or seed in seeds))
                 for sequence in chosen
             )
-        return replace(self, sequences=chosen, methods=chosen_methods, skip_tuned=self.skip_tuned and not methods)
+        return replace(self, sequences=chosen, methods=chosen_methods)
 
 
 def load_experiment(path: Path) -> Experiment:
@@ -211,7 +206,6 @@ def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, sou
     """The experiment that TOML tables describe. ``file``: named in errors; ``source``: used in commands."""
     table = TomlTable(content, file, form=EXPERIMENT)
     table.check_keys()
-    timed, skip_tuned = table.flag("timed"), table.flag("skip_tuned")
     with table.errors():
         methods = tuple(_read_method(each) for each in table.tables("method", "an experiment"))
         repeats = _read_nuisance(table, (0, 0))
@@ -230,8 +224,7 @@ def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, sou
         sequences,
         mapper,
         _read_limits(table.table("limits", "")),
-        timed,
-        skip_tuned,
+        table.flag("timed"),
     )
 
 

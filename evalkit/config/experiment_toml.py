@@ -15,7 +15,6 @@ def format_experiment(experiment: Experiment) -> str:
     lines = [
         f"title = {_format_text(experiment.title)}",
         f"description = {_format_text(experiment.description)}",
-        f"skip_tuned = {json.dumps(experiment.skip_tuned)}",
         "",
         "[mapper]",
         f"use = {_format_text(experiment.mapper.name)}",

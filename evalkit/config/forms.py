@@ -100,7 +100,6 @@ TEXTS = {"title": Key("text"), "description": Key("text", default="")}
 EXPERIMENT = Form("ExperimentFile", "An experiment: methods on sequences (``evalkit compare FILE``).", {
     **TEXTS,
     "timed": Key("flag", "whether times count", True),
-    "skip_tuned": Key("flag", "no method runs on data sets that it was tuned on", False),
     **REPEATS,
     "mapper": Key("table", form=MAPPER),
     "limits": Key("table", form=LIMITS),

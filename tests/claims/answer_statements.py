@@ -42,8 +42,7 @@ def leaders(facts: Facts, where: str) -> Sequence[str]:
     IN_ANSWER,
     r"Take (?P<names>.+?): (?:each )?(?:the best map|best or tied) on (?P<led>\d+) of (?P<of>\d+) "
     r"(?:data sets?|recordings?)(?: by the fit to the known map)?"
-    r"(?:, no other method on (?:more than (?P<most>\d+)|any))?"
-    r"(?:; (?P<fewer>.+?) (?:was|were) not compared on all (?P<all>\d+))?\.",
+    r"(?:; next best: (?P<next>.+?), (?P<next_led>\d+) of (?P<next_of>\d+)|(?P<none>; no other method on any))?\.",
 )
 def take(facts: Facts, names: str, **said: str | None) -> Iterator[str]:
     table, winners = standings(facts), names.split(" or ")
@@ -53,13 +52,13 @@ def take(facts: Facts, names: str, **said: str | None) -> Iterator[str]:
         yield from same(f"{name} leads", int(said["led"] or 0), table[name][0])
     yield from same("most", int(said["led"] or 0), max(led for led, _ in table.values()))
     yield from same("of", int(said["of"] or 0) in (table[winners[0]][1], len(facts.content["answer"]["counted"])), True)
-    others = [led for name, (led, part) in table.items() if name not in winners and part]
-    yield from same("no other on more than", int(said["most"] or 0), max(others, default=0))
-    over = len(facts.content["answer"]["counted"])
-    fewer = [name for name, (_, part) in table.items() if 0 < part < over]
-    named = fewer if len(fewer) < 2 else [f"{len(fewer)} methods"]
-    yield from same("compared on fewer", [said["fewer"]] if said["fewer"] else [], named)
-    yield from same("all", int(said["all"] or over), over)
+    others = {name: (led, part) for name, (led, part) in table.items() if name not in winners and part}
+    most = max((led for led, _ in others.values()), default=0)
+    yield from same("no other on any", bool(said["none"]), bool(others) and not most)
+    yield from same("the next best is named", bool(said["next"]), bool(most))
+    if said["next"]:
+        yield from same("next best", (int(said["next_led"] or 0), int(said["next_of"] or 0)), others.get(said["next"]))
+        yield from same("next best leads", int(said["next_led"] or 0), most)
 
 
 @kind(

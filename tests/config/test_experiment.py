@@ -317,19 +317,6 @@ def test_a_method_is_tuned_on_the_data_sets_of_its_back_end_and_of_its_table():
     assert [method.tuned_on for method in plan.methods] == [("fr079", "intel", "lab"), ()]
 
 
-def test_a_method_skips_the_data_sets_it_was_tuned_on_only_if_asked_and_not_if_selected():
-    methods = [{"use": "paper", "tuned_on": ["lab"]}, {"use": "wheel-odometry"}]
-    sequences = [{"use": "lab", "label": "a"}, {"use": "room"}]
-    plain, skipping = plan_runs(methods, sequences), plan_runs(methods, sequences, skip_tuned=True)
-    assert len(list(plain.runs())) == 4
-    assert {(run.method.label, run.sequence.label) for run in skipping.runs()} == {
-        ("wheel-odometry", "a"), ("wheel-odometry", "room"), ("paper", "room"),
-    }  # fmt: skip
-    assert len(list(skipping.select([], ["paper"], []).runs())) == 2
-    written = tomllib.loads(format_experiment(skipping))
-    assert (written["skip_tuned"], written["method"][0]["tuned_on"]) == (True, ["lab"])
-
-
 def test_other_code_changes_the_key(monkeypatch):
     before = only_key()
     monkeypatch.setattr(registry, "hash_run_code", lambda backend, dataset: f"{backend} {dataset} changed")

@@ -224,10 +224,20 @@ def test_only_the_last_map_is_the_worst_also_where_it_is_the_answer(record, buil
     assert choose_tiles(analysis, hall) == [("a", ""), ("c", ""), ("b", "answer")]
 
 
-def test_a_tuned_method_is_not_in_the_map_strip(room):
+def test_a_tuned_method_is_in_the_map_strip_only_if_it_is_the_answer(record, build, room):
     methods = {**room.methods, "plane": replace(room.methods["plane"], tuned_on=("room",))}
     analysis = analyse(replace(room, methods=methods))
     assert [method for method, _ in choose_tiles(analysis, analysis.sequences[0])] == ["lib", "paper", "wheel", "lost"]
+    hall = [
+        record(name, sequence, {"ate_rmse_m": error * (1 + 0.01 * seed)}, seed=seed, error_m=error)
+        for sequence in ("hall", "yard") for name, error in (("plane", 0.01), ("lib", 0.5)) for seed in range(3)
+    ]  # fmt: skip
+    both = build([*room.records, *hall])
+    analysis = analyse(replace(both, methods={**both.methods, "plane": methods["plane"]}))
+    assert analysis.answer.winners == ("plane",)
+    assert choose_tiles(analysis, analysis.sequences[0])[0] == ("plane", "answer")
+    tile = build_tiles(analysis, 0, strokes_of(both))[0]
+    assert tile.caption == "10\u00a0mm · 0.10\u00a0ms · settings chosen here"
 
 
 def test_the_hardest_sequence_is_a_recording_before_a_simulation(record, build, room):

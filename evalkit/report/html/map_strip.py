@@ -52,12 +52,15 @@ def find_hardest(analysis: Analysis) -> int | None:
 
 
 def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[str, str]]:
-    """Return method and role of each map, best first: the answer, a peer, the baseline, the worst, others."""
+    """Return method and role of each map, best first: the answer, a peer, the baseline, the worst, others.
+
+    Methods whose settings were chosen on the sequence are left out, but for the answer.
+    """
     comparison, ranking = analysis.comparison, sequence.deciding
     if ranking is None:
         return []
     drawn = {label for label, own in sequence.runs.items() if own[0].scores.grid is not None}
-    drawn -= set(find_left_out(comparison, sequence))
+    drawn -= set(find_left_out(comparison, sequence)) - set(analysis.answer.winners)
     valued = [score for score in ranking.scores if score.values and score.method in drawn]
     sign = -1.0 if ranking.metric.better == "higher" else 1.0
     ordered = [score.method for score in sorted(valued, key=lambda score: sign * median(score.values))]
@@ -93,7 +96,7 @@ def build_tiles(analysis: Analysis, number: int, strokes: Strokes) -> list[Tile]
     """Return the map strip of a sequence, best first: each map in the window of the first one."""
     sequence = analysis.sequences[number]
     ranking, tiles = sequence.deciding, []
-    chosen = choose_tiles(analysis, sequence)
+    chosen, left_out = choose_tiles(analysis, sequence), find_left_out(analysis.comparison, sequence)
     grids = {method: grid for method, _ in chosen if (grid := sequence.runs[method][0].scores.grid) is not None}
     shown = find_window([grids[chosen[0][0]]]) if chosen else None
     if shown is None:
@@ -108,7 +111,8 @@ def build_tiles(analysis: Analysis, number: int, strokes: Strokes) -> list[Tile]
         corrected = sequence.final.of(method) if sequence.final else None
         if ranking and corrected is not None and corrected.values:
             value += f", corrected {format_amount(ranking.metric, median(corrected.values))}"
-        caption = " · ".join(filter(None, (value, lost or times)))
+        tuned = "settings chosen here" if method in left_out else ""
+        caption = " · ".join(filter(None, (value, lost or times, tuned)))
         has_player = any(len(run.result.steps) for run in sequence.runs[method])
         anchor = f"sequence-{number + 1}"
         link = f"#{anchor}-player?by={quote(method)}&on=own&play=1" if has_player else f"#{anchor}"

@@ -41,7 +41,7 @@ def format_title(
     kind = f"{'recording' if by_maps else 'data set'}{'s' if counted != 1 else ''}"
     what = f"{best} on {first.led} of {counted} {kind}{how}"
     if not rivals:
-        what += _describe_others(standings, winners) + _describe_fewer(standings, winners, len(contests))
+        what += _describe_next(standings, winners)
     return _recommend(winners, what, rivals)
 
 
@@ -55,21 +55,14 @@ def _recommend(winners: Sequence[str], what: str, rivals: Sequence[str]) -> str:
     return f"{names} is {what}, but {name_or_count(rivals, MAX_RIVALS)} {has} smaller errors {where}."
 
 
-def _describe_others(standings: Sequence[Standing], winners: Sequence[str]) -> str:
-    """Return on how many data sets any other method leads at most."""
-    others = [one.led for one in standings if one.counted and one.method not in winners]
-    most = max(others, default=0)
-    return f", no other method on {f'more than {most}' if most else 'any'}" if others else ""
-
-
-def _describe_fewer(standings: Sequence[Standing], winners: Sequence[str], contests: int) -> str:
-    """Return which methods were not compared on all data sets."""
-    if not any(one.counted and one.method not in winners for one in standings):
+def _describe_next(standings: Sequence[Standing], winners: Sequence[str]) -> str:
+    """Return on how many of its data sets the next method leads."""
+    others = [one for one in standings if one.counted and one.method not in winners]
+    if not others:
         return ""
-    fewer = [one.method for one in standings if 0 < one.counted < contests]
-    if not fewer:
-        return ""
-    return f"; {name_or_count(fewer, 1)} {'was' if len(fewer) == 1 else 'were'} not compared on all {contests}"
+    if not others[0].led:
+        return "; no other method on any"
+    return f"; next best: {others[0].method}, {others[0].led} of {others[0].counted}"
 
 
 def _describe_single(contest: Contest, how: str) -> str:
