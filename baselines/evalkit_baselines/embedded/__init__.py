@@ -1,7 +1,7 @@
 """The paper's method in C99 for embedded boards, run on this host: registration, mapper and pipeline.
 
 The NumPy implementation in ``evalkit_baselines.paper`` is its specification: in double precision the results agree to
-1e-9. The README in this folder describes the core and its speed.
+1e-9. README.md in this folder describes the core.
 """
 
 from dataclasses import replace

@@ -1,7 +1,7 @@
 """``embedded-slam``: what ``paper-slam`` computes, in C99 with memory fixed at the start and bounded work per scan.
 
 With ``work`` 0 every loop is closed within the scan that found it, as in ``paper-slam``; otherwise search, optimisation
-and the redrawing of the map continue with the next scans. ``../embedded/README.md`` describes memory and speed.
+and the redrawing of the map continue with the next scans. ``../embedded/SLAM.md`` describes memory and speed.
 """
 
 from __future__ import annotations

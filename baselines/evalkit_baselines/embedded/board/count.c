@@ -8,7 +8,7 @@
  *     count random KIND SEED SESSIONS  sessions of 20 random scans with random parameters; KIND: points (and keyframes), or
  *                                      lines (most with lines and a lasting map, half of them with polygons)
  *     count bound KIND SEED SESSIONS   the same, and print only the number of scans and the largest share of each bound
- *     count slam FILE                  on a board: a recording with ek_slam, in the memory of the smallest row of README.md
+ *     count slam FILE                  on a board: a recording with ek_slam, in the memory of the smallest row of SLAM.md
  *     count stack                      on a board: print the stack of ek_pipeline_bytes, _start and _update with points
  *                                      and keyframes, then with lines and a lasting map, of ek_icp_register with a table, and of
  *                                      ek_slam_bytes and _start
@@ -176,7 +176,7 @@ static void add_window(uint64_t beams, uint64_t lines, int polygon, uint64_t mos
     }
 }
 
-/* The bounds of README.md; for maps that do not roll, and limits of correspondences above 0. */
+/* The bounds of BOARD.md; for maps that do not roll, and limits of correspondences above 0. */
 static void bound(uint64_t most[EK_TALLIES])
 {
     const ek_frontend *const f = &pipeline.frontend;
@@ -588,7 +588,7 @@ static int update_slam(const ek_sweep *sweep, int silent)
     return measure(call_slam_update, sweep, silent);
 }
 
-/* Start the SLAM in the memory of the smallest row of README.md; stack: of ek_slam_bytes and of ek_slam_start. */
+/* Start the SLAM in the memory of the smallest row of SLAM.md; stack: of ek_slam_bytes and of ek_slam_start. */
 static int start_slam(const ek_scan_parameters *scan, unsigned long stack[2])
 {
     ek_slam_parameters parameters = small_slam(360u, 300u);

@@ -1,4 +1,4 @@
-/* small_slam.h - parameters of a SLAM as delivered, with the memory of the smallest row of README.md, "SLAM". */
+/* small_slam.h - parameters of a SLAM as delivered, with the memory of the smallest row of SLAM.md. */
 #ifndef SMALL_SLAM_H
 #define SMALL_SLAM_H
 
