@@ -65,7 +65,10 @@ def test_amcl_stays_on_track_in_the_true_map(tmp_path):
 
 
 @pytest.mark.slow  # builds against large headers
-@pytest.mark.skipif(not MRPT.is_dir() or shutil.which("c++") is None, reason="not installed: MRPT, or a C++ compiler")
+@pytest.mark.skipif(
+    not MRPT.is_dir() or shutil.which("c++") is None,
+    reason="not installed: MRPT, or a C++ compiler; .ci/oracles installs it",
+)
 def test_mrpt_behind_the_c_interface_recovers_a_known_motion(tmp_path):
     library = tmp_path / "libmrpt_icp.so"
     headers = [word for folder in sorted(MRPT.glob("*/include")) for word in ("-isystem", str(folder))]
