@@ -82,3 +82,27 @@ def test_the_shipped_experiments_are_valid():
         plan = load_experiment(ROOT / "reports" / f"{name}.toml")
         assert "wheel-odometry" in [method.label for method in plan.methods]
         assert not any(sequence.label == "" for sequence in plan.sequences)
+
+
+def anchors(text):
+    """Return the anchors of the headings of a Markdown text: as GitHub makes them."""
+    titles = [re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", title) for title in re.findall(r"^#+ (.+)$", text, re.MULTILINE)]
+    return {re.sub(r"\s", "-", re.sub(r"[^\w\s-]", "", title.lower()).strip()) for title in titles}
+
+
+@pytest.mark.parametrize("folder", [".", "baselines", "baselines/evalkit_baselines/embedded", "datasets"])
+def test_every_link_of_a_page_beside_the_code_leads_to_a_file_and_a_heading(folder):
+    """MkDocs checks those of the site."""
+    for page in (ROOT / folder).glob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        for path, anchor in re.findall(r"\]\((?!\w+:)([^)#\s]*)#?([^)\s]*)\)", text):
+            target = (page.parent / path).resolve() if path else page
+            assert target.exists(), f"{page.name}: {path}"
+            assert not anchor or anchor in anchors(target.read_text(encoding="utf-8")), f"{page.name}: {path}#{anchor}"
+
+
+def test_an_anchor_is_the_heading_in_small_letters_with_dashes():
+    assert anchors("# Rules: a `scan`, 2 m\n\ntext\n\n## [Linked](page.md) title") == {
+        "rules-a-scan-2-m",
+        "linked-title",
+    }

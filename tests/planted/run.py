@@ -30,6 +30,8 @@ from faults import BUILDS, FAULT_BUILDS, LIBRARIES, Fault
 ROOT = FOLDER.parent.parent
 CODE = (ROOT / "evalkit" / "commands" / "validate", ROOT / "evalkit" / "external", FOLDER)
 UNRELATED = (FOLDER / "run.py", FOLDER / "test_planted.py")
+HEAD, RULE = "| Build | Verdict | Found by | CPU time |", "|---|---|---|---|"
+"""Of a table of builds on the page."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,7 @@ def read_findings(file: Path, code: str | None) -> tuple[int | None, list[Findin
 
 
 def as_page(findings: Sequence[Finding], seed: int | None) -> Iterator[str]:
-    """The page of the documentation: every build of every source with what was found, and how long it took."""
+    """The page of the documentation: a summary, the builds that ended otherwise than expected, then all, folded."""
     yield "---\ntitle: Planted faults\n---\n\n# Planted faults\n"
     yield (
         "What `evalkit validate` says about libraries with one planted fault each, and about correct builds. Written\n"
@@ -160,12 +162,21 @@ def as_page(findings: Sequence[Finding], seed: int | None) -> Iterator[str]:
         found, named = sum(one.found for one in faults), sum(one.named for one in faults)
         alarms = sum(one.found for one in correct)
         yield f"| `{source}` | {planted} | {len(faults)} | {found} | {named} | {len(correct)} | {alarms} |"
+    yield "\n## Not as expected\n"
+    unexpected = [one for one in findings if one.verdict not in ("right", "named")]
+    yield f"| Source {HEAD}\n|---{RULE}" if unexpected else "Nothing: each fault is named, and no correct build fails."
+    yield from (f"| `{one.source}` {_row(one)}" for one in sorted(unexpected, key=_order))
     for source in sources:
-        yield f"\n## {source}\n\n| Build | Verdict | Found by | CPU time |\n|---|---|---|---|"
-        for one in sorted((one for one in findings if one.source == source), key=_order):
-            text = (one.first or ("nothing",))[-1 if not one.named else _naming(one)]
-            text = " ".join(re.sub(r"[|`<>*_\[\]]|/\S*/", " ", text).split())[:150]
-            yield f"| {one.label} | {one.verdict} | {text} | {one.seconds:.0f} s |"
+        own = sorted((one for one in findings if one.source == source), key=_order)
+        yield f'\n## {source}\n\n<details markdown="1">\n<summary>{len(own)} builds</summary>\n\n{HEAD}\n{RULE}'
+        yield from map(_row, own)
+        yield "\n</details>"
+
+
+def _row(one: Finding) -> str:
+    text = (one.first or ("nothing",))[-1 if not one.named else _naming(one)]
+    text = " ".join(re.sub(r"[|`<>*_\[\]]|/\S*/", " ", text).split())[:150].rstrip()
+    return f"| {one.label} | {one.verdict} | {text} | {one.seconds:.0f} s |"
 
 
 def _naming(one: Finding) -> int:

@@ -18,6 +18,7 @@ from evalkit.plugins import registry
 sys.path.append(str(Path(__file__).parent))
 examination = importlib.import_module("examination")
 faults = importlib.import_module("faults")
+run = importlib.import_module("run")
 NAMES = {one.number: one.name for one in faults.FAULTS}
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("cc") is None, reason="no compiler 'cc' here")]
@@ -105,3 +106,21 @@ def test_a_second_and_a_third_implementation_equal_the_reference_and_a_fault_of_
     found = examination.question_probes.compare_questions(a, b, 3, ["exact"], True)["exact"]
     assert (found["beyond_rounding"] == 0) is correct
     assert correct or name in found["families"]["scales"]["first"]["what"]
+
+
+def test_the_page_lists_what_ended_otherwise_than_expected_before_all_builds():
+    findings = [
+        run.Finding("planted.c", "1 a call leaks", "memory", ("rule memory: 32 bytes",), 3.0),
+        run.Finding("planted.c", "2 an instance leaks", "memory", ("rule slowdown: slower",), 4.0),
+        run.Finding("planted.c", "3 a file stays open", "open-files", (), 5.0),
+        run.Finding("planted.c", "cc -O0", "", (), 6.0),
+    ]
+    head, unexpected, builds = re.split(r"^## .*\n", "\n".join(run.as_page(findings, 7)), flags=re.MULTILINE)
+    assert "| `planted.c` | 96 | 3 | 2 | 1 | 1 | 0 |" in head
+    rows = [
+        "| `planted.c` | 2 an instance leaks | found | rule slowdown: slower | 4 s |",
+        "| `planted.c` | 3 a file stays open | MISSED | nothing | 5 s |",
+    ]
+    assert unexpected.strip().splitlines()[2:] == rows
+    assert "<summary>4 builds</summary>" in builds
+    assert builds.count(" s |\n") == 4
