@@ -210,7 +210,7 @@ def compare(contests: Sequence[Contest], method: str, other: str) -> Relative:
         own, its = one.find_value(method), one.find_value(other)
         if own is None or its is None:
             continue
-        errors.append(math.log(own / its) * (1.0 if one.metric.better == "lower" else -1.0))
+        errors.append(one.metric.sign * math.log(own / its))
         spent = one.find_cpu_ms(method), one.find_cpu_ms(other)
         if spent[0] and spent[1]:
             times.append(math.log(spent[0] / spent[1]))
