@@ -15,7 +15,8 @@ from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_map
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.statements.verdict import LED, SequenceVerdict
+from evalkit.report.analysis.statements.outcome import LED
+from evalkit.report.analysis.statements.verdict import SequenceVerdict
 
 MAX_NAMED = 3
 """More methods than these are counted, not named, in the title."""
