@@ -133,6 +133,11 @@ class Metric:
     slam_only: bool = False
     counterpart: str = ""
 
+    @property
+    def sign(self) -> float:
+        """The sign that makes smaller products with a value the better ones."""
+        return -1.0 if self.better == "higher" else 1.0
+
 
 def make_metrics(
     family: str, functions: Mapping[str, Callable[[Evidence], Score]], **constants: float | str

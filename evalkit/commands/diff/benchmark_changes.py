@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from evalkit.commands.diff.benchmark import Benchmark, BenchmarkSeries
-from evalkit.commands.diff.changes import MARKS, ChangeText, ChangeVerdict, describe_missing
+from evalkit.commands.diff.changes import MARKS, ORDER, ChangeText, ChangeVerdict, describe_missing
 from evalkit.core.errors import BadData
 from evalkit.stats.bootstrap import DRAWS
 from evalkit.stats.intervals import CONFIDENCE, Interval
@@ -20,9 +20,6 @@ MAX_P = 0.002
 """Many series are tested at once, so the level is stricter than 5 %: chance alone gives it once in 500."""
 
 COLUMNS = ("benchmark", "series", "old", "new", "ratio", "95 % interval", "p", "verdict")
-ORDER: tuple[ChangeVerdict, ...] = (
-    "regression", "improvement", "no difference shown", "within the limit", "too few samples",
-)  # fmt: skip
 COUNTED: tuple[ChangeVerdict, ...] = ("no difference shown", "within the limit")
 """Verdicts that are only counted unless everything is listed."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from evalkit.report.formatting import escape_markdown
 
@@ -17,7 +17,10 @@ ChangeVerdict = Literal[
     "within the limit",
     "too few samples",
 ]
-"""The verdict on one change, in the order in which the changes are listed."""
+"""The verdict on one change."""
+
+ORDER: tuple[ChangeVerdict, ...] = get_args(ChangeVerdict)
+"""The order in which changes are listed."""
 
 MARKS: Mapping[ChangeVerdict, str] = {"regression": "❌ ", "improvement": "✅ "}
 SAME = "the same to the last digit"
@@ -58,6 +61,11 @@ def format_lines(text: ChangeText) -> list[str]:
         values = [f"{what} {cell}" for what, cell in zip(text.columns[first:-1], row[first:-1], strict=True) if cell]
         lines.append(f"{', '.join(row[:first])}: {', '.join(values)}: {row[-1]}")
     return lines
+
+
+def format_verdict(verdict: ChangeVerdict, reason: str) -> str:
+    """Return a verdict with its mark and its reason, if there is one."""
+    return f"{MARKS.get(verdict, '')}{verdict}{f': {reason}' if reason else ''}"
 
 
 def describe_missing(count: int, what: str, old: str, new: str) -> str:

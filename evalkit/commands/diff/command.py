@@ -142,16 +142,16 @@ def _compare_benchmarks(old: Path, new: Path, limit: float, across_machines: boo
 
 
 def _compare_results(old: Path, new: Path, error: float, time: float, everything: bool) -> ChangeText:
-    from evalkit.commands.diff import results_changes  # noqa: PLC0415
+    from evalkit.commands.diff import results_changes, results_text  # noqa: PLC0415
+    from evalkit.commands.diff.metric_changes import DiffLimits  # noqa: PLC0415
     from evalkit.metrics import all_metrics  # noqa: PLC0415
     from evalkit.results.reader import load_stored_results  # noqa: PLC0415
 
     metrics = {metric.name: metric for metric in all_metrics()}
-    limits = results_changes.DiffLimits(error, time)
     changes = results_changes.compare_results(
-        load_stored_results(old), load_stored_results(new), tuple(metrics.values()), limits
+        load_stored_results(old), load_stored_results(new), tuple(metrics.values()), DiffLimits(error, time)
     )
-    return results_changes.describe_results_diff(changes, metrics, everything)
+    return results_text.describe_results_diff(changes, metrics, everything)
 
 
 def _print(text: ChangeText) -> None:

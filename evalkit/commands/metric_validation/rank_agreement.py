@@ -57,24 +57,23 @@ def compute_agreement(maps: Sequence[MapScores], rng: np.random.Generator) -> tu
     worlds = dict.fromkeys(row.world for row in maps)
     agreement = []
     for metric in reference_free_metrics():
-        sign = -1.0 if metric.better == "higher" else 1.0
         by_perturbation = {
-            name: _correlate([row for row in maps if row.perturbation in (name, CLEAN)], metric.name, sign, rng)
+            name: _correlate([row for row in maps if row.perturbation in (name, CLEAN)], metric, rng)
             for name in perturbations
         }
-        by_world = {w: _correlate([row for row in maps if row.world == w], metric.name, sign, rng) for w in worlds}
-        overall = _correlate(maps, metric.name, sign, rng)
+        by_world = {w: _correlate([row for row in maps if row.world == w], metric, rng) for w in worlds}
+        overall = _correlate(maps, metric, rng)
         agreement.append(RankAgreement(metric.name, overall, by_perturbation, by_world))
     return tuple(sorted(agreement, key=lambda one: -np.inf if one.overall is None else one.overall.value, reverse=True))
 
 
-def _correlate(maps: Iterable[MapScores], metric: str, sign: float, rng: np.random.Generator) -> Interval | None:
+def _correlate(maps: Iterable[MapScores], metric: Metric, rng: np.random.Generator) -> Interval | None:
     """Return the mean over worlds of the correlation within each; the interval resamples maps within their worlds."""
     worlds: dict[str, list[tuple[float, float]]] = {}
     for row in maps:
-        value = row.scores[metric]
+        value = row.scores[metric.name]
         if value is not None:
-            worlds.setdefault(row.world, []).append((row.error_m, sign * value))
+            worlds.setdefault(row.world, []).append((row.error_m, metric.sign * value))
     tables = [np.array(pairs).T for pairs in worlds.values() if len(pairs) >= MIN_MAPS]
     values = np.array([float(spearman_correlation(error, score)) for error, score in tables])
     if not np.isfinite(values).any():

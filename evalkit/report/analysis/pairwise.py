@@ -76,7 +76,7 @@ def separation(metric: Metric, one: MethodScore, other: MethodScore) -> Separati
     margin, and the medians of both differ in the same direction. Perturbations of a recording need at least six runs.
     The same for both orders: the better score is always the reference of the difference.
     """
-    if (median(one.values) < median(other.values)) == (metric.better != "higher"):
+    if metric.sign * median(one.values) < metric.sign * median(other.values):
         one, other = other, one
     difference = paired_runs(*_pair_runs(one, other), one.perturbed)
     if difference is None:
@@ -89,8 +89,7 @@ def separation(metric: Metric, one: MethodScore, other: MethodScore) -> Separati
         return "not shown"
     if not difference.interval.excludes(0.0) or difference.interval.value * (medians[0] - medians[1]) <= 0.0:
         return "not shown"
-    better = max(medians) if metric.better == "higher" else min(medians)
-    return "within the margin" if size < margin(metric, better) else "clear"
+    return "within the margin" if size < margin(metric, medians[1]) else "clear"
 
 
 def is_tied(metric: Metric, apart: Separation, one: MethodScore, other: MethodScore) -> bool:
@@ -130,8 +129,7 @@ def is_clearly_worse(metric: Metric, one: MethodScore | None, other: MethodScore
     """Return whether one score is clearly worse than another; False if they cannot be compared."""
     if not metric.better or one is None or other is None or not one.values or not other.values:
         return False
-    difference = median(one.values) - median(other.values)
-    behind = difference > 0.0 if metric.better == "lower" else difference < 0.0
+    behind = metric.sign * (median(one.values) - median(other.values)) > 0.0
     return behind and separation(metric, one, other) == "clear"
 
 

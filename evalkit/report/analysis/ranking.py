@@ -121,8 +121,7 @@ def rank_scores(metric: Metric, scores: Iterable[MethodScore]) -> tuple[MethodSc
     """Return the rankable scores, best first; none if the metric has no better direction."""
     if not metric.better:
         return ()
-    sign = 1.0 if metric.better == "lower" else -1.0
-    return tuple(sorted((score for score in scores if score.rankable), key=lambda one: sign * median(one.values)))
+    return tuple(sorted((one for one in scores if one.rankable), key=lambda one: metric.sign * median(one.values)))
 
 
 def find_deciding(rankings: Mapping[str, Ranking]) -> Ranking | None:

@@ -15,7 +15,8 @@ from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_map
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.statements.verdict import LED, SequenceVerdict
+from evalkit.report.analysis.statements.outcome import LED
+from evalkit.report.analysis.statements.verdict import SequenceVerdict
 
 MAX_NAMED = 3
 """More methods than these are counted, not named, in the title."""
@@ -210,7 +211,7 @@ def compare(contests: Sequence[Contest], method: str, other: str) -> Relative:
         own, its = one.find_value(method), one.find_value(other)
         if own is None or its is None:
             continue
-        errors.append(math.log(own / its) * (1.0 if one.metric.better == "lower" else -1.0))
+        errors.append(one.metric.sign * math.log(own / its))
         spent = one.find_cpu_ms(method), one.find_cpu_ms(other)
         if spent[0] and spent[1]:
             times.append(math.log(spent[0] / spent[1]))

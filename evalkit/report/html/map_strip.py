@@ -62,7 +62,7 @@ def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[s
     drawn = {label for label, own in sequence.runs.items() if own[0].scores.grid is not None}
     drawn -= set(find_left_out(comparison, sequence)) - set(analysis.answer.winners)
     valued = [score for score in ranking.scores if score.values and score.method in drawn]
-    sign = -1.0 if ranking.metric.better == "higher" else 1.0
+    sign = ranking.metric.sign
     ordered = [score.method for score in sorted(valued, key=lambda score: sign * median(score.values))]
     if not ordered:
         return []

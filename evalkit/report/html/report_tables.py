@@ -101,7 +101,7 @@ def by_rank(sequence: SequenceAnalysis) -> list[str]:
     ranking = sequence.deciding
     if ranking is None:
         return list(sequence.methods)
-    sign = -1.0 if ranking.metric.better == "higher" else 1.0
+    sign = ranking.metric.sign
     valued = [score for score in ranking.scores if score.values]
     valued.sort(key=lambda score: (score.lost is not None, sign * median(score.values)))
     ranked = [score.method for score in ranking.ranked]

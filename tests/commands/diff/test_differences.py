@@ -13,7 +13,9 @@ from typer.testing import CliRunner
 from evalkit import cli
 from evalkit.commands.diff import command
 from evalkit.commands.diff.changes import format_markdown
-from evalkit.commands.diff.results_changes import DiffLimits, compare_results, describe_results_diff
+from evalkit.commands.diff.metric_changes import DiffLimits
+from evalkit.commands.diff.results_changes import compare_results
+from evalkit.commands.diff.results_text import describe_results_diff
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import LostTrack, RunConditions
 from evalkit.metrics import all_metrics

@@ -10,7 +10,8 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, mark
 from evalkit.report.analysis.scores import WITH_TRUTH
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.statements.verdict import ALL_TIED, SequenceVerdict, VerdictOutcome, describe_success
+from evalkit.report.analysis.statements.outcome import VerdictOutcome
+from evalkit.report.analysis.statements.verdict import ALL_TIED, SequenceVerdict, describe_success
 from evalkit.report.formatting import join_words
 from evalkit.stats.runs import FEW_CONFIDENCE, MIN_RUNS, PAIRED_CONFIDENCE
 

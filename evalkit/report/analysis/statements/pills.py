@@ -93,7 +93,7 @@ def _describe_degenerate(comparison: Comparison, sequence: SequenceAnalysis) -> 
     ranking = sequence.deciding
     if ranking is None or not ranking.ranked:
         return None
-    sign = -1.0 if ranking.metric.better == "higher" else 1.0
+    sign = ranking.metric.sign
     for baseline in comparison.methods_with_role("baseline"):
         reference = ranking.of(baseline)
         others = [score for score in ranking.scores if score is not reference and (score.values or score.lost)]

@@ -9,7 +9,9 @@ from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_map
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.standings import MAX_NAMED, Contest, Loss, Standing, Tally, compare
-from evalkit.report.analysis.statements.verdict import LED, SequenceVerdict, explain_unranked
+from evalkit.report.analysis.statements.outcome import LED
+from evalkit.report.analysis.statements.unranked import explain_unranked
+from evalkit.report.analysis.statements.verdict import SequenceVerdict
 from evalkit.report.formatting import capitalise, format_amount, format_milliseconds, join_words, name_or_count
 from evalkit.stats.runs import FEW_RUNS
 
