@@ -498,16 +498,54 @@ def test_a_scan_above_its_weighted_tallies_is_counted(capsys):
     assert "drawn, float: 3 scans, 1 above" in capsys.readouterr().out
 
 
+@pytest.fixture(scope="module")
+def count(tmp_path_factory):
+    """Program board/count of this computer, that counts the passes of loops."""
+    if not CC:
+        pytest.skip("no C compiler")
+    program = tmp_path_factory.mktemp("count") / "count"
+    sources = [*CORE.glob("board/count*.c"), *CORE.glob("src/*.c")]
+    subprocess.run(
+        [CC, "-std=c99", "-DEK_PORTABLE", "-DEK_TALLY", f"-I{CORE / 'include'}", *sources, "-lm", "-o", program],
+        check=True,
+    )
+    return program
+
+
+def test_the_bounds_of_a_scan_of_the_slam_follow_from_its_parameters(count):
+    kinds = load_figures().KINDS
+    printed = subprocess.run([count, "sizes", "slam"], capture_output=True, text=True, check=True, timeout=60).stdout
+    most = dict(zip(kinds, map(int, printed.split()[2:]), strict=True))
+    allowed = 4 * 200_000  # operations, while the robot is lost
+    assert most["beam"] == most["prepared beam"] == 360
+    # two stages, each again after five and six further starts; the two matches of a loop
+    assert most["iteration"] == 2 * 2 * 40 + 5 * 20 + 6 * 20 + 2 * 40
+    assert most["voxel"] == 2 * 3 * 4096  # the part of the map is taken at most three times
+    assert most["lookup"] == allowed + 64 * 599  # the first blocks of an angle, of the largest sample
+    assert most["operation of a task"] == allowed + 12 * 41 * 8192  # the largest part: a match in all its iterations
+
+
+def test_no_scan_of_random_drives_with_the_slam_exceeds_its_bound(count):
+    kinds = load_figures().KINDS
+    words = [count, "bound", "slam", "5", "5"]
+    scans, shares = subprocess.run(words, capture_output=True, text=True, check=True, timeout=120).stdout.splitlines()
+    largest = dict(zip(kinds, map(float, shares.split()), strict=True))
+    assert scans == "500"
+    assert largest["beam"] == largest["scan of the SLAM"] == 1.0
+    for kind in ("iteration", "lookup", "operation", "operation of a task", "voxel", "probe"):
+        assert 0.0 < largest[kind] <= 1.0
+
+
 @pytest.mark.thorough
 @pytest.mark.skipif(not EMULATOR or not CROSS, reason="no qemu-system-arm, or no arm-none-eabi-gcc")
 def test_no_scan_on_the_emulated_cortex_m4f_takes_more_instructions_than_its_bound():
     words = [sys.executable, CORE / "board" / "figures", "--seed", "5", "--sessions", "5", "--bound", "500"]
     printed = subprocess.run(words, capture_output=True, text=True, check=True, timeout=600).stdout
-    for kind, precision in product(("points", "lines"), ("double", "float")):
-        assert f"random {kind}, {precision}: 100 scans, 0 above their weighted tallies" in printed
-        assert f"{kind}, {precision}: no tally exceeds its bound in 10000 random scans" in printed
+    for method, precision in product(("points", "lines", "slam"), ("double", "float")):
+        assert f"random {method}, {precision}: 100 scans, 0 above their weighted tallies" in printed
+        assert f"{method}, {precision}: no tally exceeds its bound in 10000 random scans" in printed
     figures = load_figures()
-    assert printed.count(" kB | ") == 2 * len(figures.CONFIGURATIONS)
+    assert printed.count(" kB | ") == 2 * len({**figures.CONFIGURATIONS, **figures.SLAMS})
     stacks = dict(re.findall(r"\n\| (`.*) \| \d+ B \| (\d+) B \|", printed))
     assert tuple(stacks) == figures.CALLS
     start, with_table = int(stacks["`ek_pipeline_start`"]), int(stacks["`ek_icp_register` on a target with a table"])

@@ -150,5 +150,5 @@ void ek_keyframes_join(ek_keyframes *keyframes, const ek_loop_edge *loop, int co
             keyframes->graph.step[k].information = UNKNOWN;
         }
     }
-    ek_work_spend(work, keyframes->count);
+    ek_work_spend(work, EK_MOVE_WORK * (uint64_t)keyframes->count);
 }

@@ -57,6 +57,7 @@ static void select_near(ek_loop_finder *finder, const ek_keyframes *keyframes, s
             grows = 1;
         }
     }
+    EK_COUNT(EK_OPERATIONS, high - low);
     finder->gathered = (uint32_t)low;
     finder->gather_end = keyframes->start[high] - keyframes->start[low] <= finder->capacity ? (uint32_t)high : (uint32_t)low;
     finder->raw_count = 0u;
@@ -219,7 +220,7 @@ static void index_target(ek_loop_finder *finder, ek_work *work)
     ek_index_build(&finder->index, finder->target, finder->target_count);
     ek_normals_compute(&finder->index, NEIGHBOURS, EK_FAR, finder->normals);
     finder->index.normals = finder->normals;
-    ek_work_spend(work, NORMAL_WORK * (uint64_t)finder->target_count);
+    ek_work_spend_tallied(work, NORMAL_WORK * (uint64_t)finder->target_count);
     finder->match = finder->best;
     finder->phase = EK_FINDER_COARSE;
 }
@@ -232,7 +233,7 @@ static void match(ek_loop_finder *finder, ek_work *work)
                     coarse ? &finder->coarse : &finder->fine, NULL, NULL, &found);
     finder->match = found.target_from_source;
     finder->match_error = found.error;
-    ek_work_spend(work, EK_MATCH_WORK * ((uint64_t)found.iterations + 1u) * finder->source_count);
+    ek_work_spend_tallied(work, EK_MATCH_WORK * ((uint64_t)found.iterations + 1u) * finder->source_count);
     finder->phase = coarse ? EK_FINDER_FINE : EK_FINDER_JUDGE;
 }
 

@@ -45,7 +45,7 @@ void ek_observer_take(ek_observer *observer, ek_thinner *thinner, const ek_real 
             ek_normals_ensure(&observer->index, slot, &first);
         }
     }
-    ek_work_spend(work, INDEX_WORK * (uint64_t)cells + NORMAL_WORK * (uint64_t)(cells / every + 1u));
+    ek_work_spend_tallied(work, INDEX_WORK * (uint64_t)cells + NORMAL_WORK * (uint64_t)(cells / every + 1u));
 }
 
 /* Sums over points p with normals n: scatter n n', moments m = p x n, and m n turned by -90 degrees. */

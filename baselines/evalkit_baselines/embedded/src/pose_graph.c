@@ -107,6 +107,7 @@ ek_status ek_pose_graph_begin(ek_pose_graph *graph, const ek_solver_settings *se
     ek_solver *const solver = &graph->solver;
     const size_t nodes = restart ? graph->count : solver->nodes;
     if (restart) {
+        EK_COUNT(EK_CELLS, nodes * sizeof *graph->moved / sizeof(uint32_t));
         memcpy(graph->moved, graph->pose, nodes * sizeof *graph->moved);
     }
     memset(solver, 0, sizeof *solver);

@@ -1,9 +1,11 @@
 #include "ek/search.h"
+#include "ek/tally.h"
 
 #include <string.h>
 
 #define MAX_POINTS ((size_t)1 << 20)
 #define FAR_CELLS EK_R(1073741824.0) /* whole numbers of 32 bits hold sums of two such */
+#define TURN_WORK 8u /* operations for a point at each angle */
 #define MILD EK_R(0.02)
 #define ROUNDING EK_R(1e-9)
 
@@ -142,6 +144,7 @@ static ek_real bound_of(ek_search *search, int32_t x, int32_t y, uint32_t level)
         const int32_t at = clamp(row[i] + y, last_row) * grid->columns + clamp(column[i] + x, last_column);
         sum += scores[at];
     }
+    EK_COUNT(EK_LOOKUPS, search->count);
     search->evaluated++;
     const ek_real score = (ek_real)sum / (ek_real)(EK_SCORE_FULL * search->count);
     if (!(search->prior.theta > EK_R(0.0))) {
@@ -179,7 +182,8 @@ static void begin_angle(ek_search *search, ek_work *work)
             push(search, 0u, x, y, search->first_level);
         }
     }
-    ek_work_spend(work, (blocks + 8u) * search->count);
+    ek_work_spend(work, TURN_WORK * search->count);
+    ek_work_spend_tallied(work, blocks * search->count);
 }
 
 static void expand(ek_search *search, ek_work *work)
@@ -204,7 +208,7 @@ static void expand(ek_search *search, ek_work *work)
             push(search, from, x, y, block.level - 1u);
         }
     }
-    ek_work_spend(work, blocks * search->count);
+    ek_work_spend_tallied(work, blocks * search->count);
 }
 
 int ek_search_work(ek_search *search, ek_work *work)

@@ -443,6 +443,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     if (!slam || !sweep || !estimate) {
         return EK_NULL_POINTER;
     }
+    EK_COUNT(EK_SLAM_SCANS, 1u);
     const ek_slam_parameters *const p = &slam->parameters;
     ek_status status = check_sweep(slam, sweep);
     ek_noted noted;
@@ -492,6 +493,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
         ek_slam_work(slam, &task);
     }
     estimate->work = task.done;
+    EK_COUNT(EK_TASK, task.done);
     estimate->start_from_base = ek_se2_compose(ek_se2_inverse(slam->odom_from_start), estimate->odom_from_base);
     estimate->corrected = slam->corrected;
     estimate->full = slam->full;

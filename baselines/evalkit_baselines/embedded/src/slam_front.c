@@ -79,6 +79,7 @@ ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_noted *noted)
     }
     if (sweep->ranges && sweep->angles && sweep->beams <= slam->parameters.points) {
         const ek_scan_parameters *const limits = &slam->parameters.scan;
+        EK_COUNT(EK_PREPARED, sweep->beams);
         const int smoothed = ek_smooth_ranges(sweep->ranges, sweep->angles, sweep->beams, slam->cleaned);
         ek_drop_speckles(smoothed ? slam->cleaned : sweep->ranges, sweep->angles, sweep->beams, limits->range_min,
                          limits->range_max, &noted->dirt, slam->cleaned);

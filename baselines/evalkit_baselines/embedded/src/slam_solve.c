@@ -115,7 +115,7 @@ static void commit(ek_slam *slam, ek_work *work)
         withdraw(slam);
     }
     set_weights(graph, EK_R(1.0));
-    ek_work_spend(work, 3u * (uint64_t)graph->count);
+    ek_work_spend(work, 3u * (uint64_t)graph->count + EK_MOVE_WORK * (uint64_t)(graph->count - graph->solver.nodes));
     ek_keyframes_measure(&slam->keyframes, work);
     slam->next_odom_from_start = ek_slam_odom_from_start(slam);
     ek_slam_redraw(slam);

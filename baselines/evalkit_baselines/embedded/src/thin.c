@@ -50,6 +50,7 @@ static void sort_by_digit(ek_thinner *thinner, size_t count, unsigned shift, uns
 {
     const uint32_t every = ((uint32_t)1 << bits) - 1u;
     uint32_t *const digits = thinner->digits, used = largest >> shift < every ? (uint32_t)(largest >> shift) + 1u : every + 1u;
+    EK_COUNT(EK_CELLS, 2u * used);
     memset(digits, 0, (used + 1u) * sizeof *digits);
     for (size_t i = 0; i < count; i++) {
         digits[(thinner->key[i] >> shift & every) + 1u]++;

@@ -42,6 +42,7 @@ ek_status ek_voxel_map_keep_views(ek_voxel_map *map, ek_arena *arena)
 void ek_voxel_map_clear(ek_voxel_map *map)
 {
     map->count = 0u;
+    EK_COUNT(EK_CELLS, map->mask + 1u);
     memset(map->entry, 0, (map->mask + 1u) * sizeof *map->entry);
 }
 
@@ -124,7 +125,7 @@ void ek_voxel_map_add(ek_voxel_map *map, const ek_real *xy, size_t count, const 
     }
     ek_se2_transform(map_from_points, xy, count, moved);
     number_cells(moved, 2u * count, map->size, cells);
-    EK_COUNT(EK_ADDED, count);
+    EK_COUNT(EK_ADDED, map->seen_from ? 2u * count : count);
     map->cloud++;
     for (size_t first = 0, next; first < count; first = next) { /* neighbouring beams often end in one voxel */
         const int32_t *const cell = cells + 2u * first;
@@ -139,14 +140,14 @@ void ek_voxel_map_add(ek_voxel_map *map, const ek_real *xy, size_t count, const 
         }
         add_to_voxel(map, cell, &sum);
     }
-    ek_work_spend(work, (map->seen_from ? 8u : 6u) * (uint64_t)count);
+    ek_work_spend_tallied(work, (map->seen_from ? 8u : 6u) * (uint64_t)count);
 }
 
 size_t ek_voxel_map_cloud(const ek_voxel_map *map, ek_real x, ek_real y, ek_real radius, ek_real *means, uint32_t *points,
                           ek_real *seen_from, size_t capacity, ek_work *work)
 {
     size_t count = 0u;
-    EK_COUNT(EK_VOXELS, map->count);
+    EK_COUNT(EK_VOXELS, seen_from ? 2u * map->count : map->count);
     for (size_t k = 0; k < map->count && count < capacity; k++) {
         const ek_voxel *const voxel = map->voxel + k;
         const ek_real number = (ek_real)voxel->points, u = voxel->x / number, v = voxel->y / number;
@@ -161,7 +162,7 @@ size_t ek_voxel_map_cloud(const ek_voxel_map *map, ek_real x, ek_real y, ek_real
         means[2u * count + 1u] = v;
         count += (u - x) * (u - x) + (v - y) * (v - y) <= radius * radius;
     }
-    ek_work_spend(work, map->count);
+    ek_work_spend_tallied(work, map->count);
     return count;
 }
 

@@ -309,7 +309,9 @@ static void a_loop_joins_what_a_lost_track_has_parted(void)
         CHECK(keyframes.apart[k] >= EK_APART);
     }
     CHECK_NEAR(keyframes.apart[6], 1.0, TOLERANCE);
+    const uint64_t before = work.done;
     ek_keyframes_join(&keyframes, &loop, 1, &work); /* keyframe 7 to (1, 2), turned to the left; 6 is 1 m behind it */
+    CHECK(work.done - before == 6u * 8u); /* the motion of a pose takes six operations */
     CHECK_NEAR(keyframes.graph.pose[7].x, 1.0, TOLERANCE);
     CHECK_NEAR(keyframes.graph.pose[7].y, 2.0, TOLERANCE);
     CHECK_NEAR(keyframes.graph.pose[7].theta, 0.5 * (double)EK_PI, TOLERANCE);

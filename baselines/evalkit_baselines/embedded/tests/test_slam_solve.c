@@ -135,6 +135,10 @@ static void poses_out_of_the_world_cost_the_newest_loop(void)
     CHECK(slam.corrected);
     CHECK_NEAR(slam.keyframes.graph.pose[1].y, 0.5, 0.0);
     CHECK_NEAR(slam.keyframes.apart[0], 2.0, 1e-6); /* measured again */
+    slam.keyframes.graph.solver.nodes = 2u;
+    const uint64_t before = work.done;
+    commit(&slam, &work);
+    CHECK(work.done - before == 3u * 3u + 6u + 4u); /* the third pose is newer, and moves as the second; two steps twice */
     free(arena.memory);
 }
 

@@ -21,6 +21,8 @@
 extern "C" {
 #endif
 
+#define EK_MOVE_WORK 6u /* operations for a pose that is moved as another one was */
+
 /* A measured motion between two poses of the chain; residuals are in the frame of its measured second pose. */
 typedef struct {
     uint32_t first, second; /* first < second */

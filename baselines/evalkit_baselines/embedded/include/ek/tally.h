@@ -20,14 +20,19 @@ typedef enum {
     EK_NORMALS,    /* of lines */
     EK_RANKED,     /* places that candidates of a line are compared with, and points of the line */
     EK_SLOTS,      /* points in loops that build or update an index */
-    EK_CELLS,      /* cells in such loops */
-    EK_ADDED,      /* points added to a lasting map */
+    EK_CELLS,      /* cells in such loops; entries of a table that are cleared or summed up, words that are copied */
+    EK_ADDED,      /* points added to a lasting map; twice where it keeps from where they were seen */
     EK_PROBES,     /* entries of its hash table looked at */
-    EK_VOXELS,     /* voxels looked at to find those around the robot */
+    EK_VOXELS,     /* voxels looked at to find those around the robot; twice where from where they were seen is kept */
     EK_CORNERS,    /* beams that define an outline */
     EK_STEPS,      /* of beams and edges of an outline through the window of the map: lines and words */
     EK_WORDS,      /* of the window, and of outlines that are filled */
     EK_FILLED,     /* words with marks, that change 32 cells of the map */
+    EK_SLAM_SCANS, /* calls of ek_slam_update */
+    EK_PREPARED,   /* beams that are smoothed, and searched for speckles and for what moves along */
+    EK_LOOKUPS,    /* points looked up in a score grid */
+    EK_OPERATIONS, /* of work.h, of loops without a tally */
+    EK_TASK,       /* of work.h, all that a scan spends on loops, optimisation and map: tallied above, once more */
     EK_TALLIES
 } ek_tally_kind;
 

@@ -7,6 +7,8 @@
 #ifndef EK_WORK_H
 #define EK_WORK_H
 
+#include "ek/tally.h"
+
 #include <stdint.h>
 
 #define EK_MATCH_WORK 12u /* operations for a point in an iteration of ICP */
@@ -22,12 +24,19 @@ static inline ek_work ek_work_make(int64_t operations)
     return work;
 }
 
-static inline void ek_work_spend(ek_work *work, uint64_t operations)
+/* Spend the operations of loops that have tallies of their own (tally.h). */
+static inline void ek_work_spend_tallied(ek_work *work, uint64_t operations)
 {
     work->done += operations;
     work->left = operations < (uint64_t)INT64_MAX && work->left > INT64_MIN + (int64_t)operations
                      ? work->left - (int64_t)operations
                      : INT64_MIN;
+}
+
+static inline void ek_work_spend(ek_work *work, uint64_t operations)
+{
+    EK_COUNT(EK_OPERATIONS, operations);
+    ek_work_spend_tallied(work, operations);
 }
 
 #endif
