@@ -74,11 +74,10 @@ def compare_metrics(
 
     ``session``: the factor on all CPU times, None if the processors differ.
     """
+    complete = runs.complete
     for metric in metrics:
         if metric.headline and metric.better and (metric.group in DECIDING or metric.name == COST):
-            pairs = {
-                seed: pair for seed, pair in runs.complete.items() if all(metric.name in run.scores for run in pair)
-            }
+            pairs = {seed: pair for seed, pair in complete.items() if all(metric.name in run.scores for run in pair)}
             if pairs:
                 yield _compare_metric(runs, metric, pairs, limits, session)
 
