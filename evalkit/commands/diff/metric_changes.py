@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 
 from evalkit.commands.diff.changes import SAME, ChangeVerdict
-from evalkit.commands.diff.compared_runs import ComparedRuns, RunPairs, Seed
+from evalkit.commands.diff.compared_runs import ComparedRuns, RunPairs, RunSeed
 from evalkit.metrics.metric import Metric
 from evalkit.metrics.runtime import COST
 from evalkit.report.analysis.pairwise import (
@@ -166,7 +166,7 @@ def _median_condition(runs: Sequence[StoredRun], name: str) -> float:
 
 
 def _score(
-    method: str, metric: str, seeds: tuple[Seed, ...], own: Sequence[StoredRun], others: Sequence[StoredRun]
+    method: str, metric: str, seeds: tuple[RunSeed, ...], own: Sequence[StoredRun], others: Sequence[StoredRun]
 ) -> MethodScore:
     """Return a method's score on one side; ``others``: the same runs on the other side.
 
