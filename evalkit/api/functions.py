@@ -79,9 +79,8 @@ def compare(
     Runs that fail are rows of the results. Raises BadData, BadParameter or UnknownName for wrong input.
     """
     path = Path(recording)
-    start_text = _format_start(start)
     keys: dict[str, Value] = {
-        MAP: str(map or ""), MAP_START: start_text, ALIGN_TRUTH: align_truth, NUISANCE: nuisance
+        MAP: str(map or ""), MAP_START: _format_start(start), ALIGN_TRUTH: align_truth, NUISANCE: nuisance
     }  # fmt: skip
     keys = {name: value for name, value in keys.items() if value}
     files = {"ground_truth": reference, "relations": relations}
@@ -90,20 +89,8 @@ def compare(
         for name in (*given, *settings, *keys, *(["methods"] if methods is not None else [])):
             raise BadParameter(str(path), name, "an argument", "a key of the experiment file")
         return run(load_experiment(path), out, jobs=jobs, resume=resume)
-    tables = _method_tables(methods)
     texts = {name: str(value) for name, value in settings.items()}
-    found = open_recording(path, texts | given, reader)
-    names = [str(table["use"]) for table in tables]
-    source = format_command(path, given, keys, names, [f"{name}={text}" for name, text in texts.items()], reader=reader)
-    experiment = experiment_from_recording(found, found.choose(), tables, source, keys)
-    if split_names(",".join(names)) != names or any(set(table) != {"use"} for table in tables):
-        place = [float(number) for number in start_text.split(",") if number]
-        arguments: dict[str, object] = {
-            "methods": json.loads(json.dumps(tables)), "reference": given.get("ground_truth"),
-            "relations": given.get("relations"), "reader": reader, MAP: keys.get(MAP), "start": place,
-            ALIGN_TRUTH: align_truth, NUISANCE: nuisance, **texts,
-        }  # fmt: skip
-        experiment = replace(experiment, arguments={name: one for name, one in arguments.items() if one})
+    experiment = _experiment_of_recording(path, _method_tables(methods), given, keys, texts, reader)
     read_first_frame(experiment)
     return run(experiment, out, jobs=jobs, resume=resume)
 
@@ -163,6 +150,31 @@ def register(
     return registration.register(*clouds, _pose(guess))
 
 
+def _experiment_of_recording(
+    path: Path,
+    tables: list[dict[str, object]],
+    given: Mapping[str, str],
+    keys: Mapping[str, Value],
+    settings: Mapping[str, str],
+    reader: str,
+) -> Experiment:
+    """Return the experiment of methods on one recording, with the arguments where no command line can state them."""
+    found = open_recording(path, {**settings, **given}, reader)
+    names = [str(table["use"]) for table in tables]
+    texts = [f"{name}={text}" for name, text in settings.items()]
+    source = format_command(path, given, keys, names, texts, reader=reader)
+    experiment = experiment_from_recording(found, found.choose(), tables, source, keys)
+    if split_names(",".join(names)) == names and all(set(table) == {"use"} for table in tables):
+        return experiment
+    arguments: dict[str, object] = {
+        "methods": json.loads(json.dumps(tables)), "reference": given.get("ground_truth"),
+        "relations": given.get("relations"), "reader": reader, MAP: keys.get(MAP),
+        "start": [float(number) for number in str(keys.get(MAP_START, "")).split(",") if number],
+        ALIGN_TRUTH: keys.get(ALIGN_TRUTH), NUISANCE: keys.get(NUISANCE), **settings,
+    }  # fmt: skip
+    return replace(experiment, arguments={name: one for name, one in arguments.items() if one})
+
+
 def _cloud(name: str, points: ArrayLike | Cloud | Scan) -> Cloud:
     if isinstance(points, Cloud):
         return points
@@ -174,11 +186,9 @@ def _cloud(name: str, points: ArrayLike | Cloud | Scan) -> Cloud:
 def _pose(guess: Pose | ArrayLike | None) -> Pose:
     if isinstance(guess, Pose):
         return guess
-    return (
-        Pose()
-        if guess is None
-        else Pose(*_three_numbers("register", "guess", guess, "a Pose, or x, y (m), theta (rad)"))
-    )
+    if guess is None:
+        return Pose()
+    return Pose(*_three_numbers("register", "guess", guess, "a Pose, or x, y (m), theta (rad)"))
 
 
 def _format_start(start: tuple[float, float, float] | None) -> str:

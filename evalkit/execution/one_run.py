@@ -41,7 +41,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.nuisance import perturb_parameters
 from evalkit.plugins.parameters import MAP, NUISANCE, Value
 from evalkit.plugins.protocols import Odometry, Sequence, Slam
-from evalkit.plugins.specs import MapSpec, SlamSpec
+from evalkit.plugins.specs import BackendSpec, MapSpec, SlamSpec
 from evalkit.plugins.stored_frames import FramesFile, StoredFrames
 from evalkit.results.final_files import PATHS, format_final, format_paths
 
@@ -151,16 +151,9 @@ def execute_request(request: Request, folder: Path) -> RunResult:
         if isinstance(spec, MapSpec):
             spec.make(**request.backend_parameters)  # raises if the file cannot be read
             return RunResult(NO_STEPS, expected, peak_memory_bytes=_peak_memory_bytes())
-        values = find_run_parameters(request)
         expected = len(sequence)
-        started: dict[str, Any] = {"expected": expected, "every": every}
-        make: Callable[[], Odometry] = partial(frontend.make_odometry, spec, values)
-        if MAP in request.dataset_parameters and not isinstance(sequence, StoredFrames):
-            from evalkit.odometry.map_localisation import localise  # noqa: PLC0415 - most runs start faster without
-
-            localised = localise(spec, values, request.dataset_parameters, sequence, folder)
-            if localised is not None:
-                make, sequence, started["start"] = localised.make, localised.sequence, localised.start.as_dict()
+        make, sequence, start = _prepare(request, spec, sequence, folder)
+        started = {"expected": expected, "every": every, **start}
         _write_json(folder / STARTED, started)  # in case the back end kills this process in its warm-up
         rehearsal = make()
         _collect_garbage()
@@ -222,6 +215,20 @@ def _open_data(request: Request) -> tuple[Sequence | StoredFrames, int]:
     dataset = registry.dataset(request.dataset)
     every = int(request.dataset_parameters.get(dataset.thinned_by, 1))
     return dataset.open(request.dataset_parameters), every
+
+
+def _prepare(
+    request: Request, spec: BackendSpec, sequence: Sequence | StoredFrames, folder: Path
+) -> tuple[Callable[[], Odometry], Sequence | StoredFrames, dict[str, Any]]:
+    """What makes the odometry, the data that it gets, and where it starts in a known map, if there is one."""
+    values = find_run_parameters(request)
+    if MAP in request.dataset_parameters and not isinstance(sequence, StoredFrames):
+        from evalkit.odometry.map_localisation import localise  # noqa: PLC0415 - most runs start faster without
+
+        localised = localise(spec, values, request.dataset_parameters, sequence, folder)
+        if localised is not None:
+            return localised.make, localised.sequence, {"start": localised.start.as_dict()}
+    return partial(frontend.make_odometry, spec, values), sequence, {}
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:

@@ -50,12 +50,7 @@ PART = 1000
 """Number of poses or loop closures in one answer: it has at most 1 MiB."""
 
 TIMEOUT = Parameter(
-    "answer_timeout_s",
-    10.0,
-    "s",
-    "time limit for an answer; on a busy machine up to 3 times as long",
-    low=1e-3,
-    high=3600.0,
+    "answer_timeout_s", 10.0, "s", "time limit for an answer; on a busy machine up to 3 times as long", 1e-3, 3600.0
 )
 
 

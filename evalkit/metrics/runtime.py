@@ -68,31 +68,23 @@ def _score_share(field: str, evidence: Evidence) -> Score:
     return make_score(100.0 * steps[field].sum() / total, len(steps))
 
 
-def _score_real_time_factor(evidence: Evidence) -> Score:
+def _score_pace(clock: str, compute: Callable[[Ints, float], float], evidence: Evidence) -> Score:
+    """Score the times (N,) of the scans beside the sensor's period, both in ns."""
     run = evidence.run
     if len(run.steps) < 2:
         return Score(None, len(run.steps), _TOO_FEW)
-    if not work_ns(run).any():
-        return Score(None, len(run.steps), NOT_MEASURED["cpu_ns"])
-    return make_score(period_ns(run) / work_ns(run).mean(), len(run.steps))
+    times = work_ns(run) if clock == "cpu_ns" else run.steps[clock]
+    if not times.any():
+        return Score(None, len(run.steps), NOT_MEASURED[clock])
+    return make_score(compute(times, period_ns(run)), len(run.steps))
 
 
-def _score_late(evidence: Evidence) -> Score:
-    run = evidence.run
-    if len(run.steps) < 2:
-        return Score(None, len(run.steps), _TOO_FEW)
-    if not work_ns(run).any():
-        return Score(None, len(run.steps), NOT_MEASURED["cpu_ns"])
-    return make_score(100.0 * late_share(run), len(run.steps))
+def _compute_late_percent(times: Ints, period: float) -> float:
+    return 100.0 * float(np.mean(times > period))
 
 
-def _score_late_wall(evidence: Evidence) -> Score:
-    run = evidence.run
-    if len(run.steps) < 2:
-        return Score(None, len(run.steps), _TOO_FEW)
-    if not run.steps["wall_ns"].any():
-        return Score(None, len(run.steps), NOT_MEASURED["wall_ns"])
-    return make_score(100.0 * np.mean(run.steps["wall_ns"] > period_ns(run)), len(run.steps))
+def _compute_real_time_factor(times: Ints, period: float) -> float:
+    return period / float(times.mean())
 
 
 def _score_memory(evidence: Evidence) -> Score:
@@ -126,9 +118,9 @@ METRICS = make_metrics(
         "device_median_ms": partial(_score_milliseconds, "device_ns", np.median),
         "conversion_percent": partial(_score_share, "conversion_ns"),
         "preparation_percent": partial(_score_share, "preparation_ns"),
-        "real_time_factor": _score_real_time_factor,
-        "late_percent": _score_late,
-        "late_wall_percent": _score_late_wall,
+        "real_time_factor": partial(_score_pace, "cpu_ns", _compute_real_time_factor),
+        "late_percent": partial(_score_pace, "cpu_ns", _compute_late_percent),
+        "late_wall_percent": partial(_score_pace, "wall_ns", _compute_late_percent),
         "peak_memory_mib": _score_memory,
         "harness_median_ms": partial(_score_milliseconds, "harness_ns", np.median),
     },

@@ -13,7 +13,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.report import SequenceCard, write_report
 from evalkit.report.html.array_encoding import unpack_array
 from evalkit.report.html.blocks import Document, Section, Table, Text, render
-from evalkit.report.html.player import load_beams, place_hits
+from evalkit.report.html.shown_scans import load_beams, place_hits
 
 pytestmark = pytest.mark.slow(90)
 

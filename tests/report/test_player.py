@@ -15,16 +15,8 @@ from evalkit.report.html import player as module
 from evalkit.report.html.array_encoding import unpack_array
 from evalkit.report.html.maps import MapWindow
 from evalkit.report.html.method_colours import assign_strokes
-from evalkit.report.html.player import (
-    build_player,
-    choose_scans,
-    find_ghosts,
-    find_violations,
-    load_beams,
-    motion_disagreement,
-    place_hits,
-    ranges_per_sequence,
-)
+from evalkit.report.html.player import build_player, choose_scans, motion_disagreement, ranges_per_sequence
+from evalkit.report.html.shown_scans import load_beams, place_hits
 
 WINDOW = MapWindow(0.0, 12.0, 0.0, 8.0)
 
@@ -115,30 +107,6 @@ def test_a_single_jump_survives_thinning():
 
 def test_few_scans_are_all_kept():
     assert choose_scans(np.zeros(7), 10).tolist() == [0, 1, 2, 3, 4, 5, 6]
-
-
-def room():
-    """A room of 4 x 4 m at 10 cm resolution: free inside, a wall along the lower edge."""
-    log_odds = np.full((40, 40), -3.0, dtype=np.float32)
-    log_odds[0] = 3.0
-    return log_odds
-
-
-def grid(log_odds):
-    return OccupancyGrid(log_odds, np.ones_like(log_odds, dtype=bool), 0.1, 0.0, 0.0)
-
-
-def test_a_ghost_is_a_wall_far_from_every_true_wall():
-    mapped = room()
-    mapped[2, 5] = mapped[10, 7] = 3.0  # 0.2 m and 1 m above the wall
-    assert find_ghosts(grid(mapped), grid(room())) == pytest.approx(np.array([[0.75, 1.05]]))
-
-
-def test_a_hit_in_free_space_is_a_violation_unless_it_is_next_to_a_wall():
-    points = np.array(
-        [[1.02, 2.01], [1.03, 2.02], [2.0, 0.12], [9.0, 9.0]]
-    )  # the same cell twice, at the wall, outside
-    assert find_violations(points, grid(room())) == pytest.approx(np.array([[1.05, 2.05]]))
 
 
 def test_the_same_runs_give_identical_bytes(runs):

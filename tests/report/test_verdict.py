@@ -11,7 +11,7 @@ from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.analysis.pairwise import is_clearly_worse
 from evalkit.report.analysis.ranking import mark
-from evalkit.report.analysis.scores import NuisanceBand
+from evalkit.report.analysis.scores import Spread
 from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.report.analysis.statements.pills import Pill
 from evalkit.report.analysis.statements.verdict import compute_verdict
@@ -258,14 +258,14 @@ def test_a_recording_is_judged_by_its_perturbed_runs(record, build):
     fewer = replace(comparison, records=tuple(run for run in comparison.records if run.spec.seed != 5))
     assert verdict(fewer).outcome != "winner"
     score = analyse_sequence(comparison, "room").deciding.of("a")
-    assert score.band == NuisanceBand(pytest.approx(0.10), pytest.approx(0.105), 6)
+    assert score.spread == Spread(pytest.approx(0.10), pytest.approx(0.105), 6, "perturbed")
     said = _verdict_text(comparison)
     assert "a is ahead on halves of the run apart: 103 mm (100 to 105 in 6 repeated runs)" in said
     assert "The spread is that of 6 runs of this recording, all under small perturbations (a later start" in said
     assert "repeated runs)" not in _verdict_text(plain)
     assert "perturb" not in _verdict_text(plain)
     assert "spread is that of" not in _verdict_text(plain)
-    assert analyse_sequence(plain, "room").deciding.of("a").band is None
+    assert analyse_sequence(plain, "room").deciding.of("a").spread.kind == "interval"
 
     def lose(count):
         found = replace(comparison, records=tuple(

@@ -10,16 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TypeVar
 
 import numpy as np
 
 from evalkit.core.se2 import Floats
 from evalkit.core.world import World, closed_outline
+from evalkit_datasets.worlds.draws import Draws
 from evalkit_datasets.worlds.floorplans import LEG_RADIUS_M, FloorPlan, build_partition
 from evalkit_datasets.worlds.robot import Route
 
-_STREAM = 4  # of the seed; those before are for noise, drop-outs, odometry and people
 _ROUTE_CM = (2_400, 4_800)  # bounds of the route's length with square corners
 _MIN_SIDE_CM = 100  # of the route, so that two curves fit
 _RADIUS_CM = (40, 60)  # of the route's curves
@@ -28,28 +27,8 @@ _MIN_ROOM_CM = 320
 _CLOSED_DOOR_CM = 4  # thickness
 _TILTS = ((1.0, 0.0), (0.8, 0.6), (0.96, 0.28), (0.6, -0.8), (0.96, -0.28))  # cosine and sine
 
-_T = TypeVar("_T")
 Spot = tuple[int, int]
 Rectangle = tuple[int, int, int, int]  # smallest x and y, largest x and y
-
-
-class _Draws:
-    """Whole numbers from a seed.
-
-    They are taken from the raw output of the bit generator, which numpy keeps in all versions, unlike the distributions
-    of ``np.random.Generator``.
-    """
-
-    def __init__(self, seed: int) -> None:
-        self._source = np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_STREAM,)))
-
-    def between(self, low: int, high: int) -> int:
-        """Return a number from low to high, both included."""
-        return low + int(self._source.random_raw()) % (high - low + 1)
-
-    def pick(self, options: Sequence[_T]) -> _T:
-        """Return one of the options."""
-        return options[self.between(0, len(options) - 1)]
 
 
 @dataclass(frozen=True)
@@ -131,7 +110,7 @@ def draw_office(seed: int) -> FloorPlan:
 
     Three seeds in a row have three shapes, so that few seeds suffice for all of them.
     """
-    draws = _Draws(seed)
+    draws = Draws(seed)
     draw_shape = (_draw_straight, _draw_bent, _draw_ring)[seed % 3]
     while True:
         shape = draw_shape(draws)
@@ -143,7 +122,7 @@ def draw_office(seed: int) -> FloorPlan:
     return _mirror(draws, world, _add_radii(draws, tour.corners))
 
 
-def _draw_straight(draws: _Draws) -> _Shape:
+def _draw_straight(draws: Draws) -> _Shape:
     hall, length, below, above = draws.between(180, 240), draws.between(1200, 1700), *_draw_depths(draws, 2)
     lane, top = hall // 2 + draws.between(-15, 15), below + hall
     rows = [
@@ -153,7 +132,7 @@ def _draw_straight(draws: _Draws) -> _Shape:
     return _Shape([(0, 0), (length, 0), (length, top + above), (0, top + above)], rows)
 
 
-def _draw_bent(draws: _Draws) -> _Shape:
+def _draw_bent(draws: Draws) -> _Shape:
     hall, length, below, beside = draws.between(180, 240), draws.between(500, 900), *_draw_depths(draws, 2)
     above = draws.between(400, 650)
     lane, other_lane, top = hall // 2 + draws.between(-15, 15), hall // 2 + draws.between(-15, 15), below + hall
@@ -167,7 +146,7 @@ def _draw_bent(draws: _Draws) -> _Shape:
     return _Shape(outline, rows, [(right - other_lane, below + lane)], [((length, top), (length, end))])
 
 
-def _draw_ring(draws: _Draws) -> _Shape:
+def _draw_ring(draws: Draws) -> _Shape:
     hall, length, below, above = draws.between(180, 240), draws.between(640, 900), *_draw_depths(draws, 2)
     inside, lane = draws.between(330, 420), hall // 2 + draws.between(-15, 15)
     bottom, top, right = below + hall, below + hall + inside, hall + length
@@ -183,11 +162,11 @@ def _draw_ring(draws: _Draws) -> _Shape:
     return _Shape([(0, 0), (width, 0), (width, end), (0, end)], rows, corners, walls)
 
 
-def _draw_depths(draws: _Draws, count: int) -> list[int]:
+def _draw_depths(draws: Draws, count: int) -> list[int]:
     return [draws.between(350, 500) for _ in range(count)]
 
 
-def _divide(draws: _Draws, row: _Row) -> Iterator[_Room]:
+def _divide(draws: Draws, row: _Row) -> Iterator[_Room]:
     """Yield the rooms of a row, each with its door near one of its sides."""
     count = max(row.length // draws.between(_MIN_ROOM_CM, 480), 1)
     spare = (row.length // count - _MIN_ROOM_CM) // 2
@@ -197,7 +176,7 @@ def _divide(draws: _Draws, row: _Row) -> Iterator[_Room]:
         yield _Room(row, first, last, draws.pick((first + aside, last - aside)))
 
 
-def _plan_tour(draws: _Draws, shape: _Shape, rooms: list[list[_Room]]) -> _Tour | None:
+def _plan_tour(draws: Draws, shape: _Shape, rooms: list[list[_Room]]) -> _Tour | None:
     """Return a route through the hallway and rooms; None if a room is missing, visited twice, or it does not fit."""
     stops = _stops_on_ring(shape, rooms) if len(shape.corners) == 4 else _stops_there_and_back(draws, shape, rooms)
     if not all(stops):
@@ -212,7 +191,7 @@ def _plan_tour(draws: _Draws, shape: _Shape, rooms: list[list[_Room]]) -> _Tour 
     return _Tour(visits, [corners[-1], *corners[:-1]])  # a route starts behind its first corner: in the hallway
 
 
-def _stops_there_and_back(draws: _Draws, shape: _Shape, rooms: list[list[_Room]]) -> list[Stop]:
+def _stops_there_and_back(draws: Draws, shape: _Shape, rooms: list[list[_Room]]) -> list[Stop]:
     """Return the stops of a drive to one end of the hallway and back to the other."""
     hallway, third = rooms[0] + rooms[1], shape.rows[0].length // 3
     near = [room for room in hallway if room.door < third]
@@ -231,7 +210,7 @@ def _stops_on_ring(shape: _Shape, rooms: list[list[_Room]]) -> list[Stop]:
     return [below, *others[:2], above, others[2], start]
 
 
-def _draw_visit(draws: _Draws, room: _Room, rooms: list[list[_Room]]) -> _Visit:
+def _draw_visit(draws: Draws, room: _Room, rooms: list[list[_Room]]) -> _Visit:
     """Return the way around in a room, or through the door to a neighbour and out by the neighbour's."""
     row, own = room.row, next(each for each in rooms if room in each)
     if len(own) > 1 and draws.between(0, 1):
@@ -257,14 +236,14 @@ def _side_lengths(corners: list[Spot]) -> list[int]:
     return [abs(x - u) + abs(y - v) for (x, y), (u, v) in pairwise([*corners, corners[0]])]
 
 
-def _add_radii(draws: _Draws, corners: list[Spot]) -> Floats:
+def _add_radii(draws: Draws, corners: list[Spot]) -> Floats:
     """Return the corners of a route in m with a radius each."""
     sides = _side_lengths(corners)
     radii = [min(draws.between(*_RADIUS_CM), side // 2, sides[n - 1] // 2) for n, side in enumerate(sides)]
     return np.column_stack([corners, radii]) / 100.0
 
 
-def _mirror(draws: _Draws, world: World, corners: Floats) -> FloorPlan:
+def _mirror(draws: Draws, world: World, corners: Floats) -> FloorPlan:
     """Return the plan, mirrored and with x and y exchanged by chance."""
     order = draws.pick(([0, 1], [1, 0]))
     signs = np.array([draws.pick((1.0, -1.0)), draws.pick((1.0, -1.0))])
@@ -279,7 +258,7 @@ def _mirror(draws: _Draws, world: World, corners: Floats) -> FloorPlan:
     )
 
 
-def _build(draws: _Draws, shape: _Shape, rooms: list[list[_Room]], tour: _Tour) -> World:
+def _build(draws: Draws, shape: _Shape, rooms: list[list[_Room]], tour: _Tour) -> World:
     """Return the walls with their doors, and furniture beside the route."""
     passed = {room.entry for visit in tour.visits for room in visit.rooms}
     passages = {visit.rooms[0].row.at(visit.passage[0], 0): visit.passage[1] for visit in tour.visits if visit.passage}
@@ -316,13 +295,13 @@ class _Pieces:
         self.walls += build_partition([each / 100.0 for each in start], [each / 100.0 for each in end], doors)
 
 
-def _draw_door(draws: _Draws, middle: int, is_open: bool) -> tuple[float, float, float]:
+def _draw_door(draws: Draws, middle: int, is_open: bool) -> tuple[float, float, float]:
     """Return the distance from the wall's start, the width and the thickness of a door in m; 0: open."""
     half = draws.between(45, 60)
     return (middle - half) / 100.0, 2 * half / 100.0, 0.0 if is_open else _CLOSED_DOOR_CM / 100.0
 
 
-def _furnish(draws: _Draws, room: _Room, taken: list[Rectangle], pieces: _Pieces) -> None:
+def _furnish(draws: Draws, room: _Room, taken: list[Rectangle], pieces: _Pieces) -> None:
     """Add furniture where it fits: cupboards and desks along the walls, boxes, columns, chairs and tables."""
     row = room.row
     for _ in range(draws.between(6, 12)):
@@ -341,7 +320,7 @@ def _furnish(draws: _Draws, room: _Room, taken: list[Rectangle], pieces: _Pieces
             _add_piece(draws, kind, place, pieces)
 
 
-def _furnish_hallway(draws: _Draws, row: _Row, taken: list[Rectangle], pieces: _Pieces) -> None:
+def _furnish_hallway(draws: Draws, row: _Row, taken: list[Rectangle], pieces: _Pieces) -> None:
     """Add cabinets and fire extinguishers to a wall of the hallway where they fit."""
     for _ in range(draws.between(1, 4)):
         kind = draws.pick(("cupboard", "extinguisher"))
@@ -353,7 +332,7 @@ def _furnish_hallway(draws: _Draws, row: _Row, taken: list[Rectangle], pieces: _
             _add_piece(draws, kind, place, pieces)
 
 
-def _draw_size(draws: _Draws, kind: str, along: bool) -> Spot:
+def _draw_size(draws: Draws, kind: str, along: bool) -> Spot:
     """Return the extent along the hallway and into the room."""
     if kind in ("box", "column", "chair"):
         size = {"box": draws.between(60, 120), "column": draws.between(20, 60), "chair": 60}[kind]
@@ -364,7 +343,7 @@ def _draw_size(draws: _Draws, kind: str, along: bool) -> Spot:
     return (long, short) if along else (short, long)
 
 
-def _add_piece(draws: _Draws, kind: str, place: Rectangle, pieces: _Pieces) -> None:
+def _add_piece(draws: Draws, kind: str, place: Rectangle, pieces: _Pieces) -> None:
     """Add one piece within its rectangle; of chairs and tables, the lidar sees the legs."""
     left, low, right, high = place
     x, y, width, depth = (left + right) / 2.0, (low + high) / 2.0, float(right - left), float(high - low)
@@ -376,12 +355,7 @@ def _add_piece(draws: _Draws, kind: str, place: Rectangle, pieces: _Pieces) -> N
         cos, sin = draws.pick(_TILTS)
         share = draws.between(4, 6) / 10.0 if kind == "box" else 0.7
         width, depth = share * width, (1.0 - share if kind == "box" else 0.7) * depth
-    corners = [
-        (-0.5 * width, -0.5 * depth),
-        (0.5 * width, -0.5 * depth),
-        (0.5 * width, 0.5 * depth),
-        (-0.5 * width, 0.5 * depth),
-    ]
+    corners = [(u * width, v * depth) for u, v in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
     turned = [(x + cos * u - sin * v, y + sin * u + cos * v) for u, v in corners]
     if kind in ("chair", "table"):
         pieces.circles += [(*corner, 100.0 * LEG_RADIUS_M) for corner in turned]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from evalkit.results.reader import StoredResults, StoredRun
 
-Seed = int | None
-RunPairs = Mapping[Seed, tuple[StoredRun, StoredRun]]
+RunSeed = int | None
+RunPairs = Mapping[RunSeed, tuple[StoredRun, StoredRun]]
 """Runs before and after, by seed."""
 
 
@@ -18,8 +18,8 @@ class ComparedRuns:
 
     method: str
     sequence: str
-    old: Mapping[Seed, StoredRun]
-    new: Mapping[Seed, StoredRun]
+    old: Mapping[RunSeed, StoredRun]
+    new: Mapping[RunSeed, StoredRun]
 
     @property
     def common(self) -> RunPairs:
@@ -38,10 +38,10 @@ def pair_runs(old: StoredResults, new: StoredResults) -> list[ComparedRuns]:
     return [ComparedRuns(*pair, *(_runs_of(one, pair) for one in (old, new))) for pair in pairs]
 
 
-def name_seed(seed: Seed) -> str:
+def name_seed(seed: RunSeed) -> str:
     """Return the name of a run among those of its method: "seed 3", or "run"."""
     return "run" if seed is None else f"seed {seed}"
 
 
-def _runs_of(results: StoredResults, pair: tuple[str, str]) -> dict[Seed, StoredRun]:
+def _runs_of(results: StoredResults, pair: tuple[str, str]) -> dict[RunSeed, StoredRun]:
     return {name[2]: run for name, run in results.runs.items() if name[:2] == pair}

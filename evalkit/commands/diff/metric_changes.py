@@ -10,7 +10,7 @@ from statistics import median
 import numpy as np
 
 from evalkit.commands.diff.changes import SAME, ChangeVerdict
-from evalkit.commands.diff.compared_runs import ComparedRuns, RunPairs, Seed
+from evalkit.commands.diff.compared_runs import ComparedRuns, RunPairs, RunSeed
 from evalkit.metrics.metric import Metric
 from evalkit.metrics.runtime import COST
 from evalkit.report.analysis.pairwise import (
@@ -74,11 +74,10 @@ def compare_metrics(
 
     ``session``: the factor on all CPU times, None if the processors differ.
     """
+    complete = runs.complete
     for metric in metrics:
         if metric.headline and metric.better and (metric.group in DECIDING or metric.name == COST):
-            pairs = {
-                seed: pair for seed, pair in runs.complete.items() if all(metric.name in run.scores for run in pair)
-            }
+            pairs = {seed: pair for seed, pair in complete.items() if all(metric.name in run.scores for run in pair)}
             if pairs:
                 yield _compare_metric(runs, metric, pairs, limits, session)
 
@@ -167,7 +166,7 @@ def _median_condition(runs: Sequence[StoredRun], name: str) -> float:
 
 
 def _score(
-    method: str, metric: str, seeds: tuple[Seed, ...], own: Sequence[StoredRun], others: Sequence[StoredRun]
+    method: str, metric: str, seeds: tuple[RunSeed, ...], own: Sequence[StoredRun], others: Sequence[StoredRun]
 ) -> MethodScore:
     """Return a method's score on one side; ``others``: the same runs on the other side.
 

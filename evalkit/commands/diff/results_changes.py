@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any
 
 from evalkit.commands.diff.changes import ChangeVerdict
-from evalkit.commands.diff.compared_runs import ComparedRuns, Seed, name_seed, pair_runs
+from evalkit.commands.diff.compared_runs import ComparedRuns, RunSeed, name_seed, pair_runs
 from evalkit.commands.diff.metric_changes import TICK_MS, DiffLimits, MetricChange, compare_metrics
 from evalkit.commands.diff.run_changes import StatusChange, TrackChange, compare_statuses, compare_tracks
 from evalkit.core.errors import StoreError
@@ -85,7 +85,7 @@ def compare_results(
     )
 
 
-def _describe_unpaired(runs: ComparedRuns, own: Mapping[Seed, StoredRun], other: Mapping[Seed, StoredRun]) -> str:
+def _describe_unpaired(runs: ComparedRuns, own: Mapping[RunSeed, StoredRun], other: Mapping[RunSeed, StoredRun]) -> str:
     """Return "method over sequence" if only one folder has runs of it, with the seeds if the other has some of them."""
     alone = [seed for seed in own if seed not in other]
     seeds = f" ({', '.join(map(name_seed, alone))})" if other else ""
@@ -153,5 +153,5 @@ def _notes(old: StoredResults, new: StoredResults, session: float | None) -> Ite
             yield f"{one.folder}: {missing} {'run was' if missing == 1 else 'runs were'} not possible there"
 
 
-def _list_seeds(runs: Mapping[Seed, StoredRun]) -> str:
+def _list_seeds(runs: Mapping[RunSeed, StoredRun]) -> str:
     return ", ".join("none" if seed is None else str(seed) for seed in runs)

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from evalkit.commands.validate.acceptance import AcceptanceLevel
-from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.equivalence.map_cells import GridPair
+from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.commands.validate.known_motion import answer_errors
 from evalkit.commands.validate.level_answers import format_stage
 from evalkit.commands.validate.level_costs import REGISTRATION, milliseconds
-from evalkit.commands.validate.level_runs import CELL_MARGIN, path_distances
+from evalkit.commands.validate.level_maps import CELL_MARGIN
+from evalkit.commands.validate.run_paths import path_distances
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.se2 import Floats

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING
+from evalkit.commands.validate.equivalence.diagnosis import ROUNDING
+from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.execution.sandbox import ENDED
 from evalkit.execution.task import Result
 

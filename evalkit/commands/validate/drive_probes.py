@@ -12,15 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.validate.equivalence.comparison import FLOAT32, MarginChoice
 from evalkit.commands.validate.equivalence.diagnosis import EXPLAINED
 from evalkit.commands.validate.equivalence.divergence import Divergence
 from evalkit.commands.validate.equivalence.lockstep import ComparedBackend
 from evalkit.commands.validate.equivalence.margins import (
+    FLOAT32,
     FLOAT32_ROUNDOFF,
     TIE_ROUNDINGS,
     GeometryScale,
     Margin,
+    MarginChoice,
     float32_margin,
 )
 from evalkit.commands.validate.equivalence.mistaken_frames import (

@@ -11,8 +11,8 @@ from typing import Any
 
 from evalkit.commands.validate.acceptance import AcceptanceLevel, Check, CheckOutcome
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, ResultsByPlace, is_equal
-from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.equivalence.lockstep import DISTURBED
+from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.commands.validate.known_motion import known_motion_checks, peer_check
 from evalkit.commands.validate.rules.rule import RuleResult
 from evalkit.execution.sandbox import ENDED

@@ -10,13 +10,16 @@ import numpy as np
 
 from evalkit.commands.validate import scan_pairs
 from evalkit.commands.validate.equivalence import comparison, lockstep
-from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING, MarginChoice
-from evalkit.commands.validate.equivalence.divergence import describe_field, first_divergence, wrong_fields
+from evalkit.commands.validate.equivalence.diagnosis import ROUNDING
+from evalkit.commands.validate.equivalence.divergence import first_divergence
+from evalkit.commands.validate.equivalence.fields import count_equal_fields, count_fields, describe_field, wrong_fields
 from evalkit.commands.validate.equivalence.lockstep import DISTURBED, AnswerPair, ComparedBackend
 from evalkit.commands.validate.equivalence.margins import (
+    FLOAT32,
     FLOAT32_ROUNDOFF,
     TIE_ROUNDINGS,
     Margin,
+    MarginChoice,
     difference,
     radius_m,
 )
@@ -255,7 +258,7 @@ def _compare(
     """The comparison under every margin; ``beyond_rounding``: answers beyond it for another reason than rounding.
 
     ``apart``: all beyond it; ``excepted``: those that rounding decides. ``equal_fields``, ``excused_fields``: see
-    ``comparison.count_equal_fields``; ``first_fields``: see ``_find_first``.
+    ``count_equal_fields``; ``first_fields``: see ``_find_first``.
 
     ``reference_of``: the reference of a stage, which is asked again with perturbed points where an answer differs under
     the float32 margin: what rounding decides is no difference.
@@ -270,11 +273,11 @@ def _compare(
             undecided = _find_undecided(answered, beyond, result.margin, reference_of)
             beyond = [one for one in beyond if id(one) not in undecided]
             compared = [one for one in answered if id(one) not in undecided]
-            fields = comparison.count_fields([(one, result.margin) for one in compared], choice)
+            fields = count_fields([(one, result.margin) for one in compared], choice)
         apart = [one for one in answered if one.b is not None
                  and not result.margin.holds(one.a.target_from_source, one.b.target_from_source)]  # fmt: skip
         excepted = sum(one not in beyond for one in apart)
-        equal_fields, excused_fields = comparison.count_equal_fields(((one, result.margin) for one in answered), fields)
+        equal_fields, excused_fields = count_equal_fields(((one, result.margin) for one in answered), fields)
         results[name] = result.as_json() | {
             "beyond_rounding": len(beyond), "apart": len(apart), "excepted": excepted, "fields": dict(fields),
             "equal_fields": equal_fields, "excused_fields": excused_fields,

@@ -10,11 +10,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from evalkit.commands.validate import level_answers, level_costs, level_runs, probes
+from evalkit.commands.validate import level_answers, level_costs, level_maps, level_trajectories, probes
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, ResultsByPlace, choose_margin, format_margin
 from evalkit.commands.validate.determinism import measure_determinism
-from evalkit.commands.validate.equivalence.comparison import FLOAT32
+from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.commands.validate.plan import (
     AUTO,
     ValidationPlan,
@@ -110,8 +110,8 @@ class ValidationRun:
         levels = (
             rules,
             *self._comparison_levels(results, terms),
-            level_runs.trajectories_level(records, limits, _of_kind("copies", perturbed), terms),
-            level_runs.maps_level(records, limits, _of_kind("mapper", results), plan.mappers, terms),
+            level_trajectories.trajectories_level(records, limits, _of_kind("copies", perturbed), terms),
+            level_maps.maps_level(records, limits, _of_kind("mapper", results), plan.mappers, terms),
             level_costs.costs_level(
                 _of_kind("time", times), _of_kind("time of a pair", times), plan.methods, plan.registrations, records,
                 terms, compiled_files(plan.backend),

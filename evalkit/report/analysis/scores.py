@@ -43,15 +43,6 @@ STATUS_LABELS: dict[RunStatus, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class NuisanceBand:
-    """The lowest and highest value over ``runs`` of a recording under small perturbations, which must not matter."""
-
-    low: float
-    high: float
-    runs: int
-
-
-@dataclass(frozen=True, slots=True)
 class Spread:
     """Bounds beside the median of ``runs`` runs, in the metric's unit.
 
@@ -109,13 +100,6 @@ class MethodScore:
     perturbed: bool = False
     lost_runs: int = 0
     found_runs: int = 0
-
-    @property
-    def band(self) -> NuisanceBand | None:
-        """The spread over the perturbations of a recording; None without them."""
-        if not self.perturbed or len(self.values) < 2:
-            return None
-        return NuisanceBand(min(self.values), max(self.values), len(self.values))
 
     @property
     def spread(self) -> Spread | None:

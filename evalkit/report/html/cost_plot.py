@@ -64,20 +64,9 @@ def draw_scatter(analysis: Analysis, strokes: Strokes) -> Markup | None:
     names = {one.method: f"{one.method} ({one.shared})" if one.shared else one.method for one in points}
     labels = place_labels([(*place[one.method], names[one.method]) for one in points], (right, bottom), 6.2, 9.0)
     for one in reversed(points):  # the best on top
-        px, py = place[one.method]
         kind = f"series{' led' if one.method in analysis.answer.winners else ''}"
-        label = labels.get(names[one.method], (px, py - 9.0, "middle"))
-        hidden = "" if names[one.method] in labels else "hinted"
-        where = f", on {one.shared} data sets" if one.shared else ""
-        tip = f"{one.method}: {one.error:.2f} times the error and {one.cpu:.2g} times the CPU time of {common}{where}"
-        own = (
-            element("title", tip),
-            element("circle", cx=px, cy=py, r=5.0, class_="dot tied"),
-            element(
-                "text", names[one.method], x=label[0], y=label[1], text_anchor=label[2], class_=f"name {hidden}".strip()
-            ),
-        )
-        parts.append(element("g", join(own), class_=kind, data_of=one.method, style=f"--own:{strokes[one.method].css}"))
+        own = _draw_point(one, place[one.method], names[one.method], labels.get(names[one.method]), common)
+        parts.append(element("g", own, class_=kind, data_of=one.method, style=f"--own:{strokes[one.method].css}"))
     parts.append(
         element("text", f"CPU time, times that of {common}", x=(left + right) / 2, y=SCATTER[1] - 8,
                 text_anchor="middle", class_="tick")
@@ -86,6 +75,22 @@ def draw_scatter(analysis: Analysis, strokes: Strokes) -> Markup | None:
     finding = f"Error against CPU time: no method is both cheaper and more accurate than {best}"
     size = f"0 0 {SCATTER[0]:.0f} {SCATTER[1]:.0f}"
     return element("svg", join(parts), class_="scatter", viewBox=size, role="img", aria_label=finding)
+
+
+def _draw_point(
+    one: _Point, at: tuple[float, float], name: str, label: tuple[float, float, str] | None, common: str
+) -> Markup:
+    """Return a point with its tip and its name; without a place for the name (``label``), it appears on demand."""
+    x, y, anchor = label or (at[0], at[1] - 9.0, "middle")
+    where = f", on {one.shared} data sets" if one.shared else ""
+    tip = f"{one.method}: {one.error:.2f} times the error and {one.cpu:.2g} times the CPU time of {common}{where}"
+    return join(
+        (
+            element("title", tip),
+            element("circle", cx=at[0], cy=at[1], r=5.0, class_="dot tied"),
+            element("text", name, x=x, y=y, text_anchor=anchor, class_="name" if label else "name hinted"),
+        )
+    )
 
 
 def _grid(x: AxisScale, y: AxisScale) -> list[Markup]:

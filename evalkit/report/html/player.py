@@ -7,29 +7,35 @@ import json
 from collections.abc import Callable, Mapping
 from collections.abc import Sequence as Several
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from evalkit.core import se2
 from evalkit.core.arrays import Ints, spread_indices
-from evalkit.core.grid import OccupancyGrid
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.consistency import CLEARED, look_up_cells
-from evalkit.metrics.neighbourhoods import nearest_distances_m
 from evalkit.plugins.protocols import Sequence
-from evalkit.report.html.array_encoding import NONE, Steps, dequantise, pack_array, quantise
+from evalkit.report.html.array_encoding import NONE, pack_array, quantise
 from evalkit.report.html.corrected_runs import SUFFIX
+from evalkit.report.html.map_defects import find_ghosts, find_violations
 from evalkit.report.html.maps import MapWindow, pixel_m
 from evalkit.report.html.method_colours import Stroke
 from evalkit.report.html.shown_corrections import ShownCorrection, describe_corrections, list_corrections
+from evalkit.report.html.shown_scans import (
+    METRE,
+    MILLISECOND,
+    Beams,
+    dequantise_poses,
+    load_beams,
+    pack_beams,
+    place_hits,
+    quantise_poses,
+)
 from evalkit.results.run_record import RunRecord
 
-METRE, RADIAN, RESIDUAL, MILLISECOND = 1e-3, 1e-5, 1e-4, 1_000_000
-"""Steps of positions and ranges (m), of angles (rad), of residuals and errors (m), of times (ns)."""
+RESIDUAL = 1e-4
+"""Step of residuals and errors (m)."""
 MAX_SCANS = 2000
 MAX_RANGES = 300_000
 MAX_ON_PAGE = 2_300_000
@@ -38,23 +44,6 @@ MAX_CELLS = 3000
 QUANTITIES = (("error", "error"), ("s2s", "S2S residual"), ("s2m", "S2M residual"))
 FARTHEST_M = 1e6
 """Poses beyond this distance are not drawn."""
-GHOST_M = 0.2
-"""Occupied cells farther than this from every true wall are ghost walls; hits in free cells farther than this from
-every wall of the map are free-space violations. At least four times the range noise (1 sigma)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Beams:
-    """The hits of scans, in steps: ``ranges`` (N, B), 0 for a beam without a hit; ``angles`` (N, B) in the sensor.
-
-    ``base_from_sensor`` (N, 3). ``sweep`` (N,): duration of a scan. ``every``: one in ``every`` beams is kept.
-    """
-
-    ranges: Steps
-    angles: Steps
-    base_from_sensor: Steps
-    sweep: Steps
-    every: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,13 +88,14 @@ def build_player(
     kept = stamps[rows]
     beams, why = _beams_of(scans, kept, most_ranges)
     alone = [record for record in records if not len(record.result.steps) and record.scores.grid is not None]
+    omitted = _describe_omissions(len(stamps), len(kept), beams, why, [record.method for record in alone])
     corrections = list_corrections(answered, stamps)
     true = next((t.truth.trajectory for t in answered if t.truth.trajectory is not None), None)
     content: dict[str, Any] = {
         "times": pack_array(quantise((kept - kept[0]) / MILLISECOND, 1.0)),
         "numbers": pack_array((rows + 1).astype(np.int32)),
         "of": len(stamps),
-        "beams": None if beams is None else _packed_beams(beams),
+        "beams": None if beams is None else pack_beams(beams),
         "truth": None if true is None else pack_array(quantise_poses(_at(true, kept))),
         "runs": [_run(record, kept, beams, lines) for record in answered],
         "maps": [{"label": record.method} | _map(record) for record in alone],
@@ -113,20 +103,14 @@ def build_player(
         "pixels": _pixels(records, shown),
         "corrections": [one.content for one in corrections],
     }
-    labels = tuple(record.method for record in answered)
     first, second = _two(content["runs"], preferred, rival)
     return Player(
         content=json.dumps(content, separators=(",", ":"), allow_nan=False),
-        methods=labels,
+        methods=tuple(record.method for record in answered),
         quantities=tuple((key, name) for key, name in QUANTITIES if any(run[key] for run in content["runs"])),
         has_truth=true is not None,
         has_true_map="" in content["pixels"],
-        remarks=" ".join(
-            [
-                *_describe_omissions(len(stamps), len(kept), beams, why, [record.method for record in alone]),
-                *describe_corrections(answered),
-            ]
-        ),
+        remarks=" ".join([*omitted, *describe_corrections(answered)]),
         preferred=first,
         rival=second,
         maps=tuple(record.method for record in alone),
@@ -172,92 +156,6 @@ def choose_scans(apart: Floats, most: int) -> Ints:
     return np.array([0, *inner, count - 1], dtype=np.int64)
 
 
-def load_beams(sequence: Sequence, stamps: Stamps, most_ranges: int) -> Beams:
-    """Load the scans at those times (N,), with beams thinned evenly to at most so many ranges."""
-    row_of = {stamp: row for row, stamp in enumerate(stamps.tolist())}
-    found = {}
-    for frame in sequence.frames():
-        if frame.scan.stamp_ns in row_of:
-            found[row_of[frame.scan.stamp_ns]] = frame
-        if frame.scan.stamp_ns >= stamps[-1]:
-            break
-    count = max((len(frame.scan.ranges) for frame in found.values()), default=0)
-    every = max(-(-count * len(stamps) // most_ranges), 1)
-    shape = (len(stamps), -(-count // every))
-    ranges, angles = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=np.int32)
-    sensor, sweep = np.zeros((len(stamps), 3), dtype=np.int32), np.zeros(len(stamps), dtype=np.int32)
-    for row, frame in found.items():
-        taken = slice(None, None, every)
-        hits = np.where(frame.scan.hits, frame.scan.ranges, 0.0)[taken]
-        ranges[row, : len(hits)] = quantise(hits, METRE)
-        angles[row, : len(hits)] = quantise(frame.scan.angles[taken], RADIAN)
-        sensor[row] = quantise_poses(frame.base_from_sensor.row)
-        sweep[row] = frame.scan.duration_ns // MILLISECOND
-    return Beams(ranges, angles, sensor, sweep, every)
-
-
-def place_hits(beams: Beams, poses: Floats, stamps: Stamps) -> Floats:
-    """Return the hits in the world (N, B, 2) for poses (N, 3), nan without a hit, as the page draws them.
-
-    The motion within a scan is compensated with the speed between each kept pose and the next; for the last pose,
-    between the previous one and it.
-    """
-    count, width = beams.ranges.shape
-    after = np.minimum(np.arange(count) + 1, count - 1)
-    before = np.maximum(after - 1, 0)
-    step = poses[after] - poses[before]
-    step[:, 2] = se2.wrap(step[:, 2])
-    elapsed = np.maximum((stamps[after] - stamps[before]) / MILLISECOND, 1.0)
-    share = np.minimum(beams.sweep / elapsed, 1.0)[:, None] * np.arange(width) / max(width - 1, 1)
-    moving = poses[:, None] + share[..., None] * np.nan_to_num(step)[:, None]
-    return se2.transform_each(moving.reshape(-1, 3), _in_base(beams)).reshape(count, width, 2)
-
-
-@lru_cache(maxsize=1)  # the same hits for every method
-def _in_base(beams: Beams) -> Floats:
-    """Return the hits (N * B, 2) in the base frame (m), nan without a hit."""
-    ranges, angles = (beams.ranges * METRE).ravel(), (beams.angles * RADIAN).ravel()
-    points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=-1)
-    points[ranges <= 0.0] = np.nan
-    return se2.transform_each(np.repeat(_poses(beams.base_from_sensor), beams.ranges.shape[1], axis=0), points)
-
-
-def find_ghosts(mapped: OccupancyGrid, true: OccupancyGrid) -> Floats:
-    """Return centres (K, 2) of occupied cells farther than ``GHOST_M`` from every true wall (m)."""
-    ours, theirs = mapped.centres(mapped.occupied()), true.centres(true.occupied())
-    if not len(ours) or not len(theirs):
-        return ours
-    return np.asarray(ours[nearest_distances_m(ours, theirs) > GHOST_M])
-
-
-def find_violations(points: Floats, grid: OccupancyGrid) -> Floats:
-    """Return centres (K, 2) of the map's cells that contain hits (N, 2) although the whole run found them free.
-
-    Free: cleared by the definition of the consistency metrics (log-odds below -1), without an occupied cell within
-    ``GHOST_M``.
-    """
-    log_odds, observed = look_up_cells(points, grid)
-    suspects = points[observed & (log_odds < CLEARED)]
-    walls = grid.centres(grid.occupied())
-    if len(walls) and len(suspects):
-        suspects = suspects[np.isinf(cKDTree(walls).query(suspects, distance_upper_bound=GHOST_M)[0])]
-    rows, columns, _ = grid.find_cells(suspects)
-    high = grid.shape[0]
-    cells = np.unique(columns * high + rows)  # integers are much faster than pairs
-    corners = np.stack([cells // high, cells % high], axis=-1).astype(np.float64)
-    return np.asarray([grid.origin_x, grid.origin_y] + (corners + 0.5) * grid.resolution_m)
-
-
-def quantise_poses(poses: Floats) -> Steps:
-    """Return poses (..., 3) in steps of 1 mm and 1e-5 rad; all ``NONE`` if one number is missing."""
-    steps = quantise(poses, np.array([METRE, METRE, RADIAN]))
-    return np.where((steps == NONE).any(axis=-1, keepdims=True), NONE, steps).astype(np.int32)
-
-
-def _poses(steps: Steps) -> Floats:
-    return dequantise(steps, np.array([METRE, METRE, RADIAN]))
-
-
 def _beams_of(scans: Callable[[], Sequence] | None, stamps: Stamps, most: int) -> tuple[Beams | None, str]:
     """Return the scans, or None and the reason."""
     if scans is None:
@@ -266,16 +164,6 @@ def _beams_of(scans: Callable[[], Sequence] | None, stamps: Stamps, most: int) -
         return load_beams(scans(), stamps, most), ""
     except Exception as error:  # noqa: BLE001 - third-party code of a reader; the page works without scans
         return None, f"the sequence cannot be read ({error})"
-
-
-def _packed_beams(beams: Beams) -> dict[str, Any]:
-    return {
-        "width": beams.ranges.shape[1],
-        "ranges": pack_array(beams.ranges.ravel()),
-        "angles": pack_array(beams.angles),
-        "sensor": pack_array(beams.base_from_sensor),
-        "sweep": pack_array(beams.sweep),
-    }
 
 
 def _run(record: RunRecord, stamps: Stamps, beams: Beams | None, lines: Mapping[str, Stroke]) -> dict[str, Any]:
@@ -301,7 +189,7 @@ def _run(record: RunRecord, stamps: Stamps, beams: Beams | None, lines: Mapping[
         "s2m": series(record.result.steps["s2m_error"]),
         "error": series(record.scores.errors_m),
         **_map(record),
-        "violations": _cells(_violations_of(record, _poses(steps), stamps, beams)),
+        "violations": _cells(_violations_of(record, dequantise_poses(steps), stamps, beams)),
     }
 
 

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 from evalkit.cli import app
 from evalkit.commands.validate import level_answers, plan, probes, run
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin
-from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
+from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.commands.validate.probes import EXACT
 from evalkit.core.errors import BadData, BadExperiment, BadParameter, NotInstalled, UnknownName
 from evalkit.core.match import Match

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit.commands.validate import charts, level_answers, level_costs, level_runs
+from evalkit.commands.validate import charts, level_answers, level_costs, level_maps, level_trajectories, run_paths
 from evalkit.commands.validate.acceptance import AcceptanceLevel, Check
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin, format_margin
 from evalkit.commands.validate.known_motion import judge_gap, known_motion_checks, peer_check
@@ -41,7 +41,7 @@ def reference(record):
 def trajectories(mine, reference, margin=(1e-4, 0.0), terms=TERMS, perturbed=None, **others):
     runs = {"room, seed 0": {"mine": mine, "paper": reference, **others}}
     margins = {"room, seed 0": margin} if margin else {}
-    return level_runs.trajectories_level(runs, margins, perturbed or {}, terms).checks
+    return level_trajectories.trajectories_level(runs, margins, perturbed or {}, terms).checks
 
 
 def test_a_path_beyond_the_margin_is_found_at_its_first_scan(reference):
@@ -122,12 +122,12 @@ def test_paths_without_a_common_scan_have_no_distance(record, reference):
     steps = reference.result.steps.copy()
     steps["stamp_ns"] += 1
     later = replace(reference, result=replace(reference.result, steps=steps))
-    assert [len(one) for one in level_runs.path_distances(reference, later)] == [0, 0]
+    assert [len(one) for one in run_paths.path_distances(reference, later)] == [0, 0]
 
 
 def maps(runs, margin=None, mappers=("log-odds", "log-odds"), mapped=None):
     margins = dict.fromkeys(runs, margin) if margin else {}
-    return level_runs.maps_level(runs, margins, mapped or {}, mappers, TERMS).checks
+    return level_maps.maps_level(runs, margins, mapped or {}, mappers, TERMS).checks
 
 
 def scored(record, seed, f1):

@@ -10,8 +10,17 @@ import pytest
 import typer
 
 from evalkit.cli import app
-from evalkit.commands.validate import command, drive_probes, printing, question_probes, run, scan_pairs
+from evalkit.commands.validate import (
+    asked_question,
+    command,
+    drive_probes,
+    printing,
+    question_summary,
+    run,
+    scan_pairs,
+)
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check
+from evalkit.commands.validate.asked_question import AskedQuestion
 from evalkit.commands.validate.equivalence import comparison, map_cells
 from evalkit.commands.validate.equivalence.divergence import Divergence
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, PosePair, Question
@@ -60,7 +69,7 @@ MATCH = Match(Pose(), True, 3, 0.01, 3)
 def asked(heading, points=SOME, what="", family="clear", b=MATCH, **fields):
     question = Question(1, family, points, SOME, Pose(0.0, 0.0, heading))
     given = {"others": (), "effect": "not asked", "repeats": True, "reference": None, "ask": None, **fields}
-    return question_probes.Asked(DrawnQuestion(family, what, question), AnswerPair(question, MATCH, b), **given)
+    return AskedQuestion(DrawnQuestion(family, what, question), AnswerPair(question, MATCH, b), **given)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +86,7 @@ def asked(heading, points=SOME, what="", family="clear", b=MATCH, **fields):
     ],
 )  # fmt: skip
 def test_the_quantity_that_separates_wrong_answers_is_named(headings, wrong, said):
-    assert question_probes._describe_where([(asked(0.1 * at), bool(wrong(at))) for at in headings]) == said
+    assert question_summary._describe_where([(asked(0.1 * at), bool(wrong(at))) for at in headings]) == said
 
 
 def test_only_other_pairs_in_the_first_iteration_whatever_the_guess_point_to_the_pairs_themselves():
@@ -107,8 +116,8 @@ def test_only_other_pairs_in_the_first_iteration_whatever_the_guess_point_to_the
     ]
     for divergence, b, ask, recounted, mispaired in cases:
         one = asked(0.1, b=b, ask=ask)
-        assert question_probes._is_recounted(one, divergence) is recounted
-        assert question_probes._is_mispaired(one, divergence, Margin()) is mispaired
+        assert one.is_recounted(divergence) is recounted
+        assert one.is_mispaired(divergence, Margin()) is mispaired
 
 
 def test_a_start_with_which_the_reference_gives_the_other_answers_is_named():
@@ -122,11 +131,11 @@ def test_a_start_with_which_the_reference_gives_the_other_answers_is_named():
         ]
 
     degrees = answers(0.1, -0.2, 0.3, scale=math.pi / 180.0)
-    assert question_probes._describe_start(degrees) == "the guess's angle is interpreted as degrees"
+    assert question_summary._describe_start(degrees) == "the guess's angle is interpreted as degrees"
     unknown = answers(0.4, scale=0.7)  # one answer that no start explains
-    assert question_probes._describe_start(degrees + unknown) == ""
-    assert question_probes._describe_start(degrees[:2]) == ""  # too few
-    assert question_probes._describe_start([*degrees, (asked(0.1, b=None), Margin())]) == ""
+    assert question_summary._describe_start(degrees + unknown) == ""
+    assert question_summary._describe_start(degrees[:2]) == ""  # too few
+    assert question_summary._describe_start([*degrees, (asked(0.1, b=None), Margin())]) == ""
 
 
 def test_the_largest_difference_is_that_nearest_to_the_margin_of_its_own_question():
@@ -134,21 +143,21 @@ def test_the_largest_difference_is_that_nearest_to_the_margin_of_its_own_questio
         return asked(0.0, b=replace(MATCH, target_from_source=Pose(metres, 0.0, 0.0))), Margin(allowed_m, 1e-3)
 
     accepted = [apart(1e-3, 2e-3), apart(4e-3, 1.0), apart(0.5, 1e-3)]  # the last one beyond: rounding decides it
-    found = question_probes._describe_differences(accepted)
+    found = question_summary._describe_differences(accepted)
     assert found == {"largest_m": 1e-3, "allowed_m": 2e-3, "excepted": 1}
-    assert question_probes._describe_differences([]) == {"largest_m": 0.0, "allowed_m": 0.0, "excepted": 0}
+    assert question_summary._describe_differences([]) == {"largest_m": 0.0, "allowed_m": 0.0, "excepted": 0}
 
 
 def test_a_parameter_without_effect_is_named_instead_of_its_difference(monkeypatch):
     other = replace(MATCH, target_from_source=Pose(0.5123456789012, 0.2, 0.1))
     one = asked(0.0, family="parameter epsilon", b=other)
-    found = question_probes._judge(one, Margin(), Margin(), "epsilon", explain=False)
+    found = one.judge(Margin(), Margin(), "epsilon", explain=False)
     assert (found.kind, found.what) == ("parameter", "parameter epsilon has no effect")
-    assert question_probes._judge(one, Margin(), Margin(), "", explain=False).kind == "different"
-    assert question_probes._judge(asked(0.0), Margin(), Margin(), "", explain=False) is None
+    assert one.judge(Margin(), Margin(), "", explain=False).kind == "different"
+    assert asked(0.0).judge(Margin(), Margin(), "", explain=False) is None
     rounded = lambda *_: Divergence(1, "s2s", None, "pose", "precision", "")  # noqa: E731
-    monkeypatch.setattr(question_probes, "first_divergence", rounded)
-    assert question_probes._judge(one, Margin(), "float32", "", explain=False) is None
+    monkeypatch.setattr(asked_question, "first_divergence", rounded)
+    assert one.judge(Margin(), "float32", "", explain=False) is None
 
 
 class Standing:

@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import wraps
 from itertools import islice
-from typing import Literal, ParamSpec
+from typing import ParamSpec
 
 import numpy as np
 
 from evalkit.commands.validate.equivalence import lockstep, map_cells
 from evalkit.commands.validate.equivalence.agreement import Depth, Equivalence
-from evalkit.commands.validate.equivalence.diagnosis import find_mistake, mistakes_in_answer
-from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence, wrong_fields
+from evalkit.commands.validate.equivalence.diagnosis import ROUNDING, DivergenceKind, find_mistake, mistakes_in_answer
+from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence
+from evalkit.commands.validate.equivalence.fields import count_fields
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, PosePair
 from evalkit.commands.validate.equivalence.margins import (
+    FLOAT32,
     EquivalenceInterval,
     GeometryScale,
     Margin,
+    MarginChoice,
+    describe_gap,
     difference,
     float32_margin,
     interval,
     pose_intervals,
 )
 from evalkit.core.errors import BadData, DataMissing, NotInstalled
-from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.odometry import frontend
 from evalkit.plugins import defaults, registry
@@ -35,16 +37,9 @@ from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, RegistrationSpec
 
-MarginChoice = Margin | Literal["float32"]
 GivenParameters = Mapping[str, object]
 Arguments = ParamSpec("Arguments")
 Sides = tuple[ComparedBackend, ComparedBackend]
-
-FLOAT32: Literal["float32"] = "float32"
-
-ROUNDING = ("precision", "nearest-neighbour tie")
-"""Classes of divergence that rounding alone explains."""
-
 
 EXPLAINED_QUESTIONS = 3
 """Divergences of a comparison whose cause is searched for; the others are only classified."""
@@ -178,41 +173,6 @@ def compare_answers(sides: Sides, name: str, answered: list[AnswerPair], margin:
     )  # fmt: skip
 
 
-def count_fields(answered: Iterable[tuple[AnswerPair, Margin]], margin: MarginChoice) -> dict[str, int]:
-    """The number of questions with an equal pose whose other field differs, by field.
-
-    An error that the second side never reports is not compared. Under the float32 margin rounding may decide a count:
-    there a field differs if it does in more than a tenth of the questions, and in more than two.
-    """
-    known = [(one.a, one.b, limits) for one, limits in answered if one.b is not None]
-    capped = any(_is_capped(a, b, limits) for a, b, limits in known)
-    counts = Counter(name for wrong in _find_wrong_fields(known) for name in wrong)
-    least = max(0.1 * len(known), 2.0) if margin == FLOAT32 else 0.0
-    return {name: count for name, count in counts.items() if count > least or (capped and name == "iterations")}
-
-
-def count_equal_fields(answered: Iterable[tuple[AnswerPair, Margin]], counted: Mapping[str, int]) -> tuple[int, int]:
-    """The number of questions with an equal pose whose other fields are equal, and of those that rounding excuses.
-
-    ``counted``: the fields of ``count_fields``; any other that differs is excused.
-    """
-    known = [(one.a, one.b, limits) for one, limits in answered if one.b is not None]
-    others = [wrong for wrong in _find_wrong_fields(known) if "pose" not in wrong]
-    return sum(not wrong for wrong in others), sum(not counted.keys() >= set(wrong) for wrong in others)
-
-
-def _find_wrong_fields(known: list[tuple[Match, Match, Margin]]) -> list[list[str]]:
-    """The fields of each answer that differ and that the second side reports."""
-    errors = any(not math.isnan(b.error) for _, b, _ in known)
-    return [[name for name in wrong_fields(a, b, limits) if errors or name != "error"] for a, b, limits in known]
-
-
-def _is_capped(a: Match, b: Match, limits: Margin) -> bool:
-    """Whether the second side ends many iterations before the first one, at the same pose: more than rounding does."""
-    same = limits.holds(a.target_from_source, b.target_from_source)
-    return same and not a.converged and a.iterations - b.iterations > max(10, a.iterations // 2)
-
-
 def _is_strayed(answered: AnswerPair, divergence: Divergence, margin: Margin) -> bool:
     if answered.b is None or divergence.kind in ROUNDING:
         return False
@@ -259,11 +219,8 @@ def _pose_divergence(poses: PosePair, margin: Margin) -> Divergence | None:
     mistake = find_mistake(candidates, poses.a.row, poses.b.row, 1.0)
     if mistake:
         return Divergence(poses.scan, "trajectory", None, "pose", mistake.kind, mistake.what)
-    away = poses.a.inverse() @ poses.b
-    gap = f"{np.hypot(away.x, away.y):.2g} m and {abs(away.theta):.2g} rad"
-    rounded = np.hypot(away.x, away.y) <= 1e-5 and abs(away.theta) <= 1e-5
-    kind: Literal["precision", "different"] = "precision" if rounded else "different"
-    return Divergence(poses.scan, "trajectory", None, "pose", kind, gap)
+    kind: DivergenceKind = "precision" if Margin(1e-5, 1e-5).holds(poses.a, poses.b) else "different"
+    return Divergence(poses.scan, "trajectory", None, "pose", kind, describe_gap(poses.a, poses.b))
 
 
 def _depth(answered: list[AnswerPair]) -> Depth:

@@ -18,6 +18,9 @@ DivergenceKind = Literal[
     "endpoint rule", "clamp", "counting rule", "increment",
 ]  # fmt: skip
 
+ROUNDING: tuple[DivergenceKind, ...] = ("precision", "nearest-neighbour tie")
+"""Classes of divergence that rounding alone explains."""
+
 EXPLAINED = 0.01
 """A mistake explains a difference if less than this share of it remains."""
 

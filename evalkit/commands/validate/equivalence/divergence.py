@@ -18,6 +18,7 @@ from evalkit.commands.validate.equivalence.diagnosis import (
     motion_distance_m,
     name_cost,
 )
+from evalkit.commands.validate.equivalence.fields import describe_field, same_error, wrong_fields
 from evalkit.commands.validate.equivalence.hypotheses import ObservedStep
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.equivalence.margins import (
@@ -25,6 +26,7 @@ from evalkit.commands.validate.equivalence.margins import (
     TIE_ROUNDINGS,
     GeometryScale,
     Margin,
+    describe_gap,
     float32_margin,
 )
 from evalkit.commands.validate.equivalence.other_points import written_decimals
@@ -77,51 +79,6 @@ def first_divergence(answered: AnswerPair, margin: Margin, explain: bool = True)
         return Divergence(question.scan, question.stage, None, "answer", "field", what)
     comparison = _AnswerComparison(answered, b, margin, explain)
     return comparison.in_iterations() or comparison.at_the_end()
-
-
-def wrong_fields(a: Match, b: Match, margin: Margin) -> list[str]:
-    """The fields of an answer that differ; without equal poses "pose" alone.
-
-    A trace is optional: one that only one side reports is no difference.
-    """
-    if not margin.holds(a.target_from_source, b.target_from_source):
-        return ["pose"]
-    wrong = [name for name in ("converged", "iterations", "inliers") if getattr(a, name) != getattr(b, name)]
-    if math.isnan(a.error) != math.isnan(b.error) or abs(a.error - b.error) > margin.metres:
-        wrong.append("error")
-    if a.history and b.history:
-        if len(a.history) != len(b.history):
-            wrong.append("trace length")
-        entries = list(zip(a.history, b.history, strict=False))
-        if any(one.inliers != other.inliers for one, other in entries):
-            wrong.append("trace inliers")
-        if any(not _close(one.error, other.error, margin.metres) for one, other in entries):
-            wrong.append("trace error")
-        if any(not margin.holds(one.target_from_source, other.target_from_source) for one, other in entries):
-            wrong.append("trace pose")
-    return wrong
-
-
-def describe_field(name: str, a: Match, b: Match, margin: Margin) -> str:
-    """A field of ``wrong_fields`` in words: what ``b`` has where ``a``, the reference, has another value."""
-    if name == "trace length":
-        return f"{len(b.history)} entries, expected {len(a.history)}"
-    if not name.startswith("trace "):
-        return f"{_format_value(getattr(b, name))}, expected {_format_value(getattr(a, name))}"
-    field = name.removeprefix("trace ")
-    for number, (one, other) in enumerate(zip(a.history, b.history, strict=False), start=1):
-        if field == "pose" and not margin.holds(one.target_from_source, other.target_from_source):
-            away = one.target_from_source.inverse() @ other.target_from_source
-            return f"iteration {number}: {math.hypot(away.x, away.y):.2g} m and {abs(away.theta):.2g} rad apart"
-        if field == "inliers" and one.inliers != other.inliers:
-            return f"iteration {number}: {other.inliers}, expected {one.inliers}"
-        if field == "error" and not _close(one.error, other.error, margin.metres):
-            return f"iteration {number}: {_format_value(other.error)}, expected {_format_value(one.error)}"
-    return ""
-
-
-def _format_value(value: float) -> str:
-    return f"{value:.6g} m" if isinstance(value, float) else str(value)
 
 
 class _AnswerComparison:
@@ -208,7 +165,7 @@ class _AnswerComparison:
         return self._divergence(number, "pose", "different", self._least_squares_side(before, a, b))
 
     def _compare_costs(self, number: int, before: Pose, a: Iteration, b: Iteration) -> Divergence | None:
-        if _close(a.error, b.error, self._margin.metres):
+        if same_error(a.error, b.error, self._margin.metres):
             return None
         values = f"an error of {a.error:.6g} m against {b.error:.6g} m for the same pairs and the same step"
         cost_a, cost_b = self._name_cost(before, a, a.error), self._name_cost(before, a, b.error)
@@ -283,7 +240,7 @@ class _AnswerComparison:
         return self._divergence(None, "answer", "different", what)
 
     def _compare_final_costs(self) -> Divergence | None:
-        if _close(self._a.error, self._b.error, self._margin.metres):
+        if same_error(self._a.error, self._b.error, self._margin.metres):
             return None
         kind: DivergenceKind = "precision" if abs(self._a.error - self._b.error) <= self._rounding.metres else "cost"
         what = f"{self._a.error:.6g} m against {self._b.error:.6g} m for the same answer"
@@ -322,13 +279,14 @@ class _AnswerComparison:
         return float(np.median(distance)) <= EXACT * self._scale.reach_m
 
     def _least_squares_side(self, before: Pose, a: Iteration, b: Iteration) -> str:
+        gap = describe_gap(a.target_from_source, b.target_from_source)
         if a.pairs is None or not len(a.pairs):
-            return f"different poses ({self._gap_of(a, b)})"
+            return f"different poses ({gap})"
         best = Pose.of(best_step(*self._select_points(before, a.pairs))) @ before
         right = [name for name, one in (("A", a), ("B", b)) if self._rounding.holds(best, one.target_from_source)]
         best_side = f"that of {right[0]}" if len(right) == 1 else "neither"
         pairs = "the same" if b.pairs is not None else "as many"
-        return f"different steps from {pairs} pairs; {best_side} is the least-squares step ({self._gap_of(a, b)})"
+        return f"different steps from {pairs} pairs; {best_side} is the least-squares step ({gap})"
 
     def _name_cost(self, before: Pose, a: Iteration, error: float) -> str:
         if a.pairs is None or not len(a.pairs):
@@ -345,16 +303,11 @@ class _AnswerComparison:
         return pose.transform(source[pairs[:, 0]]), target[pairs[:, 1]]
 
     def _growth(self, number: int) -> str:
-        first = self._a.history[number - 1], self._b.history[number - 1]
-        return f"{self._gap_of(*first)} here, {self._gap()} at the end"
+        a, b = (match.history[number - 1].target_from_source for match in (self._a, self._b))
+        return f"{describe_gap(a, b)} here, {self._gap()} at the end"
 
     def _gap(self) -> str:
-        return self._gap_of(self._a, self._b)
-
-    @staticmethod
-    def _gap_of(a: Iteration | Match, b: Iteration | Match) -> str:
-        away = a.target_from_source.inverse() @ b.target_from_source
-        return f"{math.hypot(away.x, away.y):.2g} m and {abs(away.theta):.2g} rad"
+        return describe_gap(self._a.target_from_source, self._b.target_from_source)
 
     def _divergence(self, number: int | None, quantity: str, kind: DivergenceKind, what: str) -> Divergence:
         return Divergence(self._question.scan, self._question.stage, number, quantity, kind, what)
@@ -373,12 +326,6 @@ def _pose_after(count: int, match: Match, question: Question, reference: Registr
         count -= len(match.history)
         match = reference.register(question.target, question.source, match.target_from_source)
     return None
-
-
-def _close(a: float, b: float, tolerance: float) -> bool:
-    if math.isnan(a) or math.isnan(b):  # an unknown error is no difference
-        return True
-    return abs(a - b) <= tolerance
 
 
 def _last_change(match: Match) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,6 +49,12 @@ class Margin:
         """Whether two poses are equal within the margin."""
         turn = math.remainder(b.theta - a.theta, 2.0 * math.pi)
         return math.hypot(b.x - a.x, b.y - a.y) <= self.metres and abs(turn) <= self.radians
+
+
+FLOAT32: Literal["float32"] = "float32"
+
+MarginChoice = Margin | Literal["float32"]
+"""A margin, or the effect of rounding to single precision at the scale of each question."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +177,12 @@ def pose_intervals(stage: str, a_from_b: Floats, scans: ArrayLike, margin: Margi
 def difference(a: Pose, b: Pose) -> Floats:
     """The row (3,) ``a_from_b`` of two answers to one question."""
     return se2.between(a.row, b.row)
+
+
+def describe_gap(a: Pose, b: Pose) -> str:
+    """The distance and the turn between two poses in words."""
+    away = a.inverse() @ b
+    return f"{math.hypot(away.x, away.y):.2g} m and {abs(away.theta):.2g} rad"
 
 
 def _block_interval(series: Floats, rng: np.random.Generator) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
 
 if TYPE_CHECKING:
-    from evalkit.commands.validate.rules.registration_rules import RegistrationFixture
+    from evalkit.commands.validate.rules.registration_fixture import RegistrationFixture
 
 LARGE = 70_000
 """Points of a large cloud: more than 16 bits can count."""

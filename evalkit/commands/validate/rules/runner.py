@@ -19,7 +19,7 @@ from typing import Any
 
 from evalkit.commands.validate.rules import odometry_rules, registration_rules, slam_rules
 from evalkit.commands.validate.rules.odometry_fixture import OdometryFixture
-from evalkit.commands.validate.rules.registration_rules import RegistrationFixture
+from evalkit.commands.validate.rules.registration_fixture import RegistrationFixture
 from evalkit.commands.validate.rules.rule import Rule, RuleReport, RuleResult, check_rule
 from evalkit.commands.validate.rules.slam_rules import SlamFixture
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName

@@ -27,7 +27,7 @@ from evalkit.execution.task import Result
 from evalkit.plugins.protocols import Registration
 
 if TYPE_CHECKING:
-    from evalkit.commands.validate.rules.registration_rules import RegistrationFixture
+    from evalkit.commands.validate.rules.registration_fixture import RegistrationFixture
 
 Bits = tuple[object, ...]
 

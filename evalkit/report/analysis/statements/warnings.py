@@ -48,10 +48,10 @@ def warn_of_evidence(sequence: SequenceAnalysis, ranking: Ranking) -> list[str]:
                 f"Over {correlation.support} maps with a known error, its Spearman correlation with that error was "
                 f"{correlation.value:.2f} (95\u00a0% interval {format_bounds(correlation, 2)})."
             )
-    banded = next((score for score in ranking.ranked if score.band is not None), None)
-    if banded is not None:
+    score = next((one for one in ranking.ranked if one.spread and one.spread.kind == "perturbed"), None)
+    if score is not None:
         warnings.append(
-            f"The spread is that of {_describe_repetitions(banded, excerpt_scans)} under small perturbations (a later "
+            f"The spread is that of {_describe_repetitions(score, excerpt_scans)} under small perturbations (a later "
             "start, fewer beams, noise at the resolution of the ranges, lengths of the methods changed by at most "
             "1\u00a0%), the same for all methods; another recording may differ by more."
         )

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit.commands.validate.equivalence.comparison import count_equal_fields, count_fields
 from evalkit.commands.validate.equivalence.correspondences import explain_difference
 from evalkit.commands.validate.equivalence.diagnosis import best_step, find_mistake, name_cost
-from evalkit.commands.validate.equivalence.divergence import describe_field, first_divergence, wrong_fields
+from evalkit.commands.validate.equivalence.divergence import first_divergence
+from evalkit.commands.validate.equivalence.fields import count_equal_fields, count_fields, describe_field, wrong_fields
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.equivalence.margins import Margin
 from evalkit.commands.validate.equivalence.other_points import written_decimals

@@ -10,6 +10,7 @@ from evalkit.commands.validate.equivalence.lockstep import Question
 from evalkit.commands.validate.equivalence.margins import GeometryScale, Margin, float32_margin, interval
 from evalkit.commands.validate.equivalence.questions import draw_questions
 from evalkit.commands.validate.equivalence.rounding import is_ill_conditioned
+from evalkit.commands.validate.question_summary import summarise_questions
 from evalkit.core.match import Iteration, Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -79,5 +80,5 @@ def test_two_correct_implementations_answer_ill_conditioned_questions_alike_or_a
         if is_ill_conditioned(one.reference, one.drawn.question, one.answers.a, Margin())
     ]  # fmt: skip
     assert [one.drawn.changes["line_neighbours"] for one in ill] == [24]
-    (family,) = question_probes._summary(asked, question_probes.parse_margin("exact"))["families"].values()
+    (family,) = summarise_questions(asked, question_probes.parse_margin("exact"))["families"].values()
     assert (family["wrong"], family["fields"]) == (0, {})

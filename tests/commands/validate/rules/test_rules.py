@@ -25,6 +25,7 @@ from evalkit.commands.validate.rules import (
     runner,
     state_rules,
 )
+from evalkit.commands.validate.rules.registration_fixture import RegistrationFixture
 from evalkit.commands.validate.rules.rule import RuleReport, check_rule
 from evalkit.core.errors import BackendFailed, BadParameter, NotInstalled, UnknownName
 from evalkit.plugins import registry
@@ -39,7 +40,7 @@ faulty = importlib.import_module("faulty_backends")
 def result_of(make, rule, **options):
     """Return the result of one rule, checked in this process."""
     if hasattr(make, "register"):
-        return check_rule(registration_rules.RULES[rule], registration_rules.RegistrationFixture(make))
+        return check_rule(registration_rules.RULES[rule], RegistrationFixture(make))
     return check_rule(odometry_rules.RULES[rule], odometry_fixture.OdometryFixture(make, **options))
 
 
@@ -173,7 +174,7 @@ def test_point_to_plane_with_vertical_normals_breaks_the_rule_moves(make, librar
 
 
 def test_a_correct_back_end_breaks_no_rule(few_calls):
-    questions = registration_rules.RegistrationFixture(faulty.Sound)  # asks the long questions once for all rules
+    questions = RegistrationFixture(faulty.Sound)  # asks the long questions once for all rules
     outcome = {name: check_rule(rule, questions).outcome for name, rule in registration_rules.RULES.items()}
     left = {rule for rule, one in outcome.items() if one != "passed"}
     assert left == {"process"} | with_children()  # this object has no address
