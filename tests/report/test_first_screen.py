@@ -243,6 +243,13 @@ def test_a_tuned_method_is_in_the_map_strip_only_if_it_is_the_answer(record, bui
 def test_the_hardest_sequence_is_a_recording_before_a_simulation(record, build, room):
     drive = [record(name, "drive", {"ate_rmse_m": e}, seed=None, error_m=e) for name, e in (("a", 0.1), ("b", 0.2))]
     assert find_hardest(analyse(build([*room.records, *drive]))) == 1
+    parts = [
+        replace(one, spec=replace(one.spec, sequence=replace(one.spec.sequence, perturbed=True, excerpt_scans=400)))
+        for name, error in (("a", 0.01), ("b", 5.0))
+        for one in (record(name, "parts", {"ate_rmse_m": error}, seed=None, error_m=error),)
+    ]
+    assert find_hardest(analyse(build([*parts, *drive]))) == 1  # the whole one, though the maps of excerpts differ more
+    assert find_hardest(analyse(build([*parts, *room.records]))) == 0
     assert find_hardest(analyse(room)) == 0
     nothing = build([record("a", "room", {}, status="failed", reason="no", answered=0)])
     assert find_hardest(analyse(nothing)) is None

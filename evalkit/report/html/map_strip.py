@@ -37,9 +37,12 @@ class Tile:
 
 
 def find_hardest(analysis: Analysis) -> int | None:
-    """Return the index of the sequence whose maps differ most: recordings before simulations, then counted ones."""
+    """Return the index of the sequence whose maps differ most: recordings before simulations, whole before excerpts.
+
+    Of these one that the answer counts.
+    """
     counted = {one.sequence for one in analysis.answer.contests}
-    found: list[tuple[bool, bool, float, int]] = []
+    found: list[tuple[bool, bool, bool, float, int]] = []
     for number, sequence in enumerate(analysis.sequences):
         drawn = [own[0] for own in sequence.runs.values() if own[0].scores.grid is not None]
         if len(drawn) < 2 or sequence.deciding is None or sequence.card.degenerate:
@@ -47,7 +50,8 @@ def find_hardest(analysis: Analysis) -> int | None:
         values = [max(median(score.values), 1e-9) for score in sequence.deciding.scores if score.values]
         spread = max(values) / min(values) if values else 0.0
         recorded = drawn[0].seed is None or drawn[0].spec.sequence.perturbed
-        found.append((recorded, sequence.label in counted, spread, -number))
+        whole = not drawn[0].spec.sequence.excerpt_scans
+        found.append((recorded, whole, sequence.label in counted, spread, -number))
     return -max(found)[-1] if found else None
 
 
