@@ -4,10 +4,11 @@ import io
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib.resources import files
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageColor
 
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
@@ -21,6 +22,10 @@ from evalkit.report.html.maps import MapWindow, compute_greys, find_window, rend
 from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_page import render_report
 from evalkit.report.html.report_tables import by_rank, headline_table
+
+
+def load(sheet):
+    return files("evalkit.report.html").joinpath(f"templates/{sheet}.css").read_text(encoding="utf-8")
 
 
 class Tags(HTMLParser):
@@ -328,6 +333,31 @@ def test_a_diverged_map_does_not_shrink_the_others():
 
     assert find_window([room(10), room(11), room(500)]) == MapWindow(0.0, 11.0, 0.0, 11.0)
     assert find_window([]) is None
+
+
+def luminance(colour):
+    parts = [one / 12.92 if one <= 0.04045 else ((one + 0.055) / 1.055) ** 2.4 for one in colour]
+    return float(np.dot(parts, (0.2126, 0.7152, 0.0722)))
+
+
+def contrast(*colours):
+    low, high = sorted(map(luminance, colours))
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_a_name_in_the_colour_of_its_method_can_be_read():
+    """WCAG 2.2 asks for 4.5 to 1; names have the hue of their line, mixed with that of the text."""
+    share = 0.01 * float(
+        re.search(r"--own-ink: color-mix\(in srgb, var\(--own, var\(--ink\)\) (\d+)%", load("report"))[1]
+    )
+    dark, light = (dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", part)) for part in load("page").split(":root {")[:2])
+    assert contrast((0, 0, 0), (1, 1, 1)) == pytest.approx(21.0)
+    assert light["ink"] != dark["ink"]
+    for colours in (light, dark):
+        rgb = {name: np.array(ImageColor.getrgb(colour)) / 255 for name, colour in colours.items()}
+        for hue in (*(f"hue-{number}" for number in range(5)), "grey"):
+            text = share * rgb[hue] + (1.0 - share) * rgb["ink"]
+            assert min(contrast(text, rgb["ground"]), contrast(text, rgb["paper"])) >= 4.5
 
 
 def test_nine_methods_have_nine_line_styles():
