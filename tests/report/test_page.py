@@ -380,6 +380,15 @@ def test_a_name_in_the_colour_of_its_method_can_be_read():
             assert min(contrast(text, rgb["ground"]), contrast(text, rgb["paper"])) >= 4.5
 
 
+def test_the_table_of_all_metrics_does_not_repeat_the_loss_in_every_row(record, build):
+    made = [record(name, "room", {"ate_rmse_m": 0.1, "drift_percent": 1.0}) for name in "ab"]
+    lost = replace(made[1], scores=replace(made[1].scores, lost=LostTrack(5.0, "a jump")))
+    text = render_report(analyse(build([made[0], lost])))
+    table = text[text.index('aria-label="All metrics on room') :]
+    assert "lost at" not in table[: table.index("</table>")]
+    assert "lost at 5 s" in text
+
+
 def test_the_heading_of_a_sequence_names_the_tied_methods(record, build):
     runs = [record(name, "room", {"ate_rmse_m": 0.1}, seed=seed) for name in "ab" for seed in range(3)]
     assert "tied: a and b" in render_report(analyse(build(runs)))
