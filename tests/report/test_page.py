@@ -18,6 +18,7 @@ from evalkit.metrics.validated import load_validation
 from evalkit.report import MethodCard, SequenceCard, write_report
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_number
+from evalkit.report.html.appendix import _build_metrics
 from evalkit.report.html.maps import MapWindow, compute_greys, find_window, render_map
 from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_page import draw_maps, render_report
@@ -387,6 +388,12 @@ def test_the_table_of_all_metrics_does_not_repeat_the_loss_in_every_row(record, 
     table = text[text.index('aria-label="All metrics on room') :]
     assert "lost at" not in table[: table.index("</table>")]
     assert "lost at 5 s" in text
+
+
+def test_a_group_without_a_headline_metric_has_no_more_metrics_than_those():
+    closures = [metric for metric in all_metrics() if metric.group == "loop closures"]
+    assert not any(metric.headline for metric in closures)
+    assert _build_metrics(closures)[-1].title == f"{len(closures)} metrics"
 
 
 def test_the_heading_of_a_sequence_names_the_tied_methods(record, build):

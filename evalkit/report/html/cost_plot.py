@@ -67,14 +67,19 @@ def draw_scatter(analysis: Analysis, strokes: Strokes) -> Markup | None:
         px, py = place[one.method]
         kind = f"series{' led' if one.method in analysis.answer.winners else ''}"
         label = labels.get(names[one.method], (px, py - 9.0, "middle"))
-        hidden = "" if names[one.method] in labels else "hinted"
+        kinds = ("name", "part" if one.shared else "", "" if names[one.method] in labels else "hinted")
         where = f", on {one.shared} data sets" if one.shared else ""
         tip = f"{one.method}: {one.error:.2f} times the error and {one.cpu:.2g} times the CPU time of {common}{where}"
         own = (
             element("title", tip),
             element("circle", cx=px, cy=py, r=5.0, class_="dot tied"),
             element(
-                "text", names[one.method], x=label[0], y=label[1], text_anchor=label[2], class_=f"name {hidden}".strip()
+                "text",
+                names[one.method],
+                x=label[0],
+                y=label[1],
+                text_anchor=label[2],
+                class_=" ".join(filter(None, kinds)),
             ),
         )
         parts.append(element("g", join(own), class_=kind, data_of=one.method, style=f"--own:{strokes[one.method].css}"))
