@@ -188,7 +188,8 @@ def format_rows(head: str, rows: Sequence[RankedRow], width: int, cost: str = CP
 
     Columns: method, error, its interval as a bar, error by the baseline's, error of corrected poses, CPU time a scan,
     note. ``cost``: heading of the column of the CPU time, "" without one. What is too wide goes in this order: the
-    bar, the middle of the names, unless two become equal, the columns ``DROPPED``, and the end of the line.
+    bar, the middle of the names, unless two become equal, the columns ``DROPPED``, what a note says after the
+    place, and the end of the line.
     """
     for line in _format_lines(head, rows, width, cost):
         line.truncate(width, overflow="ellipsis")
@@ -239,6 +240,10 @@ def _fit(cells: list[list[str]], sizes: list[int], width: int) -> None:
             sizes[column] = 0
             for own in cells:
                 own[column] = ""
+    if _room([least, *sizes[1:]], width) < 0:
+        for own in cells:
+            own[5] = own[5].partition(", ")[0]
+        sizes[5] = max(len(own[5]) for own in cells)
     sizes[0] = min(sizes[0], max(sizes[0] + _room(sizes, width), least))
     for own in cells:
         own[0] = cut_middle(own[0], sizes[0])

@@ -482,6 +482,16 @@ def test_a_page_of_blocks_can_be_dark(browser, tmp_path):
     assert complaints == []
 
 
+def test_a_long_word_in_a_table_does_not_widen_the_page_of_a_phone(browser, tmp_path):
+    file = tmp_path / "blocks.html"
+    sections = [Section("Found", [Table(["what", "value"], [["place", "/scratch" * 20]])])]
+    file.write_text(render(Document("evalkit", "Blocks", "Of blocks.", sections)), encoding="utf-8")
+    page = browser.new_page(viewport={"width": 390, "height": 800})
+    page.goto(file.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    page.close()
+
+
 @pytest.mark.parametrize("width", [1400, 400])
 def test_nothing_is_wider_than_the_window(open_page, width):
     page = open_page(width=width)

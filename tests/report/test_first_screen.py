@@ -261,5 +261,6 @@ def test_the_scatter_plot_states_its_front_and_the_period_of_the_sensor(room):
     markup = draw_scatter(analyse(room), strokes_of(room))
     assert "no method is both cheaper and more accurate than plane" in markup
     assert "a scan every 100\u00a0ms" in markup
+    assert "name part" not in markup
     assert "plane: 0.17 times the error and 0.17 times the CPU time of paper" in markup
     assert markup.count('class="dot tied"') == 5

@@ -4,23 +4,29 @@ import io
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib.resources import files
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageColor
 
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
-from evalkit.core.run_result import Score
+from evalkit.core.run_result import LostTrack, Score
 from evalkit.metrics import all_metrics
 from evalkit.metrics.validated import load_validation
 from evalkit.report import MethodCard, SequenceCard, write_report
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_number
+from evalkit.report.html.appendix import _build_metrics
 from evalkit.report.html.maps import MapWindow, compute_greys, find_window, render_map
 from evalkit.report.html.method_colours import assign_strokes
-from evalkit.report.html.report_page import render_report
+from evalkit.report.html.report_page import draw_maps, render_report
 from evalkit.report.html.report_tables import by_rank, headline_table
+
+
+def load(sheet):
+    return files("evalkit.report.html").joinpath(f"templates/{sheet}.css").read_text(encoding="utf-8")
 
 
 class Tags(HTMLParser):
@@ -328,6 +334,71 @@ def test_a_diverged_map_does_not_shrink_the_others():
 
     assert find_window([room(10), room(11), room(500)]) == MapWindow(0.0, 11.0, 0.0, 11.0)
     assert find_window([]) is None
+
+
+def test_maps_of_lost_runs_do_not_shrink_the_others(record, build):
+    """A map of 18 m is below twice the size of one of 10 m: only the loss keeps it from setting the window."""
+
+    def run(name, size, lost=None):
+        made = record(name, "room", {"ate_rmse_m": 0.1})
+        grid = OccupancyGrid(np.zeros((size, size)), np.ones((size, size), dtype=bool), 1.0, 0.0, 0.0)
+        return replace(made, truth=replace(made.truth, grid=None), scores=replace(made.scores, grid=grid, lost=lost))
+
+    def shown(*runs):
+        comparison = build(runs)
+        sequence = analyse(comparison).sequences[0]
+        text = render_report(analyse(comparison))
+        return draw_maps(comparison, sequence, assign_strokes("ab")).window.size_m, "may be cut" in text
+
+    turned = LostTrack(5.0, "a jump")
+    assert shown(run("a", 10), run("b", 18, turned)) == ((10.0, 10.0), True)
+    assert shown(run("a", 10), run("b", 18)) == ((18.0, 18.0), False)
+    assert shown(run("a", 10, turned), run("b", 18, turned)) == ((18.0, 18.0), True)
+
+
+def luminance(colour):
+    parts = [one / 12.92 if one <= 0.04045 else ((one + 0.055) / 1.055) ** 2.4 for one in colour]
+    return float(np.dot(parts, (0.2126, 0.7152, 0.0722)))
+
+
+def contrast(*colours):
+    low, high = sorted(map(luminance, colours))
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_a_name_in_the_colour_of_its_method_can_be_read():
+    """WCAG 2.2 asks for 4.5 to 1; names have the hue of their line, mixed with that of the text."""
+    share = 0.01 * float(
+        re.search(r"--own-ink: color-mix\(in srgb, var\(--own, var\(--ink\)\) (\d+)%", load("report"))[1]
+    )
+    dark, light = (dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", part)) for part in load("page").split(":root {")[:2])
+    assert contrast((0, 0, 0), (1, 1, 1)) == pytest.approx(21.0)
+    assert light["ink"] != dark["ink"]
+    for colours in (light, dark):
+        rgb = {name: np.array(ImageColor.getrgb(colour)) / 255 for name, colour in colours.items()}
+        for hue in (*(f"hue-{number}" for number in range(5)), "grey"):
+            text = share * rgb[hue] + (1.0 - share) * rgb["ink"]
+            assert min(contrast(text, rgb["ground"]), contrast(text, rgb["paper"])) >= 4.5
+
+
+def test_the_table_of_all_metrics_does_not_repeat_the_loss_in_every_row(record, build):
+    made = [record(name, "room", {"ate_rmse_m": 0.1, "drift_percent": 1.0}) for name in "ab"]
+    lost = replace(made[1], scores=replace(made[1].scores, lost=LostTrack(5.0, "a jump")))
+    text = render_report(analyse(build([made[0], lost])))
+    table = text[text.index('aria-label="All metrics on room') :]
+    assert "lost at" not in table[: table.index("</table>")]
+    assert "lost at 5 s" in text
+
+
+def test_a_group_without_a_headline_metric_has_no_more_metrics_than_those():
+    closures = [metric for metric in all_metrics() if metric.group == "loop closures"]
+    assert not any(metric.headline for metric in closures)
+    assert _build_metrics(closures)[-1].title == f"{len(closures)} metrics"
+
+
+def test_the_heading_of_a_sequence_names_the_tied_methods(record, build):
+    runs = [record(name, "room", {"ate_rmse_m": 0.1}, seed=seed) for name in "ab" for seed in range(3)]
+    assert "tied: a and b" in render_report(analyse(build(runs)))
 
 
 def test_nine_methods_have_nine_line_styles():

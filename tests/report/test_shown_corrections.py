@@ -93,7 +93,7 @@ def test_the_reader_chooses_a_correction_by_its_time_and_what_it_moved(record):
         ]
     }  # fmt: skip
     assert "slam reports no correction after the last closure it accepted." in made.remarks
-    assert "The path before a correction is that after the one before it" in made.remarks
+    assert "Before a correction: the path that the previous correction left" in made.remarks
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,16 @@ def test_a_narrow_table_leaves_out_columns_and_cuts_no_number():
     assert lines[30] == ["wheel-odometry", "1", "mm", "tied"]
 
 
+def test_a_narrow_table_cuts_what_follows_the_place_and_no_count():
+    """Of 40 columns, 2 + 12 + (2 + 4) + (2 + 16) = 38 are taken; ", cheapest" would take 10 more."""
+    rows = [
+        make_row("a" * 20, 1.0, note="best or tied 3/3, cheapest"),
+        make_row("b" * 20, 2.0, note="best or tied 1/3"),
+    ]
+    shown = [line.plain for line in format_rows("", rows, 40)][1:]
+    assert [line[line.index("best") :] for line in shown] == ["best or tied 3/3", "best or tied 1/3"]
+
+
 def test_an_address_is_named_by_its_file_unless_two_have_the_same():
     addresses = ("exec:python /opt/my slam/slam.py --fast", "exec:ssh me@board.local ./my_icp", "exec:python slam.py",
                  "lib:../libmine.so epsilon=1", "file:../online.tum?final=../final.tum", "file:run.mcap?topic=/pose",

@@ -271,7 +271,7 @@ def _method(result: BasinResult, command: str) -> Section:
         f"The guess is the truth plus an offset: {trials.offsets} offsets, even in distance, bearing and turn (an "
         "additive low-discrepancy sequence from a seeded start), the same for all; a quarter is only shifted and "
         "a quarter only turned, for the curves.",
-        "Unobservable directions are result from the point-to-line Hessian of the scene, its turn scaled by "
+        "Unobservable directions result from the point-to-line Hessian of the scene, its turn scaled by "
         "the points' mean square distance: a direction is degenerate where twice the best possible standard deviation "
         "exceeds the tolerance. Guesses and answers are evaluated without them.",
         "A back end that raises has no answer to that guess; one that ends its process has none in its task.",

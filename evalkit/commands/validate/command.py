@@ -60,7 +60,7 @@ def validate(
         CheckGroup | None,
         typer.Option(
             metavar="<checks>",
-            help="Only these checks: rules, registrations, lockstep, determinism.",
+            help="Only one group of checks: rules, registrations, lockstep or determinism.",
             show_default="levels 0 to 5",
         ),
     ] = None,

@@ -98,7 +98,7 @@ def _build_tests(analysis: Analysis, strokes: Strokes) -> list[Block]:
     found = analysis.significance
     over = f"Errors over {', '.join(found.sequences)}, with ground truth and a geometry that determines the pose. "
     text = over if found.sequences else ""
-    text += "A failed run counts as the worst. Only data that settings of a method were chosen on are left out for it. "
+    text += "A failed run counts as the worst. A method is left out on data that its settings were chosen on. "
     if isinstance(found.ranks, NotTested):
         text += f"Ranks are not tested: {found.ranks.reason}."
     else:
@@ -130,14 +130,15 @@ def _build_metrics(metrics: Sequence[Metric]) -> list[Block]:
             text = (
                 f"Spearman's rank correlation of each metric with the true error, over {found.map_count} maps from "
                 f"perturbed trajectories ({', '.join(found.worlds)}; {found.mapper}): 1 same order, 0 no relation, "
-                f"below 0 reverse order. Measured {found.created} with {found.command}."
+                f"below 0 reverse order. Measured {found.created} with:"
             )
             blocks += [Heading("Rank agreement", "rank-agreement", 4), Text(text, "note")]
-            blocks.append(appendix_tables.agreement_table(found, members))
+            blocks += [Command(found.command), appendix_tables.agreement_table(found, members)]
         headline = [_metric_card(metric) for metric in members if metric.headline]
         others = [_metric_card(metric) for metric in members if not metric.headline]
         blocks += [Cards(headline)] if headline else []
-        blocks += [Fold(f"{len(others)} more", [Cards(others)], f"metrics-more-{number}")] if others else []
+        count = f"{len(others)} {'more' if headline else 'metrics'}"
+        blocks += [Fold(count, [Cards(others)], f"metrics-more-{number}")] if others else []
     return blocks
 
 
@@ -163,7 +164,7 @@ def _method_card(label: str, card: MethodCard, place: int, strokes: Strokes) -> 
     chosen = f"{', '.join(card.tuned_on)} (documentation: How each method was tuned, on what)"
     facts += [("Settings chosen on", chosen)] if card.tuned_on else []
     facts += [("Licence", card.licence), ("Source", card.citation)]
-    blocks: list[Block] = [Text(capitalise(card.summary))]
+    blocks: list[Block] = [Text(card.summary)]
     blocks += [Text(card.missing, "warn")] if card.missing else []
     blocks += [Facts(facts), *appendix_tables.settings_fold(card.settings, f"settings-{place}")]
     chips = report_tables.CHIPS.get(card.role, ())

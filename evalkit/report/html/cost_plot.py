@@ -84,11 +84,12 @@ def _draw_point(
     x, y, anchor = label or (at[0], at[1] - 9.0, "middle")
     where = f", on {one.shared} data sets" if one.shared else ""
     tip = f"{one.method}: {one.error:.2f} times the error and {one.cpu:.2g} times the CPU time of {common}{where}"
+    kinds = " ".join(filter(None, ("name", "part" if one.shared else "", "" if label else "hinted")))
     return join(
         (
             element("title", tip),
             element("circle", cx=at[0], cy=at[1], r=5.0, class_="dot tied"),
-            element("text", name, x=x, y=y, text_anchor=anchor, class_="name" if label else "name hinted"),
+            element("text", name, x=x, y=y, text_anchor=anchor, class_=kinds),
         )
     )
 

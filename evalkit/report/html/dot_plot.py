@@ -211,4 +211,5 @@ def _percent(share: float) -> str:
 
 def _describe_dots(analysis: Analysis) -> str:
     first = analysis.answer.standings[0]
-    return f"Methods by data sets, error with its interval: {first.method} leads {first.led} of {first.counted}"
+    led = f"{first.led} of {first.counted}"
+    return f"Methods by data sets, error with its interval: {first.method} is best or tied on {led}"

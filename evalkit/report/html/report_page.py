@@ -16,7 +16,7 @@ from evalkit.report.analysis.ranking import Ranking
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.statements.verdict import SequenceVerdict
-from evalkit.report.formatting import capitalise, format_amount
+from evalkit.report.formatting import capitalise, format_amount, name_or_count
 from evalkit.report.html import (
     appendix,
     corrected_runs,
@@ -46,9 +46,11 @@ from evalkit.report.html.method_colours import Stroke, assign_strokes
 from evalkit.report.html.player import build_player, ranges_per_sequence
 from evalkit.results.run_record import RunRecord
 
+MAX_NAMED = 4
+"""Methods named beside the heading of a sequence; more are counted."""
 MAP_CAPTION_GROUPS = ("map against truth", "map consistency")
 BADGES = {
-    "tied": "tied", "one run": "one run: no verdict", "lost": "no method held the track",
+    "one run": "one run: no verdict", "lost": "no method held the track",
     "single": "one ranked method", "degenerate": "degenerate geometry",
     "disagreement": "no ground truth: map metrics disagree", "unranked": "no ranking",
 }  # fmt: skip
@@ -112,10 +114,11 @@ def build_sequence(
     blocks += _build_player(analysis, sequence, first, maps.window, strokes, anchor)
     if maps.figures and maps.window:
         width, height = maps.window.size_m
+        cut = " Maps of runs that lost the track may be cut." if any(one.scores.lost for one in first) else ""
         blocks += [
             Heading("Maps", f"{anchor}-maps"),
             Text(f"One mapper draws all maps. Each shows the same {width:.1f} × {height:.1f} m: black is occupied, "
-                 "white free, grey not observed.", "note"),
+                 f"white free, grey not observed.{cut}", "note"),
             Figures(list(maps.figures.values()), maps=True),
         ]  # fmt: skip
     blocks += _build_tables(analysis, number, strokes)
@@ -144,6 +147,8 @@ def _badge(verdict: SequenceVerdict, ranking: Ranking | None) -> str:
     if verdict.outcome == "winner":
         how = "best fit to the known map" if decided_by_fit(ranking) else "best map"
         return f"{'winner' if verdict.counts else f'{how}, no ground truth'}: {verdict.leaders[0]}"
+    if verdict.outcome == "tied":
+        return f"tied: {name_or_count(verdict.leaders, MAX_NAMED)}"
     return BADGES[verdict.outcome]
 
 
@@ -183,7 +188,7 @@ def _build_tables(analysis: Analysis, number: int, strokes: Mapping[str, Stroke]
     headline = [sequence.rankings[metric.name] for metric in report_tables.headline_metrics(sequence)]
     blocks: list[Block] = [
         Heading("Results", f"{anchor}-results"), table,
-        Text("Below a number: its 95 % interval, or the lowest and highest of few runs.", "note"),
+        Text("Below a number: its 95 % interval, or the lowest and highest of few or perturbed runs.", "note"),
         *report_tables.absent_note(headline),
         *(Text(text, "note") for text in sequence.alignments),
         *known_map.build_known_map(analysis, sequence, number + 1, strokes, anchor),
@@ -227,11 +232,15 @@ def true_grid(runs: Sequence[RunRecord]) -> OccupancyGrid | None:
 
 
 def draw_maps(comparison: Comparison, sequence: SequenceAnalysis, strokes: Mapping[str, Stroke]) -> SequenceMaps:
-    """Return the maps of each method's first run in a common window, the true one first, then by rank."""
+    """Return the maps of each method's first run in a common window, the true one first, then by rank.
+
+    The window holds the maps of the runs that held the track: a map with wrong turns would make all others small.
+    """
     first = {label: own[0] for label, own in sequence.runs.items()}
     grids = {label: run.scores.grid for label, run in first.items() if run.scores.grid is not None}
     true = true_grid(list(first.values()))
-    shown = find_window(list(grids.values()), true) if grids else None
+    held = [grid for label, grid in grids.items() if first[label].scores.lost is None]
+    shown = find_window(held or list(grids.values()), true) if grids else None
     if shown is None:
         return SequenceMaps({}, None)
     metric = _map_metric(comparison, list(first.values()))

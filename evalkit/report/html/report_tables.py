@@ -74,9 +74,10 @@ def score_cell(ranking: Ranking, score: MethodScore | None, link: str = "", says
     lost = f"lost {format_losses(score)}" if score.lost is not None and says_loss else ""
     if not score.values:
         return Cell("–", "", tip=score.reason, link=link, extent=early or lost)
-    runs = f"median of {len(score.values)} of {score.expected} runs" if score.expected > 1 else ""
+    repeated = score.expected > 1 and len(score.values) == score.expected  # else the cell itself states how many
+    runs = f"{score.expected} runs" if repeated else ""
     support = f"support {score.support}" if score.support else ""
-    tuned = "settings chosen on this data set: not counted" if score.tuned else ""
+    tuned = "settings chosen here: not counted" if score.tuned else ""
     tip = ", ".join(filter(None, (runs, support, tuned)))
     extent = ", ".join(filter(None, (_extent(metric, score), early, lost)))
     value = median(score.values)
@@ -210,7 +211,8 @@ def all_metrics_tables(analysis: Analysis, sequence: SequenceAnalysis, number: i
             unit = f" [{ranking.metric.unit}]" if ranking.metric.unit not in ("", "m") else ""
             name = Cell(f"{capitalise(ranking.metric.label)}{unit}", link=f"#metric-{ranking.metric.name}")
             cells = [
-                score_cell(ranking, ranking.of(label), f"#{runs_anchor(number, places[label])}") for label in labels
+                score_cell(ranking, ranking.of(label), f"#{runs_anchor(number, places[label])}", says_loss=False)
+                for label in labels
             ]
             groups.setdefault(ranking.metric.group, []).append([name, *cells])
     for group, rows in groups.items():
@@ -307,8 +309,7 @@ def _extent(metric: Metric, score: MethodScore) -> str:
     """Return the 95 % interval, or the lowest and highest of several runs, as printed below the number."""
     parts = [f"{len(score.values)} of {score.expected} runs"] if len(score.values) < score.expected else []
     if (spread := score.spread) is not None:
-        perturbed = "perturbed: " if spread.kind == "perturbed" else ""
-        parts.append(f"{perturbed}{_bounds(metric, spread.low, spread.high)}")
+        parts.append(_bounds(metric, spread.low, spread.high))
     return ", ".join(parts)
 
 

@@ -59,7 +59,7 @@ def residual_charts(records: Sequence[RunRecord], strokes: Strokes, leader: str)
         if lines:
             middles = {label: float(np.median(values)) for label, (_, values) in lines.items()}
             least = min(middles, key=middles.__getitem__)
-            finding = f"{title}: {least} reports the smallest, {format_length(middles[least])} in the median"
+            finding = f"{least} reports the smallest, {format_length(middles[least])} in the median"
             note = "As reported by each method, by its own definition; each point is the median of a stretch."
             drawn.append(_time_chart(title, note, finding, lines, strokes, leader))
     return drawn

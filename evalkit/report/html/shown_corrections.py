@@ -75,7 +75,7 @@ def list_corrections(records: Sequence[RunRecord], stamps: Stamps) -> list[Shown
 
 def describe_corrections(records: Sequence[RunRecord]) -> list[str]:
     """Return how the path before is known, and a sentence for each SLAM of which something is not shown."""
-    how = "The path before a correction is that after the one before it, continued by the answers since."
+    how = "Before a correction: the path that the previous correction left, with the poses given since."
     shown = [how] if any(record.result.path_corrections for record in records) else []
     return shown + [sentence for record in records if (sentence := _describe_missing(record.method, record.result))]
 
