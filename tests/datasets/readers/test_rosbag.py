@@ -81,7 +81,7 @@ class Bag:
         )  # fmt: skip
         return self.add(topic, "nav_msgs/msg/Odometry", message, stamp)
 
-    def tf(self, stamp, parent, child, x=0.0, y=0.0, quaternion=(0.0, 0.0, 0.0, 1.0), static=True):
+    def tf(self, stamp, parent, child, x=0.0, y=0.0, quaternion=(0.0, 0.0, 0.0, 1.0), static=True, space=""):
         transform = self.make(
             "geometry_msgs/msg/TransformStamped", self.header(stamp, parent), child,
             self.make(
@@ -95,7 +95,8 @@ class Bag:
             )
             self.store.register(definition)
         message = self.make("tf2_msgs/msg/TFMessage", [transform])
-        return self.add("/tf_static" if static else "/tf", "tf2_msgs/msg/TFMessage", message, max(stamp, T0))
+        topic = f"{space}/tf{'_static' if static else ''}"
+        return self.add(topic, "tf2_msgs/msg/TFMessage", message, max(stamp, T0))
 
     def write(self, folder, packed=""):
         """Write the bag; returns its path. ``packed``: bz2 or lz4 for ROS 1, file, message or storage for ROS 2."""

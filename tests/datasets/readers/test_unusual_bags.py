@@ -550,3 +550,39 @@ def test_a_bag_with_too_many_topics_is_refused_at_once_with_what_to_do(tmp_path,
         with pytest.raises(BadData, match=f"{said}.*; copy the topics you need: rosbags-convert"):
             read(str(path))
     assert time.process_time() - began < 1.0
+
+
+def two_robots(folder):
+    """A bag of two robots whose frames have the same names: only the namespaces of the topics tell them apart."""
+    bag = Bag("mcap")
+    for space, x in (("/robot1", 0.1), ("/robot2", 0.2)):
+        bag.tf(T0, "base_link", "laser", x, space=space)
+    for at in range(30):
+        for space, speed in (("/robot1", 1.0), ("/robot2", -2.0)):
+            stamp = T0 + at * PERIOD + (space == "/robot2")
+            bag.odom(stamp, speed * 0.1 * at, topic=f"{space}/odom")
+            bag.tf(stamp, "odom", "base_link", speed * 0.1 * at, static=False, space=space)
+            bag.scan(stamp, [2.0, 3.0, math.inf, 4.0, 5.0] if speed > 0 else [2.0] * 5, topic=f"{space}/scan")
+    return bag.write(folder)
+
+
+@pytest.mark.parametrize(("robot", "mounted", "speed"), [("robot1", 0.1, 1.0), ("robot2", 0.2, -2.0)])
+def test_a_lidar_gets_the_odometry_and_the_transforms_of_its_own_robot(tmp_path, robot, mounted, speed):
+    path = two_robots(tmp_path)
+    for odometry in ("auto", "tf"):
+        last = list(RosBag(str(path), topic=f"/{robot}/scan", odometry=odometry).frames())[-1]
+        assert last.base_from_sensor.x == pytest.approx(mounted)
+        assert last.odom_from_base.x == pytest.approx(2.9 * speed)
+    chosen = choose_parameters("rosbag", {"path": str(path), "topic": f"/{robot}/scan"})
+    assert any(f"odometry /{robot}/odom" in one.reason for one in chosen)
+    assert not any(one.warns for one in chosen if "rotate" in one.reason)
+
+
+def test_the_inspection_of_a_bag_of_several_robots_is_of_one_and_names_the_topics_of_the_others(tmp_path):
+    found = inspect_recording(two_robots(tmp_path))
+    advice = suggest_config(found)
+    assert [one.topic for one in found.odometries] == ["/robot2/odom", "tf"]  # its lidar has more hits
+    assert all(one.jump_count == 0 for one in found.odometries)
+    assert advice.parameters["topic"] == "/robot2/scan"
+    (said,) = [one.what for one in found.findings if "several robots" in one.what]
+    assert said.endswith("left out: /robot1/odom, /robot1/scan, /robot1/tf, /robot1/tf_static")

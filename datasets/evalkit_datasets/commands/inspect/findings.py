@@ -131,6 +131,9 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
         known = ", ".join(f"{topic.name} ({topic.kind})" for topic in streams.topics) or "none"
         yield _problem("file", f"it contains no laser scans, but: {known}", "give a recording with a 2D lidar")
     yield from _check_remarks(streams)
+    if streams.left_out:
+        what = f"several robots, of which {streams.lasers[0].topic} is one; left out: {', '.join(streams.left_out)}"
+        yield _note("file", what, "choose another robot by the topic of its lidar")
     if any(topic.name == "FLASER" for topic in streams.topics) and streams.lasers:
         beams = len(streams.lasers[0].angles)
         what = f"FLASER lines do not contain angles: {beams} beams are assumed to begin at -90 deg"

@@ -134,7 +134,8 @@ def best_lidar(recording: Inspection) -> tuple[LidarStats, str]:
     )
     best = max(level, key=measured_directions)
     if len(recording.lidars) == 1:
-        return best, "the only lidar"
+        whose = " of its robot; the topics of other robots are left out, choose another by --topic"
+        return best, f"the only lidar{whose if recording.streams.left_out else ''}"
     view = f"{best.field_of_view_deg:.0f} deg, {100 * best.returns.hits:.0f} % hits, {best.timing.rate_hz:.1f} Hz"
     others = ", ".join(
         f"{one.topic} ({one.field_of_view_deg:.0f} deg, {100 * one.returns.hits:.0f} %)"
