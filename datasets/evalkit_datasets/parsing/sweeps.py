@@ -200,7 +200,9 @@ def _parse_echoes(message: Any, recorded_ns: int) -> Sweep | None:
 
 
 def _parse_even_beams(message: Any, ranges: Floats, recorded_ns: int) -> Sweep | None:
-    geometry = [message.angle_min, message.angle_increment, message.range_min, message.range_max]
+    stated = message.range_max not in (0.0, np.inf)
+    high = message.range_max if stated else MAX_RANGE_M
+    geometry = [message.angle_min, message.angle_increment, message.range_min, high]
     plausible = np.isfinite(geometry).all() and 0.0 <= geometry[2] < geometry[3] and geometry[1] != 0.0
     increment = float(message.time_increment)
     increment = increment if np.isfinite(increment) and increment > 0.0 else 0.0

@@ -3,8 +3,8 @@
 ``scan.stamp_ns`` is the header's time (the first beam), not the time of recording. Ranges follow REP-117: inf is no
 return; -inf, nan, zero, negative ranges and those below the sensor's minimum, or ``range_min_m`` if that is larger, are
 invalid. The maximum itself is also no return: drivers write it for beams without an echo (2.5 % of the ranges of one
-recording are exactly 60 m). The angles of a lidar mounted upside down are mirrored, so that base_from_sensor is a
-motion of the plane.
+recording are exactly 60 m). A maximum of 0 or inf states none: it is 100 m then. The angles of a lidar mounted upside
+down are mirrored, so that base_from_sensor is a motion of the plane.
 """
 
 from __future__ import annotations

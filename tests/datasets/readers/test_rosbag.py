@@ -226,6 +226,14 @@ def test_messages_with_implausible_geometry_are_dropped_and_counted(tmp_path):
     assert sequence.notes()["damaged messages dropped"] == 4
 
 
+@pytest.mark.parametrize("stated", [0.0, math.inf])
+def test_a_maximum_that_is_not_stated_is_100_m(tmp_path, stated):
+    bag = Bag("mcap").scan(T0, [1.0, 45.0, 120.0, math.inf], range_max=stated)
+    scan = frames_of(bag, tmp_path)[0].scan
+    assert scan.range_max_m == 100.0
+    assert scan.ranges.tolist() == [1.0, 45.0, math.inf, math.inf]
+
+
 # --- time
 
 
