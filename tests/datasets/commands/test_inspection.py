@@ -79,6 +79,23 @@ def test_a_clock_with_offset_and_drift_is_reported():
     assert found.drift_ppm == pytest.approx(40.0, abs=0.1)
 
 
+def test_a_clock_that_was_set_is_a_step_and_no_drift():
+    recorded = np.arange(0.0, 20.0, 0.1)
+    set_forward = measure_clock_offset(seconds(*(recorded + 5.0 * (recorded > 9.95))), seconds(*recorded))
+    assert (set_forward.step_s, set_forward.step_at_s) == (pytest.approx(5.0), pytest.approx(10.0))
+    assert measure_clock_offset(seconds(*(recorded + 0.01 * recorded)), seconds(*recorded)).step_s == 0.0
+
+
+def test_stamps_that_step_back_leave_the_parts_before_and_behind_the_overlap():
+    recorded = np.arange(0.0, 10.0, 0.1)
+    found = measure_timing(seconds(*np.round(recorded - 2.05 * (recorded > 4.95), 3)))
+    assert found.steps_back == 1
+    assert (found.step_back.at_s, found.step_back.length_s) == (pytest.approx(4.9), pytest.approx(1.95))
+    assert found.step_back.before == 30  # 0.0 to 2.9 s; the first behind the step is 2.95 s
+    assert found.step_back.behind == 70  # all up to 4.9 s: 50 before the step, 20 behind it
+    assert measure_timing(seconds(0.0, 0.2, 0.1, 0.3)).step_back is None  # two messages changed places
+
+
 # --- ranges
 
 

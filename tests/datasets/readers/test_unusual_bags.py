@@ -586,3 +586,30 @@ def test_the_inspection_of_a_bag_of_several_robots_is_of_one_and_names_the_topic
     assert advice.parameters["topic"] == "/robot2/scan"
     (said,) = [one.what for one in found.findings if "several robots" in one.what]
     assert said.endswith("left out: /robot1/odom, /robot1/scan, /robot1/tf, /robot1/tf_static")
+
+
+def test_a_clock_that_was_set_back_is_a_problem_that_a_comparison_repeats(tmp_path):
+    bag = Bag("mcap")
+    for at in range(100):
+        stamp = T0 + at * PERIOD - (2 * 10**9 + PERIOD // 2 if at >= 50 else 0)
+        bag.scan(stamp, [2.0 + 0.01 * at, 3.0, 4.0, 5.0, 6.0], recorded=T0 + at * PERIOD)
+    path = bag.write(tmp_path)
+    (said,) = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "go back" in one.reason]
+    assert "problem: /scan: its stamps go back by 1.95 s at 4.9 s (once)" in said
+    assert said.endswith("--set limit=30 or --set start=70")
+    assert RosBag(str(path), limit=30).stamps_ns[-1] == T0 + 29 * PERIOD
+    assert RosBag(str(path), start=70).stamps_ns[0] == T0 + 49 * PERIOD + PERIOD // 2
+
+
+@pytest.mark.parametrize("apart_s", [3600, -1_600_000_000])
+def test_an_odometry_with_another_clock_is_not_taken(tmp_path, apart_s):
+    bag = Bag("mcap").tf(T0, "base_link", "laser")
+    for at in range(50):
+        stamp = T0 + at * PERIOD
+        bag.scan(stamp + apart_s * 10**9, [2.0, 3.0, 4.0, 5.0, 6.0], recorded=stamp).odom(stamp, 0.1 * at)
+    path = bag.write(tmp_path)
+    chosen = choose_parameters("rosbag", {"path": str(path)})
+    assert [one.value for one in chosen if one.name == "odometry"] == ["none"]
+    side = "before" if apart_s > 0 else "after"
+    (said,) = [one.reason for one in chosen if "two clocks" in one.reason and one.reason.startswith("problem")]
+    assert f"it begins {abs(apart_s)} s {side} the scans" in said

@@ -29,6 +29,7 @@ MAX_OFFSET_RANGE_S = 0.05
 MAX_SCAN_STEP_M = 0.4
 HANDLED = "handled by the reader"
 DIRECTION = "direction of the angles"
+LOG_LINES = "laser lines"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +116,7 @@ def collect_findings(
     rank: dict[Level, int] = {"problem": 0, "warning": 1, "note": 2}
     found = [*_check_file(streams, inside), *_check_lidars(lidars), *_check_scan_steps(odometries, streams),
              *_check_odometry(odometries, turns, streams), *_check_standing(lidars, odometries),
+             *_check_clocks(lidars, odometries),
              *_check_direction(streams, turned, tree), *_check_frames(tree, streams)]  # fmt: skip
     return tuple(sorted(found, key=lambda finding: rank[finding.level]))
 
@@ -193,6 +195,8 @@ def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
     elif found.repeated or found.backwards:
         what = f"stamps decrease {found.backwards} times, {found.repeated} are repeated"
         yield _warning(about, what, "the reader sorts the scans and keeps the first of equal stamps")
+    if lidar.clock is not None and lidar.kind != LOG_LINES:
+        yield from _check_steps_back(found, about)
     if found.gap_count:
         longest = found.gaps[0]
         what = f"{format_count(found.gap_count, 'gap')}, the longest {longest.length_s:.2f} s at {longest.at_s:.1f} s"
@@ -206,7 +210,21 @@ def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
     if lidar.unstamped:
         yield _warning(about, f"{lidar.unstamped} scans have no stamp; the time of recording is used")
     if lidar.clock is not None:
-        yield from _check_clock(lidar.clock, about, lidar.kind == "laser lines")
+        yield from _check_clock(lidar.clock, about, lidar.kind == LOG_LINES)
+
+
+def _check_steps_back(found: StreamTiming, about: str) -> Iterator[InspectionFinding]:
+    """Report a clock that was set back while the recorder's went on: the times of two parts overlap."""
+    step = found.step_back
+    if step is None or not found.usable:
+        return
+    count = "once" if found.steps_back == 1 else f"{found.steps_back} times"
+    back = f"its stamps go back by {step.length_s:.2f} s at {step.at_s:.1f} s ({count}) while the recording goes on"
+    before = [f"--set limit={step.before}"] if step.before > 0 else []
+    behind = [f"--set start={step.behind}"] if step.behind < found.count - found.repeated else []
+    part = f"take the part before it or behind it: {' or '.join([*before, *behind])}"
+    advice = part if found.steps_back == 1 and [*before, *behind] else "mend the clock, and record again"
+    yield _problem(about, f"{back}: in the order of their stamps, scans of different places mix", advice)
 
 
 def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[InspectionFinding]:
@@ -227,7 +245,10 @@ def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[Inspecti
             what,
             f"{advice}; do not combine with stamps of another clock",
         )
-    if abs(found.drift_ppm) > MAX_DRIFT_PPM:
+    if found.step_s:
+        what = f"its clock steps by {found.step_s:+.2f} s against the recorder's at {found.step_at_s:.1f} s"
+        yield _warning(about, what, "a clock that was set, or a recorder that was held up")
+    elif abs(found.drift_ppm) > MAX_DRIFT_PPM:
         yield _warning(about, f"its clock drifts from the recorder's by {found.drift_ppm:.0f} ppm")
 
 
@@ -344,6 +365,24 @@ def _check_standing(lidars: Sequence[LidarStats], odometries: Sequence[OdometryS
         if one.standing > MIN_STANDING:
             what = f"stands still, but {100 * (1 - still):.0f} % of the scans change within a second: the robot moves"
             yield _warning(f"odometry {one.topic}", what, "use odometry = 'none', or the topic of the real odometry")
+
+
+def is_apart(lidar: LidarStats, odometry: OdometryStats) -> bool:
+    """Return whether no scan lies within the times of an odometry."""
+    scans, poses = lidar.timing, odometry.timing
+    return scans.usable and (poses.last_ns < scans.first_ns or scans.last_ns < poses.first_ns)
+
+
+def _check_clocks(lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats]) -> Iterator[InspectionFinding]:
+    """Report an odometry whose times are not those of any scan."""
+    for one in odometries if lidars else ():
+        if all(is_apart(lidar, one) for lidar in lidars):
+            apart_s = (one.timing.first_ns - lidars[0].timing.first_ns) * 1e-9
+            side = "after" if apart_s > 0 else "before"
+            what = (
+                f"by its stamps it begins {abs(apart_s):.0f} s {side} the scans, and covers none of them: two clocks?"
+            )
+            yield _problem(f"odometry {one.topic}", what, "the scans have no wheel odometry; record with one clock")
 
 
 def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]:

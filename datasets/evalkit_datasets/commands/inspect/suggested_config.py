@@ -23,6 +23,7 @@ from evalkit_datasets.commands.inspect.findings import (
     InspectionFinding,
     LidarStats,
     check_body,
+    is_apart,
     is_default_code,
 )
 from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
@@ -157,8 +158,11 @@ def _choose_for_bag(recording: Inspection) -> Iterator[Choice]:
         yield Choice("fields", fields, f"fields of {lidar.kind} by their names and values: {fields}; check the units")
     messages = [one for one in recording.odometries if one.topic != "tf"]
     usable = [one for one in messages or recording.odometries if one.like_wheels]
+    apart = [one for one in usable if is_apart(lidar, one)]
+    usable = [one for one in usable if one not in apart]
     if not usable:
         why = "its motion is not that of wheels" if recording.odometries else "the bag has none"
+        why = "its times are not those of the scans" if apart else why
         yield Choice("odometry", "none", f"odometry none: {why}")
         return
     named = next((one for one in usable if one.topic.lstrip("/") == "odom"), usable[0])
