@@ -100,12 +100,14 @@ class SweepOptions:
 
     ``sweep_s``: time from the first beam to the last (s) of scans that do not say it; 0: they are taken at once. Clouds
     have no order of beams, and are always taken at once. ``range_min_m``: the least minimum of a sweep's ranges.
+    ``stamp_shift_s``: added to the stamps.
     """
 
     cloud: CloudSlice = field(default_factory=CloudSlice)
     fields: MessageFields | None = None
     sweep_s: float = 0.0
     range_min_m: float = 0.0
+    stamp_shift_s: float = 0.0
 
 
 def parse_fields(text: str) -> MessageFields | None:
@@ -166,15 +168,20 @@ def value_at(message: Any, path: str) -> Any:
 
 def parse_sweep(message: Any, kind: str, recorded_ns: int, options: SweepOptions) -> Sweep | None:
     """Return the sweep of a message, None if the message is damaged; ``recorded_ns`` is its time if it has no stamp."""
-    if options.fields is None and kind == CLOUD:
-        return _parse_cloud(options.cloud, message, recorded_ns)
+    is_cloud = options.fields is None and kind == CLOUD
     by_fields = options.fields is not None or kind not in _PARSERS
-    sweep = _parse_fields(options, message, recorded_ns) if by_fields else _PARSERS[kind](message, recorded_ns)
+    if is_cloud:
+        sweep = _parse_cloud(options.cloud, message, recorded_ns)
+    else:
+        sweep = _parse_fields(options, message, recorded_ns) if by_fields else _PARSERS[kind](message, recorded_ns)
     if sweep is None:
         return None
+    stamp_ns = sweep.stamp_ns + round(options.stamp_shift_s * 1e9)
+    if is_cloud:
+        return replace(sweep, stamp_ns=stamp_ns)
     low = raise_range_min_m("rosbag", sweep.range_min_m, options.range_min_m, sweep.range_max_m)
     increment_ns = sweep.time_increment_ns or round(options.sweep_s * 1e9 / (len(sweep.ranges) - 1))
-    return replace(sweep, range_min_m=low, time_increment_ns=increment_ns)
+    return replace(sweep, stamp_ns=stamp_ns, range_min_m=low, time_increment_ns=increment_ns)
 
 
 def parse_stamp_ns(header: Any) -> int:

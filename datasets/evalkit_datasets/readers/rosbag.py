@@ -66,10 +66,11 @@ class RosBag:
         beams: int = CloudSlice.beams,
         sweep_s: float = 0.0,
         range_min_m: float = 0.0,
+        stamp_shift_s: float = 0.0,
     ) -> None:
         self._path = reader_common.check_exists("rosbag", path)
         cloud = CloudSlice(height_min_m, height_max_m, beams).beyond("rosbag", range_min_m)
-        self._options = SweepOptions(cloud, parse_fields(fields), sweep_s, range_min_m)
+        self._options = SweepOptions(cloud, parse_fields(fields), sweep_s, range_min_m, stamp_shift_s)
         which = reader_common.select_scans(start, every, limit)
         whole, contents = rosbag_parser.read_bag(self._path, topic, which, self._options)
         self._counts = self._count_defects(whole, contents)
@@ -298,6 +299,7 @@ SPEC = DatasetSpec(
             high=10.0,
         ),
         RANGE_MIN,
+        Parameter("stamp_shift_s", 0.0, "s", "added to the stamps of the scans, where their clock is another one"),
         *reader_common.SELECTION,
     ),
     missing=partial(reader_common.describe_missing_files, "rosbag"),

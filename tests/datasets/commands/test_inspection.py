@@ -326,6 +326,18 @@ def turning(turns):
     return OdometryStream("/odom", "odom", "base_link", np.arange(len(turns)) * S // 10, poses)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.3, -0.2])
+def test_stamps_that_are_not_the_times_of_the_scans_are_found_by_the_turns(late_s):
+    times, fine = np.arange(0.0, 60.0, 0.1), np.arange(0.0, 60.0, 0.02)
+    scans = laser(round_view(np.sin(0.7 * times)), seconds(*(times - late_s + 10.0)))  # turns to and fro on the spot
+    heading = np.sin(0.7 * fine)
+    poses = np.column_stack([0.0 * heading, 0.0 * heading, heading])
+    found = compare_turns(OdometryStream("/odom", "odom", "base", seconds(*(fine + 10.0)), poses), scans)
+    assert found.shift_s == pytest.approx(late_s, abs=0.03)
+    assert found.shift_interval == pytest.approx((late_s, late_s), abs=0.04)
+    assert found.is_shifted is (late_s != 0.0)
+
+
 def test_turns_are_not_compared_with_too_few_pairs():
     assert compare_turns(arc(count=5, stop=0), laser(walls(5))) is None
     assert odometry_stats.MIN_PAIRS > 5

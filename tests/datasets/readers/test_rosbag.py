@@ -173,6 +173,13 @@ def test_the_time_of_a_sweep_is_given_where_the_scans_do_not_say_it(tmp_path):
     assert stated.scan.time_increment_ns == 10_000_000  # as recorded
 
 
+def test_stamps_of_another_clock_are_shifted(tmp_path):
+    bag = Bag("mcap").odom(T0, 0.0).odom(T0 + 10**9, 1.0).scan(T0 + 3_600 * 10**9, [1.0] * 5)
+    (frame,) = frames_of(bag, tmp_path, stamp_shift_s=-3599.5)
+    assert frame.scan.stamp_ns == T0 + 500_000_000
+    assert frame.odom_from_base.x == pytest.approx(0.5)
+
+
 def test_motion_within_a_scan_is_not_extrapolated_beyond_the_odometry(tmp_path):
     bag = Bag("sqlite3").odom(T0, 0.0).odom(T0 + 20_000_000, 1.0).scan(T0 + 10_000_000, [1.0] * 5)
     frame = frames_of(bag, tmp_path)[0]

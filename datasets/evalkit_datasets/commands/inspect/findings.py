@@ -29,6 +29,7 @@ MAX_OFFSET_RANGE_S = 0.05
 MAX_SCAN_STEP_M = 0.4
 HANDLED = "handled by the reader"
 DIRECTION = "direction of the angles"
+STAMPS = "stamps of the scans"
 LOG_LINES = "laser lines"
 
 
@@ -349,6 +350,7 @@ def _check_odometry(
         yield _warning(
             "odometry", "no wheel odometry in it, or one that stands still", "the initial guess is constant velocity"
         )
+    yield from _check_shift(turns, streams)
     for one in () if streams.poses_from else odometries:
         about = f"odometry {one.topic}" + (f" ({one.child})" if one.topic == "tf" else "")
         yield from _check_motion(one, about)
@@ -425,6 +427,21 @@ def _check_turning(turn: TurnComparison | None, about: str) -> Iterator[Inspecti
     elif turn is not None and turn.spread_deg > 1.5 and not turn.driving:
         what = f"its rotations differ from those of the scans by {turn.spread_deg:.1f} deg ({turn.pairs} turns)"
         yield _note(about, what, "a weak initial guess for registrations")
+
+
+def _check_shift(turns: Mapping[str, TurnComparison], streams: RecordingStreams) -> Iterator[InspectionFinding]:
+    """Warn of scans whose stamps are not the times at which the odometry rotates as they do."""
+    named = ((name.split()[0], turn) for name, turn in turns.items() if turn.is_shifted)
+    odometry, turn = next(named, ("", None))
+    if turn is None or streams.reader != "rosbag":
+        return
+    low, high = sorted(abs(value) for value in turn.shift_interval)
+    side = "later" if turn.shift_s > 0.0 else "earlier"
+    what = (
+        f"by the turns of {odometry}, the scans were taken {abs(turn.shift_s):.2f} s {side} than their stamps say "
+        f"({low:.2f} to {high:.2f} s, {turn.pairs} turns)"
+    )
+    yield _warning(STAMPS, what, f"if the stamps of the scans are wrong: --set stamp_shift_s={turn.shift_s:.2f}")
 
 
 def _check_direction(streams: RecordingStreams, turned: str, tree: FrameTree) -> Iterator[InspectionFinding]:

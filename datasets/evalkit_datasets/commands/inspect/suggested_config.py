@@ -20,6 +20,7 @@ from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import Choice
 from evalkit_datasets.commands.inspect.findings import (
     DIRECTION,
+    STAMPS,
     InspectionFinding,
     LidarStats,
     check_body,
@@ -216,9 +217,10 @@ def _choose_for_log(recording: Inspection) -> Iterator[Choice]:
 def _repeat_problems(recording: Inspection, given: Mapping[str, Value]) -> Iterator[Choice]:
     """Say before a comparison what makes its numbers wrong, such as ranges in another unit."""
     said: set[str] = set()  # the same odometry may come as messages and as tf
-    for finding in (one for one in recording.findings if one.level == "problem" or one.about == DIRECTION):
+    for finding in (one for one in recording.findings if one.level == "problem" or one.about in (DIRECTION, STAMPS)):
         unused = finding.about.startswith("odometry ") and given.get("odometry") == "none"
         stated = finding.about == DIRECTION and not STATES_DIRECTION.isdisjoint(given)
+        stated = stated or (finding.about == STAMPS and "stamp_shift_s" in given)
         if not unused and not stated and finding.what not in said:
             yield _repeat(finding)
         said.add(finding.what)
