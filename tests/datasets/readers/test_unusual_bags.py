@@ -613,3 +613,28 @@ def test_an_odometry_with_another_clock_is_not_taken(tmp_path, apart_s):
     side = "before" if apart_s > 0 else "after"
     (said,) = [one.reason for one in chosen if "two clocks" in one.reason and one.reason.startswith("problem")]
     assert f"it begins {abs(apart_s)} s {side} the scans" in said
+
+
+@pytest.mark.parametrize(("robot", "mounted", "speed"), [("robot1", 0.1, 1.0), ("robot2", 0.2, -2.0)])
+def test_frames_with_the_prefix_of_a_robot_are_odometry_and_base(tmp_path, robot, mounted, speed):
+    bag = Bag("mcap")
+    for name, x in (("robot1", 0.1), ("robot2", 0.2)):  # all in /tf, and no odometry messages
+        bag.tf(T0, f"{name}/base_link", f"{name}/laser", x, quaternion=(1.0, 0.0, 0.0, 0.0))
+    for at in range(30):
+        for name, pace in (("robot1", 1.0), ("robot2", -2.0)):
+            stamp = T0 + at * PERIOD
+            bag.tf(stamp, f"{name}/odom", f"{name}/base_link", pace * 0.1 * at, static=False)
+            bag.scan(stamp, [2.0, 3.0, 4.0, 5.0, 6.0], topic=f"/{name}/scan", frame=f"{name}/laser")
+    path = bag.write(tmp_path)
+    given = {"path": str(path), "topic": f"/{robot}/scan"}
+    chosen = {one.name: one.value for one in choose_parameters("rosbag", given)}
+    assert chosen["base_frame"] == f"{robot}/base_link"
+    for parameters in (given, given | {"base_frame": chosen["base_frame"]}):
+        last = list(RosBag(**parameters).frames())[-1]
+        assert last.base_from_sensor.x == pytest.approx(mounted)
+        assert last.odom_from_base.x == pytest.approx(2.9 * speed)
+        assert last.scan.angles[0] == pytest.approx(1.0)  # upside down
+    found = inspect_recording(path)
+    assert {seat.sensor: (seat.base, seat.mirrored) for seat in found.frames.mountings} == {
+        f"{name}/laser": (f"{name}/base_link", True) for name in ("robot1", "robot2")
+    }

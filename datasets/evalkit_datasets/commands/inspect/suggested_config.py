@@ -6,8 +6,9 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
 from evalkit_datasets.parsing.range_minimum import RANGE_MIN
+from evalkit_datasets.parsing.transforms import own_name, with_prefix_of
 from evalkit_datasets.parsing.truth_files import TruthPaths, load_truth
 from evalkit_datasets.recordings import catalog, data_sets
 
@@ -108,8 +110,13 @@ def choose_parameters(reader: str, given: Mapping[str, Value]) -> tuple[Choice, 
 
 def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Choice, ...], _Trial]:
     """Return the choices beside the given parameters, and the result of opening the recording with both."""
-    lidar = next((one for one in recording.lidars if one.topic == given.get("topic")), best_lidar(recording)[0])
-    choose = {"carmen": _choose_for_log, "rosbag": _choose_for_bag}.get(_find_reader(recording), _choose_for_columns)
+    topic = str(given.get("topic", "")).lstrip("/")
+    lidar = next((one for one in recording.lidars if one.topic.lstrip("/") == topic), best_lidar(recording)[0])
+    choosers: Mapping[str, Callable[[Inspection], Iterator[Choice]]] = {
+        "carmen": _choose_for_log,
+        "rosbag": partial(_choose_for_bag, lidar=lidar),
+    }
+    choose = choosers.get(_find_reader(recording), _choose_for_columns)
     choices = [*_repeat_problems(recording, given), *choose(recording), *_find_truth_files(recording, given)]
     choices += [*_repeat_body(lidar, given), *_choose_cells(lidar)]
     choices = [one for one in choices if one.name not in given]
@@ -152,8 +159,8 @@ def _is_tilted_by_name(lidar: LidarStats) -> bool:
     return any(word in lidar.topic.lower() for word in TILT_WORDS)
 
 
-def _choose_for_bag(recording: Inspection) -> Iterator[Choice]:
-    lidar, why = best_lidar(recording)
+def _choose_for_bag(recording: Inspection, lidar: LidarStats) -> Iterator[Choice]:
+    _, why = best_lidar(recording)
     yield Choice("topic", lidar.topic, f"topic {lidar.topic}: {why}")
     if fields := _find_fields(recording, lidar.topic):
         yield Choice("fields", fields, f"fields of {lidar.kind} by their names and values: {fields}; check the units")
@@ -166,7 +173,8 @@ def _choose_for_bag(recording: Inspection) -> Iterator[Choice]:
         why = "its times are not those of the scans" if apart else why
         yield Choice("odometry", "none", f"odometry none: {why}")
         return
-    named = next((one for one in usable if one.topic.lstrip("/") == "odom"), usable[0])
+    own = [one for one in usable if one.child in with_prefix_of(lidar.frame, [own_name(one.child)])] or usable
+    named = next((one for one in own if one.topic.lstrip("/") == "odom"), own[0])
     what = f"odometry {named.topic} of frame '{named.child}': {named.path_m:.1f} m"
     yield Choice("odometry", named.topic if len(messages) > 1 else None, what)
     if named.topic == "tf" and sum(one.topic == "tf" for one in usable) > 1:
