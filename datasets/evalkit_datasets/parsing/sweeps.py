@@ -211,13 +211,18 @@ def _parse_even_beams(message: Any, ranges: Floats, recorded_ns: int) -> Sweep |
     high = message.range_max if stated else MAX_RANGE_M
     geometry = [message.angle_min, message.angle_increment, message.range_min, high]
     plausible = np.isfinite(geometry).all() and 0.0 <= geometry[2] < geometry[3] and geometry[1] != 0.0
-    increment = float(message.time_increment)
-    increment = increment if np.isfinite(increment) and increment > 0.0 else 0.0
+    increment = _time_increment_s(message)
     if len(ranges) < 2 or not plausible or increment * len(ranges) > MAX_SWEEP_S:
         return None
     stamp, frame = parse_stamp_ns(message.header) or recorded_ns, normalise_frame(message.header.frame_id)
     first, step, low, high = map(float, geometry)
     return Sweep(stamp, frame, ranges, first, step, low, high, round(increment * 1e9))
+
+
+def _time_increment_s(message: Any) -> float:
+    """Return the time between two beams (s), 0 where the message does not state it."""
+    increment = float(getattr(message, "time_increment", 0.0))
+    return increment if np.isfinite(increment) and increment > 0.0 else 0.0
 
 
 def _parse_cloud(cloud: CloudSlice, message: Any, recorded_ns: int) -> Sweep | None:
@@ -251,7 +256,10 @@ def _parse_fields(options: SweepOptions, message: Any, recorded_ns: int) -> Swee
     low, high = (float(getattr(message, name, 0.0)) for name in ("range_min", "range_max"))
     scaled = [value * LENGTH_UNITS[fields.range_unit] for value in (low, high)]
     limits = scaled if np.isfinite(scaled).all() and 0.0 <= scaled[0] < scaled[1] else [0.0, MAX_RANGE_M]
-    return Sweep(stamp, frame, ranges, 0.0, 0.0, limits[0], limits[1], 0, angles)
+    increment = _time_increment_s(message)
+    if increment * len(ranges) > MAX_SWEEP_S:
+        return None
+    return Sweep(stamp, frame, ranges, 0.0, 0.0, limits[0], limits[1], round(increment * 1e9), angles)
 
 
 _PARSERS: Mapping[str, Callable[[Any, int], Sweep | None]] = {LASER_SCAN: _parse_laser, ECHOES: _parse_echoes}

@@ -203,7 +203,7 @@ def test_a_direction_that_cannot_be_checked_is_a_warning_unless_something_states
 def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_comparison(tmp_path, scale, period, said):
     bag = Bag("mcap")
     for k in range(12):
-        low_high = {"range_min": 0.001 * scale, "range_max": 30.0 * scale}
+        low_high = {"range_min": 0.001 * scale, "range_max": 30.0 * scale, "angle_increment": 0.01}
         bag.scan(T0 + k * period, scale * np.linspace(2.0, 4.0 + 0.01 * k, 200), **low_high)
     path = bag.write(tmp_path)
     recording = inspect_recording(path)
@@ -221,7 +221,7 @@ def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_compariso
 def test_millimetres_beyond_a_maximum_in_metres_are_noticed(tmp_path):
     bag = Bag("mcap")
     for k in range(12):
-        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), range_min=0.1, range_max=12.0)
+        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), range_max=12.0, angle_increment=0.01)
     (found,) = [one for one in inspect_recording(bag.write(tmp_path)).findings if one.level == "problem"]
     assert (
         found.what == "100 % of the ranges lie beyond the maximum of 12 m: millimetres or centimetres taken for metres?"
@@ -272,7 +272,7 @@ def test_an_odometry_that_restarts_is_said_once_before_a_comparison_that_uses_it
     bag = Bag("mcap")
     for k in range(60):
         x = 0.1 * speed * (k % 31)
-        bag.scan(T0 + k * PERIOD, np.linspace(2.0, 4.0 + 0.01 * k, 200), time_increment=0.0)
+        bag.scan(T0 + k * PERIOD, np.linspace(2.0, 4.0 + 0.01 * k, 200), time_increment=0.0, angle_increment=0.01)
         bag.odom(T0 + k * PERIOD, x).tf(T0 + k * PERIOD, "odom", "base_link", x, static=False)
     path = bag.tf(T0, "base_link", "laser").write(tmp_path)
     found = inspect_recording(path).findings
@@ -638,3 +638,32 @@ def test_frames_with_the_prefix_of_a_robot_are_odometry_and_base(tmp_path, robot
     assert {seat.sensor: (seat.base, seat.mirrored) for seat in found.frames.mountings} == {
         f"{name}/laser": (f"{name}/base_link", True) for name in ("robot1", "robot2")
     }
+
+
+def test_angles_in_degrees_are_a_problem_that_the_parameter_of_the_unit_mends(tmp_path):
+    bag = Bag("mcap")
+    for at in range(20):
+        bag.scan(T0 + at * PERIOD, [2.0 + 0.01 * at] * 360, angle_min=-180.0, angle_max=179.0, angle_increment=1.0)
+    path = bag.write(tmp_path)
+    (said,) = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "degrees" in one.reason]
+    assert "360 beams 57.3 deg apart are more than a full turn: degrees taken for radians?" in said
+    fields = re.search(r"fields=(.*)'$", said)[1]
+    angles = next(RosBag(str(path), fields=fields).frames()).scan.angles
+    np.testing.assert_allclose(np.degrees(angles[[0, -1]]), [-180.0, 179.0])
+    assert next(RosBag(str(path), fields=fields).frames()).scan.time_increment_ns == 10_000_000  # as without fields
+    mended = choose_parameters("rosbag", {"path": str(path), "fields": fields})
+    assert not [one for one in mended if "degrees" in one.reason]
+
+
+def test_a_lidar_without_a_mounting_is_said_to_be_taken_as_the_base(tmp_path):
+    told = "the lidar is taken as the base"
+    bare, seated = tmp_path / "bare", tmp_path / "seated"
+    for folder in (bare, seated):
+        folder.mkdir()
+        bag = Bag("mcap")
+        if folder is seated:
+            bag.tf(T0, "base_link", "laser")
+        for at in range(20):
+            bag.scan(T0 + at * PERIOD, [2.0, 3.0, 4.0, 5.0, 6.0])
+        chosen = choose_parameters("rosbag", {"path": str(bag.write(folder))})
+        assert any(one.reason.startswith(told) for one in chosen) is (folder is bare)

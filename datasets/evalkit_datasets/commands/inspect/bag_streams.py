@@ -13,7 +13,7 @@ from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStrea
 from evalkit_datasets.parsing import rosbag_parser
 from evalkit_datasets.parsing.robots import find_foreign_topics
 from evalkit_datasets.parsing.rosbag_parser import ODOMETRY_FRAME, Contents
-from evalkit_datasets.parsing.sweeps import CLOUD, MessageFields, Sweep, SweepOptions, guess_fields
+from evalkit_datasets.parsing.sweeps import CLOUD, LASER_SCAN, MessageFields, Sweep, SweepOptions, guess_fields
 from evalkit_datasets.parsing.transforms import TransformTree
 
 WANTED = {*rosbag_parser.LASER, CLOUD, rosbag_parser.ODOMETRY, *rosbag_parser.TRANSFORMS}
@@ -35,8 +35,13 @@ class _TopicContent:
     twists: array[float] = field(default_factory=lambda: array("d"))
 
 
-def read_bag_streams(path: Path, left_out: frozenset[str] = frozenset()) -> RecordingStreams:
-    """Return the streams of a bag without some topics; raises BadData if it cannot be read."""
+def read_bag_streams(
+    path: Path, left_out: frozenset[str] = frozenset(), fields: MessageFields | None = None
+) -> RecordingStreams:
+    """Return the streams of a bag without some topics; raises BadData if it cannot be read.
+
+    ``fields``: how the user reads the laser scans; None: as they state.
+    """
     taken: dict[str, _TopicContent] = {}
     tree = Contents()
     with rosbag_parser.open_bag(path) as reader:
@@ -56,7 +61,8 @@ def read_bag_streams(path: Path, left_out: frozenset[str] = frozenset()) -> Reco
             if connection.msgtype in rosbag_parser.TRANSFORMS:
                 rosbag_parser.add_transforms(tree, message, connection.topic.endswith("tf_static"))
                 continue
-            own = taken.setdefault(connection.topic, _TopicContent(connection.msgtype, unusual.get(connection.topic)))
+            read_as = fields if connection.msgtype == LASER_SCAN else unusual.get(connection.topic)
+            own = taken.setdefault(connection.topic, _TopicContent(connection.msgtype, read_as))
             _take_message(own, connection.topic, message, int(recorded_ns))
     wheels = [
         _make_odometry_stream(own)

@@ -81,6 +81,9 @@ class LidarStats:
 MAX_MEDIAN_M, MIN_MEDIAN_M = 200.0, 0.02
 """Median range of a scan beyond which the unit is doubted."""
 
+MAX_VIEW_DEG = 400.0
+"""A wider field of view is doubted: revolutions may overlap a little."""
+
 MAX_BEYOND = 0.5
 """Share of finite ranges beyond the declared maximum from which the unit is doubted."""
 
@@ -264,6 +267,9 @@ def _check_units(lidar: LidarStats) -> Iterator[InspectionFinding]:
     elif 0.0 < middle < MIN_MEDIAN_M:
         what = f"the median range is {1e3 * middle:.1f} mm: metres taken for millimetres?"
         yield _problem(lidar.topic, what, 'a bag: record metres; a text log: unit = "m" in [scan]')
+    if abs(lidar.step_deg) * (lidar.beams - 1) > MAX_VIEW_DEG:
+        what = f"{lidar.beams} beams {abs(lidar.step_deg):.3g} deg apart are more than a full turn"
+        yield _problem(lidar.topic, f"{what}: degrees taken for radians?", f"a bag: --set '{FIELDS} angle_unit=deg'")
     if lidar.timing.usable and lidar.timing.count > MIN_RATED and not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
         what = f"{rate:.3g} scans per second: stamps in another unit than they are read in?"
         yield _problem(

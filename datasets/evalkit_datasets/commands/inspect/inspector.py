@@ -105,8 +105,8 @@ def _read_streams(
     path: Path, reader: str, given: Mapping[str, Value], left_out: frozenset[str] = frozenset()
 ) -> RecordingStreams:
     if reader == ROSBAG:
-        streams = bag_streams.read_bag_streams(path, left_out)
         fields = parse_fields(str(given.get("fields", "")))
+        streams = bag_streams.read_bag_streams(path, left_out, fields)
         return _reverse_angles(streams) if fields is not None and fields.clockwise else streams
     if reader == CARMEN:
         return log_streams.read_log_streams(path)

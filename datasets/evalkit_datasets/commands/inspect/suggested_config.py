@@ -185,6 +185,9 @@ def _choose_mounting(recording: Inspection, lidar: LidarStats, recorded: Pose) -
     """Choose the heading that straight drives show where nothing states it; say where it contradicts what is stated."""
     angle = _measure_mounting(recording, lidar)
     if angle is None:
+        if _find_reader(recording) == "rosbag" and lidar.frame not in recording.frames.names:
+            why = "the lidar is taken as the base: no transform states its mounting, and no straight drive shows it"
+            yield Choice("base_from_sensor", None, f"{why}; beside a ground truth, give base_from_sensor")
         return
     off_deg = math.degrees(float(wrap(math.radians(angle.heading_deg) - recorded.theta)))
     if abs(off_deg) < MIN_MOUNTING_DEG:
