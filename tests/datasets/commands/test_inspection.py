@@ -366,6 +366,23 @@ def drive(count=60, code=None):
     return [flaser(f"{1000 + 0.1 * at:.6f}", rows[at], poses[at]) for at in range(count)]
 
 
+def test_a_log_of_a_lidar_that_sees_all_around_is_found_by_the_turns(tmp_path):
+    headings = 0.5 * np.sin(0.07 * np.arange(300))
+    ways = np.radians(np.arange(-180.0, 180.0)) + headings[:, None]
+    rows = 3.0 + np.cos(2 * ways) + 0.5 * np.sin(5 * ways) + 0.3 * np.cos(11 * ways + 1.0)
+    lines = [flaser(f"{1000 + 0.1 * at:.6f}", rows[at], (0.0, 0.0, headings[at])) for at in range(300)]
+    path = log(tmp_path, *lines)
+    carmen = registry.dataset("carmen")
+    (said,) = [one.reason for one in carmen.choose({"path": str(path)}) if "see all around" in one.reason]
+    assert said.startswith("problem: angles of FLASER lines")
+    given = {"start_deg": -180.0, "step_deg": 1.0}
+    assert "--set start_deg=-180 --set step_deg=1," in said
+    assert not [one for one in carmen.choose({"path": str(path), **given}) if "all around" in one.reason]
+    half = [flaser(f"{1000 + 0.1 * at:.6f}", rows[at][90:270], (0.0, 0.0, headings[at])) for at in range(300)]
+    other = log(tmp_path, *half, name="half.log")
+    assert not [one for one in carmen.choose({"path": str(other)}) if "all around" in one.reason]
+
+
 def run_inspection(found):
     return " | ".join(f"{one.about}: {one.what}; {one.advice}" for one in found.findings)
 

@@ -30,6 +30,7 @@ MAX_SCAN_STEP_M = 0.4
 HANDLED = "handled by the reader"
 DIRECTION = "direction of the angles"
 STAMPS = "stamps of the scans"
+FLASER_ANGLES = "angles of FLASER lines"
 LOG_LINES = "laser lines"
 
 
@@ -84,6 +85,9 @@ MAX_MEDIAN_M, MIN_MEDIAN_M = 200.0, 0.02
 MAX_VIEW_DEG = 400.0
 """A wider field of view is doubted: revolutions may overlap a little."""
 
+MAX_VIEW_ERROR_DEG = 30.0
+"""Error of a field of view that follows from turns of the odometry."""
+
 MAX_BEYOND = 0.5
 """Share of finite ranges beyond the declared maximum from which the unit is doubted."""
 
@@ -120,6 +124,7 @@ def collect_findings(
     rank: dict[Level, int] = {"problem": 0, "warning": 1, "note": 2}
     found = [*_check_file(streams, inside), *_check_lidars(lidars), *_check_scan_steps(odometries, streams),
              *_check_odometry(odometries, turns, streams), *_check_standing(lidars, odometries),
+             *_check_full_turn(lidars, turns, streams),
              *_check_clocks(lidars, odometries),
              *_check_direction(streams, turned, tree), *_check_frames(tree, streams)]  # fmt: skip
     return tuple(sorted(found, key=lambda finding: rank[finding.level]))
@@ -433,6 +438,21 @@ def _check_turning(turn: TurnComparison | None, about: str) -> Iterator[Inspecti
     elif turn is not None and turn.spread_deg > 1.5 and not turn.driving:
         what = f"its rotations differ from those of the scans by {turn.spread_deg:.1f} deg ({turn.pairs} turns)"
         yield _note(about, what, "a weak initial guess for registrations")
+
+
+def _check_full_turn(
+    lidars: Sequence[LidarStats], turns: Mapping[str, TurnComparison], streams: RecordingStreams
+) -> Iterator[InspectionFinding]:
+    """Report FLASER lines, which state no angles, of a lidar that sees all around by the turns of the odometry."""
+    if len(lidars) != 1 or not any(topic.name == "FLASER" for topic in streams.topics):
+        return
+    for turn in turns.values():
+        view_deg = lidars[0].beams * lidars[0].step_deg / turn.scale if turn.scale > 0.0 else 0.0
+        if turn.differs and not turn.driving and abs(view_deg - 360.0) < MAX_VIEW_ERROR_DEG:
+            what = f"by {turn.pairs} turns of the odometry, {lidars[0].beams} beams see all around, not half of it"
+            mend = f"--set start_deg=-180 --set step_deg={360.0 / lidars[0].beams:.6g}, or where the first beam points"
+            yield _problem(FLASER_ANGLES, what, mend)
+            return
 
 
 def _check_shift(turns: Mapping[str, TurnComparison], streams: RecordingStreams) -> Iterator[InspectionFinding]:

@@ -21,6 +21,7 @@ from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import Choice
 from evalkit_datasets.commands.inspect.findings import (
     DIRECTION,
+    FLASER_ANGLES,
     STAMPS,
     InspectionFinding,
     LidarStats,
@@ -39,8 +40,12 @@ from evalkit_datasets.recordings import catalog, data_sets
 TILT_WORDS = ("vertical",)
 MAPPER = "mapper."
 PROBLEM = "problem"  # the name of a choice that sets nothing
-STATES_DIRECTION = {"base_from_sensor", "fields"}
-"""Parameters of a user who knows how the lidar is mounted."""
+STATED_BY: Mapping[str, frozenset[str]] = {
+    DIRECTION: frozenset({"base_from_sensor", "fields"}),
+    STAMPS: frozenset({"stamp_shift_s"}),
+    FLASER_ANGLES: frozenset({"start_deg", "step_deg"}),
+}
+"""Parameters of a user who has read a finding, by what it is about: it is not repeated."""
 
 MIN_MOUNTING_DEG, MAX_SQUARE_DEG = 5.0, 2.0
 """A smaller heading is not applied; a heading this close to a multiple of 90 deg is taken as that."""
@@ -230,8 +235,7 @@ def _repeat_problems(recording: Inspection, given: Mapping[str, Value]) -> Itera
     said: set[str] = set()  # the same odometry may come as messages and as tf
     for finding in (one for one in recording.findings if one.level == "problem" or one.about in (DIRECTION, STAMPS)):
         unused = finding.about.startswith("odometry ") and given.get("odometry") == "none"
-        stated = finding.about == DIRECTION and not STATES_DIRECTION.isdisjoint(given)
-        stated = stated or (finding.about == STAMPS and "stamp_shift_s" in given)
+        stated = not STATED_BY.get(finding.about, frozenset()).isdisjoint(given)
         if not unused and not stated and finding.what not in said:
             yield _repeat(finding)
         said.add(finding.what)
