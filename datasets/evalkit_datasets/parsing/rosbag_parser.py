@@ -20,6 +20,7 @@ from evalkit.io.timestamps import order_stamps
 from evalkit_datasets.parsing import sweeps
 from evalkit_datasets.parsing.bag_limits import check_topics
 from evalkit_datasets.parsing.buffers import PoseBuffer
+from evalkit_datasets.parsing.robots import find_foreign_topics
 from evalkit_datasets.parsing.sweeps import Sweep, SweepOptions, normalise_frame, parse_stamp_ns
 from evalkit_datasets.parsing.transforms import (
     Transform,
@@ -139,15 +140,24 @@ def read_bag(path: Path, topic: str, which: slice, options: SweepOptions) -> tup
     with open_bag(path) as reader:
         topics = {name: (str(about.msgtype), int(about.msgcount)) for name, about in reader.topics.items()}
         contents = Contents(damage=find_damage(reader))
-        scans = _read_scans(reader, _select_laser_topic(path, topics, topic, options), contents, options)
-        for connection, message, _ in iter_messages(reader, (ODOMETRY,)):
+        laser = _select_laser_topic(path, topics, topic, options)
+        scans = _read_scans(reader, laser, contents, options)
+        foreign = find_foreign_topics(laser, *_list_topics(topics, options))
+        for connection, message, _ in iter_messages(reader, (ODOMETRY,), foreign):
             add_odometry(contents, connection.topic, message)
         taken = scans.stamps_ns[which]
         contents.tree.near_ns = int(taken[0]) if len(taken) else 0
         contents.tree.odometry_parents = frozenset({ODOMETRY_FRAME, *(parent for _, parent, _ in contents.odometry)})
-        for connection, message, _ in iter_messages(reader, TRANSFORMS):
+        for connection, message, _ in iter_messages(reader, TRANSFORMS, foreign):
             add_transforms(contents, message, connection.topic.endswith("tf_static"))
     return scans, contents
+
+
+def _list_topics(topics: dict[str, tuple[str, int]], options: SweepOptions) -> tuple[list[str], list[str]]:
+    """Return the topics with sweeps, and those with odometry or transforms."""
+    filled = {name: kind for name, (kind, count) in topics.items() if count}
+    motions = [name for name, kind in filled.items() if kind in (ODOMETRY, *TRANSFORMS)]
+    return [name for name, kind in filled.items() if name not in motions and _holds_sweeps(kind, options)], motions
 
 
 def iter_sweeps(path: Path, scans: BagScans, options: SweepOptions) -> Iterator[tuple[int, Sweep]]:
@@ -212,9 +222,11 @@ def _holds_sweeps(kind: str, options: SweepOptions) -> bool:
     return kind in (*LASER, sweeps.CLOUD) or options.fields is not None
 
 
-def iter_messages(reader: Any, kinds: tuple[str, ...]) -> Iterator[tuple[Any, Any, int]]:
-    """Yield connection, message and time of recording of all messages of given types."""
-    wanted = [connection for connection in reader.connections if connection.msgtype in kinds]
+def iter_messages(
+    reader: Any, kinds: tuple[str, ...], left_out: frozenset[str] = frozenset()
+) -> Iterator[tuple[Any, Any, int]]:
+    """Yield connection, message and time of recording of all messages of given types, without some topics."""
+    wanted = [one for one in reader.connections if one.msgtype in kinds and one.topic not in left_out]
     if wanted:  # the reader treats an empty list as all
         for connection, recorded_ns, raw in reader.messages(connections=wanted):
             yield connection, reader.deserialize(raw, connection.msgtype), int(recorded_ns)

@@ -100,12 +100,14 @@ class SweepOptions:
 
     ``sweep_s``: time from the first beam to the last (s) of scans that do not say it; 0: they are taken at once. Clouds
     have no order of beams, and are always taken at once. ``range_min_m``: the least minimum of a sweep's ranges.
+    ``stamp_shift_s``: added to the stamps.
     """
 
     cloud: CloudSlice = field(default_factory=CloudSlice)
     fields: MessageFields | None = None
     sweep_s: float = 0.0
     range_min_m: float = 0.0
+    stamp_shift_s: float = 0.0
 
 
 def parse_fields(text: str) -> MessageFields | None:
@@ -166,15 +168,20 @@ def value_at(message: Any, path: str) -> Any:
 
 def parse_sweep(message: Any, kind: str, recorded_ns: int, options: SweepOptions) -> Sweep | None:
     """Return the sweep of a message, None if the message is damaged; ``recorded_ns`` is its time if it has no stamp."""
-    if options.fields is None and kind == CLOUD:
-        return _parse_cloud(options.cloud, message, recorded_ns)
+    is_cloud = options.fields is None and kind == CLOUD
     by_fields = options.fields is not None or kind not in _PARSERS
-    sweep = _parse_fields(options, message, recorded_ns) if by_fields else _PARSERS[kind](message, recorded_ns)
+    if is_cloud:
+        sweep = _parse_cloud(options.cloud, message, recorded_ns)
+    else:
+        sweep = _parse_fields(options, message, recorded_ns) if by_fields else _PARSERS[kind](message, recorded_ns)
     if sweep is None:
         return None
+    stamp_ns = sweep.stamp_ns + round(options.stamp_shift_s * 1e9)
+    if is_cloud:
+        return replace(sweep, stamp_ns=stamp_ns)
     low = raise_range_min_m("rosbag", sweep.range_min_m, options.range_min_m, sweep.range_max_m)
     increment_ns = sweep.time_increment_ns or round(options.sweep_s * 1e9 / (len(sweep.ranges) - 1))
-    return replace(sweep, range_min_m=low, time_increment_ns=increment_ns)
+    return replace(sweep, stamp_ns=stamp_ns, range_min_m=low, time_increment_ns=increment_ns)
 
 
 def parse_stamp_ns(header: Any) -> int:
@@ -200,15 +207,22 @@ def _parse_echoes(message: Any, recorded_ns: int) -> Sweep | None:
 
 
 def _parse_even_beams(message: Any, ranges: Floats, recorded_ns: int) -> Sweep | None:
-    geometry = [message.angle_min, message.angle_increment, message.range_min, message.range_max]
+    stated = message.range_max not in (0.0, np.inf)
+    high = message.range_max if stated else MAX_RANGE_M
+    geometry = [message.angle_min, message.angle_increment, message.range_min, high]
     plausible = np.isfinite(geometry).all() and 0.0 <= geometry[2] < geometry[3] and geometry[1] != 0.0
-    increment = float(message.time_increment)
-    increment = increment if np.isfinite(increment) and increment > 0.0 else 0.0
+    increment = _time_increment_s(message)
     if len(ranges) < 2 or not plausible or increment * len(ranges) > MAX_SWEEP_S:
         return None
     stamp, frame = parse_stamp_ns(message.header) or recorded_ns, normalise_frame(message.header.frame_id)
     first, step, low, high = map(float, geometry)
     return Sweep(stamp, frame, ranges, first, step, low, high, round(increment * 1e9))
+
+
+def _time_increment_s(message: Any) -> float:
+    """Return the time between two beams (s), 0 where the message does not state it."""
+    increment = float(getattr(message, "time_increment", 0.0))
+    return increment if np.isfinite(increment) and increment > 0.0 else 0.0
 
 
 def _parse_cloud(cloud: CloudSlice, message: Any, recorded_ns: int) -> Sweep | None:
@@ -242,7 +256,10 @@ def _parse_fields(options: SweepOptions, message: Any, recorded_ns: int) -> Swee
     low, high = (float(getattr(message, name, 0.0)) for name in ("range_min", "range_max"))
     scaled = [value * LENGTH_UNITS[fields.range_unit] for value in (low, high)]
     limits = scaled if np.isfinite(scaled).all() and 0.0 <= scaled[0] < scaled[1] else [0.0, MAX_RANGE_M]
-    return Sweep(stamp, frame, ranges, 0.0, 0.0, limits[0], limits[1], 0, angles)
+    increment = _time_increment_s(message)
+    if increment * len(ranges) > MAX_SWEEP_S:
+        return None
+    return Sweep(stamp, frame, ranges, 0.0, 0.0, limits[0], limits[1], round(increment * 1e9), angles)
 
 
 _PARSERS: Mapping[str, Callable[[Any, int], Sweep | None]] = {LASER_SCAN: _parse_laser, ECHOES: _parse_echoes}

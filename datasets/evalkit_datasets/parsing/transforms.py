@@ -33,12 +33,24 @@ class Transform:
     parent_from_child: Floats
 
 
+def own_name(frame: str) -> str:
+    """Return the name of a frame without the prefix of its robot: "odom" of "robot1/odom"."""
+    return frame.rpartition("/")[2]
+
+
+def with_prefix_of(frame: str, names: Iterable[str]) -> list[str]:
+    """Return names with the prefix that a frame has of its robot, if any, and then without."""
+    prefix, plain = frame.rpartition("/")[0], list(names)
+    return [*(f"{prefix}/{name}" for name in plain), *plain] if prefix else plain
+
+
 @dataclass(eq=False)
 class TransformTree:
     """Static and moving transforms by child frame; a frame may be published under several parents.
 
     ``near_ns``: only the moving transform nearest to this time is kept, None: all are. ``odometry_parents``: parents
-    whose moving children also keep all their planar poses, in ``paths``. ``counts``: messages of each moving child.
+    (with any prefix of a robot) whose moving children also keep all their planar poses, in ``paths``. ``counts``:
+    messages of each moving child.
     """
 
     static: dict[str, dict[str, Transform]] = field(default_factory=dict)
@@ -55,7 +67,7 @@ class TransformTree:
             return
         pair = edge.parent, edge.child
         self.counts[pair] += 1
-        if edge.parent in self.odometry_parents:
+        if not self.odometry_parents.isdisjoint((edge.parent, own_name(edge.parent))):
             pose = planar_pose_from_matrix(edge.parent_from_child)
             self.paths.setdefault(pair, PoseBuffer()).append(edge.stamp_ns, pose.row)
         kept = self.moving.setdefault(pair, [])

@@ -3,8 +3,8 @@
 ``scan.stamp_ns`` is the header's time (the first beam), not the time of recording. Ranges follow REP-117: inf is no
 return; -inf, nan, zero, negative ranges and those below the sensor's minimum, or ``range_min_m`` if that is larger, are
 invalid. The maximum itself is also no return: drivers write it for beams without an echo (2.5 % of the ranges of one
-recording are exactly 60 m). The angles of a lidar mounted upside down are mirrored, so that base_from_sensor is a
-motion of the plane.
+recording are exactly 60 m). A maximum of 0 or inf states none: it is 100 m then. The angles of a lidar mounted upside
+down are mirrored, so that base_from_sensor is a motion of the plane.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from evalkit_datasets.parsing.cloud_slice import CloudSlice
 from evalkit_datasets.parsing.range_minimum import RANGE_MIN
 from evalkit_datasets.parsing.rosbag_parser import BagScans, Contents
 from evalkit_datasets.parsing.sweeps import Sweep, SweepOptions, parse_fields
-from evalkit_datasets.parsing.transforms import Mounting
+from evalkit_datasets.parsing.transforms import Mounting, own_name, with_prefix_of
 from evalkit_datasets.parsing.truth_files import TruthPaths
 from evalkit_datasets.readers import reader_common
 
@@ -66,10 +66,11 @@ class RosBag:
         beams: int = CloudSlice.beams,
         sweep_s: float = 0.0,
         range_min_m: float = 0.0,
+        stamp_shift_s: float = 0.0,
     ) -> None:
         self._path = reader_common.check_exists("rosbag", path)
         cloud = CloudSlice(height_min_m, height_max_m, beams).beyond("rosbag", range_min_m)
-        self._options = SweepOptions(cloud, parse_fields(fields), sweep_s, range_min_m)
+        self._options = SweepOptions(cloud, parse_fields(fields), sweep_s, range_min_m, stamp_shift_s)
         which = reader_common.select_scans(start, every, limit)
         whole, contents = rosbag_parser.read_bag(self._path, topic, which, self._options)
         self._counts = self._count_defects(whole, contents)
@@ -152,7 +153,7 @@ class RosBag:
             return None, ""
         key = None if wanted == "tf" else self._select_odometry_topic(contents, wanted)
         if key is None:
-            parent, child = _select_odometry_frames(contents, base_frame)
+            parent, child = _select_odometry_frames(contents, base_frame, self._scans.first_frame)
             parts = _find_tf_poses(contents, parent, child)
         else:
             _, parent, child = key
@@ -181,7 +182,8 @@ class RosBag:
     def _guess_base(self, contents: Contents) -> str:
         """Return the first base frame with a usual name, else the lidar's frame."""
         frames = contents.tree.frames()
-        return next((name for name in BASE_FRAMES if name in frames), self._scans.first_frame)
+        usual = with_prefix_of(self._scans.first_frame, BASE_FRAMES)
+        return next((name for name in usual if name in frames), self._scans.first_frame)
 
     def _find_mounting(self, contents: Contents, base: str, required: bool) -> Mounting:
         sensor = self._scans.first_frame
@@ -240,13 +242,17 @@ def _is_covered(odometry: Trajectory, begins: Stamps, ends: Stamps) -> Bools:
     return np.asarray((begins >= first) & (ends <= last) & (ends > begins))
 
 
-def _select_odometry_frames(contents: Contents, base_frame: str) -> tuple[str, str]:
-    """Return the two frames of odometry from tf: "odom", and the given base or the first usual one."""
-    children = [child for parent, child in contents.tree.moving if parent == rosbag_parser.ODOMETRY_FRAME]
-    for name in (base_frame, *BASE_FRAMES, *sorted(children)):
-        if name in children:
-            return rosbag_parser.ODOMETRY_FRAME, name
-    return rosbag_parser.ODOMETRY_FRAME, ""
+def _select_odometry_frames(contents: Contents, base_frame: str, sensor: str) -> tuple[str, str]:
+    """Return the two frames of odometry from tf: "odom", and the given base or the first usual one.
+
+    Both may have the prefix of a robot; that of the sensor comes first.
+    """
+    parents = with_prefix_of(sensor, [rosbag_parser.ODOMETRY_FRAME])
+    parents += sorted({one for one, _ in contents.tree.moving if own_name(one) == rosbag_parser.ODOMETRY_FRAME})
+    pairs = [(parent, child) for parent in parents for one, child in contents.tree.moving if one == parent]
+    bases = [base_frame, *with_prefix_of(sensor, BASE_FRAMES)]
+    usual = ((parent, child) for name in bases for parent, child in pairs if child == name)
+    return next(usual, min(pairs, key=lambda pair: parents.index(pair[0]), default=(rosbag_parser.ODOMETRY_FRAME, "")))
 
 
 def _find_tf_poses(contents: Contents, parent: str, child: str) -> list[PoseBuffer]:
@@ -298,6 +304,7 @@ SPEC = DatasetSpec(
             high=10.0,
         ),
         RANGE_MIN,
+        Parameter("stamp_shift_s", 0.0, "s", "added to the stamps of the scans, where their clock is another one"),
         *reader_common.SELECTION,
     ),
     missing=partial(reader_common.describe_missing_files, "rosbag"),

@@ -79,6 +79,23 @@ def test_a_clock_with_offset_and_drift_is_reported():
     assert found.drift_ppm == pytest.approx(40.0, abs=0.1)
 
 
+def test_a_clock_that_was_set_is_a_step_and_no_drift():
+    recorded = np.arange(0.0, 20.0, 0.1)
+    set_forward = measure_clock_offset(seconds(*(recorded + 5.0 * (recorded > 9.95))), seconds(*recorded))
+    assert (set_forward.step_s, set_forward.step_at_s) == (pytest.approx(5.0), pytest.approx(10.0))
+    assert measure_clock_offset(seconds(*(recorded + 0.01 * recorded)), seconds(*recorded)).step_s == 0.0
+
+
+def test_stamps_that_step_back_leave_the_parts_before_and_behind_the_overlap():
+    recorded = np.arange(0.0, 10.0, 0.1)
+    found = measure_timing(seconds(*np.round(recorded - 2.05 * (recorded > 4.95), 3)))
+    assert found.steps_back == 1
+    assert (found.step_back.at_s, found.step_back.length_s) == (pytest.approx(4.9), pytest.approx(1.95))
+    assert found.step_back.before == 30  # 0.0 to 2.9 s; the first behind the step is 2.95 s
+    assert found.step_back.behind == 70  # all up to 4.9 s: 50 before the step, 20 behind it
+    assert measure_timing(seconds(0.0, 0.2, 0.1, 0.3)).step_back is None  # two messages changed places
+
+
 # --- ranges
 
 
@@ -309,6 +326,18 @@ def turning(turns):
     return OdometryStream("/odom", "odom", "base_link", np.arange(len(turns)) * S // 10, poses)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.3, -0.2])
+def test_stamps_that_are_not_the_times_of_the_scans_are_found_by_the_turns(late_s):
+    times, fine = np.arange(0.0, 60.0, 0.1), np.arange(0.0, 60.0, 0.02)
+    scans = laser(round_view(np.sin(0.7 * times)), seconds(*(times - late_s + 10.0)))  # turns to and fro on the spot
+    heading = np.sin(0.7 * fine)
+    poses = np.column_stack([0.0 * heading, 0.0 * heading, heading])
+    found = compare_turns(OdometryStream("/odom", "odom", "base", seconds(*(fine + 10.0)), poses), scans)
+    assert found.shift_s == pytest.approx(late_s, abs=0.03)
+    assert found.shift_interval == pytest.approx((late_s, late_s), abs=0.04)
+    assert found.is_shifted is (late_s != 0.0)
+
+
 def test_turns_are_not_compared_with_too_few_pairs():
     assert compare_turns(arc(count=5, stop=0), laser(walls(5))) is None
     assert odometry_stats.MIN_PAIRS > 5
@@ -335,6 +364,23 @@ def drive(count=60, code=None):
     if code is not None:
         rows[np.random.default_rng(5).random(rows.shape) < 0.03] = code
     return [flaser(f"{1000 + 0.1 * at:.6f}", rows[at], poses[at]) for at in range(count)]
+
+
+def test_a_log_of_a_lidar_that_sees_all_around_is_found_by_the_turns(tmp_path):
+    headings = 0.5 * np.sin(0.07 * np.arange(300))
+    ways = np.radians(np.arange(-180.0, 180.0)) + headings[:, None]
+    rows = 3.0 + np.cos(2 * ways) + 0.5 * np.sin(5 * ways) + 0.3 * np.cos(11 * ways + 1.0)
+    lines = [flaser(f"{1000 + 0.1 * at:.6f}", rows[at], (0.0, 0.0, headings[at])) for at in range(300)]
+    path = log(tmp_path, *lines)
+    carmen = registry.dataset("carmen")
+    (said,) = [one.reason for one in carmen.choose({"path": str(path)}) if "see all around" in one.reason]
+    assert said.startswith("problem: angles of FLASER lines")
+    given = {"start_deg": -180.0, "step_deg": 1.0}
+    assert "--set start_deg=-180 --set step_deg=1," in said
+    assert not [one for one in carmen.choose({"path": str(path), **given}) if "all around" in one.reason]
+    half = [flaser(f"{1000 + 0.1 * at:.6f}", rows[at][90:270], (0.0, 0.0, headings[at])) for at in range(300)]
+    other = log(tmp_path, *half, name="half.log")
+    assert not [one for one in carmen.choose({"path": str(other)}) if "all around" in one.reason]
 
 
 def run_inspection(found):

@@ -81,7 +81,7 @@ class Bag:
         )  # fmt: skip
         return self.add(topic, "nav_msgs/msg/Odometry", message, stamp)
 
-    def tf(self, stamp, parent, child, x=0.0, y=0.0, quaternion=(0.0, 0.0, 0.0, 1.0), static=True):
+    def tf(self, stamp, parent, child, x=0.0, y=0.0, quaternion=(0.0, 0.0, 0.0, 1.0), static=True, space=""):
         transform = self.make(
             "geometry_msgs/msg/TransformStamped", self.header(stamp, parent), child,
             self.make(
@@ -95,7 +95,8 @@ class Bag:
             )
             self.store.register(definition)
         message = self.make("tf2_msgs/msg/TFMessage", [transform])
-        return self.add("/tf_static" if static else "/tf", "tf2_msgs/msg/TFMessage", message, max(stamp, T0))
+        topic = f"{space}/tf{'_static' if static else ''}"
+        return self.add(topic, "tf2_msgs/msg/TFMessage", message, max(stamp, T0))
 
     def write(self, folder, packed=""):
         """Write the bag; returns its path. ``packed``: bz2 or lz4 for ROS 1, file, message or storage for ROS 2."""
@@ -172,6 +173,13 @@ def test_the_time_of_a_sweep_is_given_where_the_scans_do_not_say_it(tmp_path):
     assert stated.scan.time_increment_ns == 10_000_000  # as recorded
 
 
+def test_stamps_of_another_clock_are_shifted(tmp_path):
+    bag = Bag("mcap").odom(T0, 0.0).odom(T0 + 10**9, 1.0).scan(T0 + 3_600 * 10**9, [1.0] * 5)
+    (frame,) = frames_of(bag, tmp_path, stamp_shift_s=-3599.5)
+    assert frame.scan.stamp_ns == T0 + 500_000_000
+    assert frame.odom_from_base.x == pytest.approx(0.5)
+
+
 def test_motion_within_a_scan_is_not_extrapolated_beyond_the_odometry(tmp_path):
     bag = Bag("sqlite3").odom(T0, 0.0).odom(T0 + 20_000_000, 1.0).scan(T0 + 10_000_000, [1.0] * 5)
     frame = frames_of(bag, tmp_path)[0]
@@ -223,6 +231,14 @@ def test_messages_with_implausible_geometry_are_dropped_and_counted(tmp_path):
     sequence = RosBag(str(bag.write(tmp_path)))
     assert len(sequence) == 1
     assert sequence.notes()["damaged messages dropped"] == 4
+
+
+@pytest.mark.parametrize("stated", [0.0, math.inf])
+def test_a_maximum_that_is_not_stated_is_100_m(tmp_path, stated):
+    bag = Bag("mcap").scan(T0, [1.0, 45.0, 120.0, math.inf], range_max=stated)
+    scan = frames_of(bag, tmp_path)[0].scan
+    assert scan.range_max_m == 100.0
+    assert scan.ranges.tolist() == [1.0, 45.0, math.inf, math.inf]
 
 
 # --- time

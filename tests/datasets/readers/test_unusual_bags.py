@@ -203,7 +203,7 @@ def test_a_direction_that_cannot_be_checked_is_a_warning_unless_something_states
 def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_comparison(tmp_path, scale, period, said):
     bag = Bag("mcap")
     for k in range(12):
-        low_high = {"range_min": 0.001 * scale, "range_max": 30.0 * scale}
+        low_high = {"range_min": 0.001 * scale, "range_max": 30.0 * scale, "angle_increment": 0.01}
         bag.scan(T0 + k * period, scale * np.linspace(2.0, 4.0 + 0.01 * k, 200), **low_high)
     path = bag.write(tmp_path)
     recording = inspect_recording(path)
@@ -221,7 +221,7 @@ def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_compariso
 def test_millimetres_beyond_a_maximum_in_metres_are_noticed(tmp_path):
     bag = Bag("mcap")
     for k in range(12):
-        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), range_min=0.1, range_max=12.0)
+        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), range_max=12.0, angle_increment=0.01)
     (found,) = [one for one in inspect_recording(bag.write(tmp_path)).findings if one.level == "problem"]
     assert (
         found.what == "100 % of the ranges lie beyond the maximum of 12 m: millimetres or centimetres taken for metres?"
@@ -272,7 +272,7 @@ def test_an_odometry_that_restarts_is_said_once_before_a_comparison_that_uses_it
     bag = Bag("mcap")
     for k in range(60):
         x = 0.1 * speed * (k % 31)
-        bag.scan(T0 + k * PERIOD, np.linspace(2.0, 4.0 + 0.01 * k, 200), time_increment=0.0)
+        bag.scan(T0 + k * PERIOD, np.linspace(2.0, 4.0 + 0.01 * k, 200), time_increment=0.0, angle_increment=0.01)
         bag.odom(T0 + k * PERIOD, x).tf(T0 + k * PERIOD, "odom", "base_link", x, static=False)
     path = bag.tf(T0, "base_link", "laser").write(tmp_path)
     found = inspect_recording(path).findings
@@ -550,3 +550,120 @@ def test_a_bag_with_too_many_topics_is_refused_at_once_with_what_to_do(tmp_path,
         with pytest.raises(BadData, match=f"{said}.*; copy the topics you need: rosbags-convert"):
             read(str(path))
     assert time.process_time() - began < 1.0
+
+
+def two_robots(folder):
+    """A bag of two robots whose frames have the same names: only the namespaces of the topics tell them apart."""
+    bag = Bag("mcap")
+    for space, x in (("/robot1", 0.1), ("/robot2", 0.2)):
+        bag.tf(T0, "base_link", "laser", x, space=space)
+    for at in range(30):
+        for space, speed in (("/robot1", 1.0), ("/robot2", -2.0)):
+            stamp = T0 + at * PERIOD + (space == "/robot2")
+            bag.odom(stamp, speed * 0.1 * at, topic=f"{space}/odom")
+            bag.tf(stamp, "odom", "base_link", speed * 0.1 * at, static=False, space=space)
+            bag.scan(stamp, [2.0, 3.0, math.inf, 4.0, 5.0] if speed > 0 else [2.0] * 5, topic=f"{space}/scan")
+    return bag.write(folder)
+
+
+@pytest.mark.parametrize(("robot", "mounted", "speed"), [("robot1", 0.1, 1.0), ("robot2", 0.2, -2.0)])
+def test_a_lidar_gets_the_odometry_and_the_transforms_of_its_own_robot(tmp_path, robot, mounted, speed):
+    path = two_robots(tmp_path)
+    for odometry in ("auto", "tf"):
+        last = list(RosBag(str(path), topic=f"/{robot}/scan", odometry=odometry).frames())[-1]
+        assert last.base_from_sensor.x == pytest.approx(mounted)
+        assert last.odom_from_base.x == pytest.approx(2.9 * speed)
+    chosen = choose_parameters("rosbag", {"path": str(path), "topic": f"/{robot}/scan"})
+    assert any(f"odometry /{robot}/odom" in one.reason for one in chosen)
+    assert not any(one.warns for one in chosen if "rotate" in one.reason)
+
+
+def test_the_inspection_of_a_bag_of_several_robots_is_of_one_and_names_the_topics_of_the_others(tmp_path):
+    found = inspect_recording(two_robots(tmp_path))
+    advice = suggest_config(found)
+    assert [one.topic for one in found.odometries] == ["/robot2/odom", "tf"]  # its lidar has more hits
+    assert all(one.jump_count == 0 for one in found.odometries)
+    assert advice.parameters["topic"] == "/robot2/scan"
+    (said,) = [one.what for one in found.findings if "several robots" in one.what]
+    assert said.endswith("left out: /robot1/odom, /robot1/scan, /robot1/tf, /robot1/tf_static")
+
+
+def test_a_clock_that_was_set_back_is_a_problem_that_a_comparison_repeats(tmp_path):
+    bag = Bag("mcap")
+    for at in range(100):
+        stamp = T0 + at * PERIOD - (2 * 10**9 + PERIOD // 2 if at >= 50 else 0)
+        bag.scan(stamp, [2.0 + 0.01 * at, 3.0, 4.0, 5.0, 6.0], recorded=T0 + at * PERIOD)
+    path = bag.write(tmp_path)
+    (said,) = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "go back" in one.reason]
+    assert "problem: /scan: its stamps go back by 1.95 s at 4.9 s (once)" in said
+    assert said.endswith("--set limit=30 or --set start=70")
+    assert RosBag(str(path), limit=30).stamps_ns[-1] == T0 + 29 * PERIOD
+    assert RosBag(str(path), start=70).stamps_ns[0] == T0 + 49 * PERIOD + PERIOD // 2
+
+
+@pytest.mark.parametrize("apart_s", [3600, -1_600_000_000])
+def test_an_odometry_with_another_clock_is_not_taken(tmp_path, apart_s):
+    bag = Bag("mcap").tf(T0, "base_link", "laser")
+    for at in range(50):
+        stamp = T0 + at * PERIOD
+        bag.scan(stamp + apart_s * 10**9, [2.0, 3.0, 4.0, 5.0, 6.0], recorded=stamp).odom(stamp, 0.1 * at)
+    path = bag.write(tmp_path)
+    chosen = choose_parameters("rosbag", {"path": str(path)})
+    assert [one.value for one in chosen if one.name == "odometry"] == ["none"]
+    side = "before" if apart_s > 0 else "after"
+    (said,) = [one.reason for one in chosen if "two clocks" in one.reason and one.reason.startswith("problem")]
+    assert f"it begins {abs(apart_s)} s {side} the scans" in said
+
+
+@pytest.mark.parametrize(("robot", "mounted", "speed"), [("robot1", 0.1, 1.0), ("robot2", 0.2, -2.0)])
+def test_frames_with_the_prefix_of_a_robot_are_odometry_and_base(tmp_path, robot, mounted, speed):
+    bag = Bag("mcap")
+    for name, x in (("robot1", 0.1), ("robot2", 0.2)):  # all in /tf, and no odometry messages
+        bag.tf(T0, f"{name}/base_link", f"{name}/laser", x, quaternion=(1.0, 0.0, 0.0, 0.0))
+    for at in range(30):
+        for name, pace in (("robot1", 1.0), ("robot2", -2.0)):
+            stamp = T0 + at * PERIOD
+            bag.tf(stamp, f"{name}/odom", f"{name}/base_link", pace * 0.1 * at, static=False)
+            bag.scan(stamp, [2.0, 3.0, 4.0, 5.0, 6.0], topic=f"/{name}/scan", frame=f"{name}/laser")
+    path = bag.write(tmp_path)
+    given = {"path": str(path), "topic": f"/{robot}/scan"}
+    chosen = {one.name: one.value for one in choose_parameters("rosbag", given)}
+    assert chosen["base_frame"] == f"{robot}/base_link"
+    for parameters in (given, given | {"base_frame": chosen["base_frame"]}):
+        last = list(RosBag(**parameters).frames())[-1]
+        assert last.base_from_sensor.x == pytest.approx(mounted)
+        assert last.odom_from_base.x == pytest.approx(2.9 * speed)
+        assert last.scan.angles[0] == pytest.approx(1.0)  # upside down
+    found = inspect_recording(path)
+    assert {seat.sensor: (seat.base, seat.mirrored) for seat in found.frames.mountings} == {
+        f"{name}/laser": (f"{name}/base_link", True) for name in ("robot1", "robot2")
+    }
+
+
+def test_angles_in_degrees_are_a_problem_that_the_parameter_of_the_unit_mends(tmp_path):
+    bag = Bag("mcap")
+    for at in range(20):
+        bag.scan(T0 + at * PERIOD, [2.0 + 0.01 * at] * 360, angle_min=-180.0, angle_max=179.0, angle_increment=1.0)
+    path = bag.write(tmp_path)
+    (said,) = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "degrees" in one.reason]
+    assert "360 beams 57.3 deg apart are more than a full turn: degrees taken for radians?" in said
+    fields = re.search(r"fields=(.*)'$", said)[1]
+    angles = next(RosBag(str(path), fields=fields).frames()).scan.angles
+    np.testing.assert_allclose(np.degrees(angles[[0, -1]]), [-180.0, 179.0])
+    assert next(RosBag(str(path), fields=fields).frames()).scan.time_increment_ns == 10_000_000  # as without fields
+    mended = choose_parameters("rosbag", {"path": str(path), "fields": fields})
+    assert not [one for one in mended if "degrees" in one.reason]
+
+
+def test_a_lidar_without_a_mounting_is_said_to_be_taken_as_the_base(tmp_path):
+    told = "the lidar is taken as the base"
+    bare, seated = tmp_path / "bare", tmp_path / "seated"
+    for folder in (bare, seated):
+        folder.mkdir()
+        bag = Bag("mcap")
+        if folder is seated:
+            bag.tf(T0, "base_link", "laser")
+        for at in range(20):
+            bag.scan(T0 + at * PERIOD, [2.0, 3.0, 4.0, 5.0, 6.0])
+        chosen = choose_parameters("rosbag", {"path": str(bag.write(folder))})
+        assert any(one.reason.startswith(told) for one in chosen) is (folder is bare)

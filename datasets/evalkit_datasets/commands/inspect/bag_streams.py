@@ -11,8 +11,9 @@ import numpy as np
 
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, RecordingStreams, ScanSample, Topic
 from evalkit_datasets.parsing import rosbag_parser
+from evalkit_datasets.parsing.robots import find_foreign_topics
 from evalkit_datasets.parsing.rosbag_parser import ODOMETRY_FRAME, Contents
-from evalkit_datasets.parsing.sweeps import CLOUD, MessageFields, Sweep, SweepOptions, guess_fields
+from evalkit_datasets.parsing.sweeps import CLOUD, LASER_SCAN, MessageFields, Sweep, SweepOptions, guess_fields
 from evalkit_datasets.parsing.transforms import TransformTree
 
 WANTED = {*rosbag_parser.LASER, CLOUD, rosbag_parser.ODOMETRY, *rosbag_parser.TRANSFORMS}
@@ -34,8 +35,13 @@ class _TopicContent:
     twists: array[float] = field(default_factory=lambda: array("d"))
 
 
-def read_bag_streams(path: Path) -> RecordingStreams:
-    """Return the streams of a bag; raises BadData if it cannot be read."""
+def read_bag_streams(
+    path: Path, left_out: frozenset[str] = frozenset(), fields: MessageFields | None = None
+) -> RecordingStreams:
+    """Return the streams of a bag without some topics; raises BadData if it cannot be read.
+
+    ``fields``: how the user reads the laser scans; None: as they state.
+    """
     taken: dict[str, _TopicContent] = {}
     tree = Contents()
     with rosbag_parser.open_bag(path) as reader:
@@ -49,12 +55,14 @@ def read_bag_streams(path: Path) -> RecordingStreams:
         has_laser = any(one.msgtype in rosbag_parser.LASER and one.msgcount for one in reader.connections)
         kinds = WANTED - {CLOUD} if has_laser else WANTED
         wanted = [one for one in reader.connections if one.msgtype in kinds or one.topic in unusual]
+        wanted = [one for one in wanted if one.topic not in left_out]
         for connection, recorded_ns, raw in reader.messages(connections=wanted) if wanted else ():
             message = reader.deserialize(raw, connection.msgtype)
             if connection.msgtype in rosbag_parser.TRANSFORMS:
                 rosbag_parser.add_transforms(tree, message, connection.topic.endswith("tf_static"))
                 continue
-            own = taken.setdefault(connection.topic, _TopicContent(connection.msgtype, unusual.get(connection.topic)))
+            read_as = fields if connection.msgtype == LASER_SCAN else unusual.get(connection.topic)
+            own = taken.setdefault(connection.topic, _TopicContent(connection.msgtype, read_as))
             _take_message(own, connection.topic, message, int(recorded_ns))
     wheels = [
         _make_odometry_stream(own)
@@ -71,7 +79,15 @@ def read_bag_streams(path: Path) -> RecordingStreams:
         tree.tree,
         damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()),
         damage=damage,
+        left_out=tuple(sorted(left_out)),
     )
+
+
+def find_other_robots(streams: RecordingStreams, laser: str) -> frozenset[str]:
+    """Return the topics with scans, odometry or transforms of other robots than that of a laser."""
+    kinds = (rosbag_parser.ODOMETRY, *rosbag_parser.TRANSFORMS)
+    motions = [one.name for one in streams.topics if one.kind in kinds and one.count]
+    return find_foreign_topics(laser, [one.topic for one in streams.lasers], motions)
 
 
 def _find_unusual_sweeps(reader: Any) -> dict[str, MessageFields]:

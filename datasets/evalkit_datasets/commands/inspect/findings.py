@@ -29,6 +29,9 @@ MAX_OFFSET_RANGE_S = 0.05
 MAX_SCAN_STEP_M = 0.4
 HANDLED = "handled by the reader"
 DIRECTION = "direction of the angles"
+STAMPS = "stamps of the scans"
+FLASER_ANGLES = "angles of FLASER lines"
+LOG_LINES = "laser lines"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +82,12 @@ class LidarStats:
 MAX_MEDIAN_M, MIN_MEDIAN_M = 200.0, 0.02
 """Median range of a scan beyond which the unit is doubted."""
 
+MAX_VIEW_DEG = 400.0
+"""A wider field of view is doubted: revolutions may overlap a little."""
+
+MAX_VIEW_ERROR_DEG = 30.0
+"""Error of a field of view that follows from turns of the odometry."""
+
 MAX_BEYOND = 0.5
 """Share of finite ranges beyond the declared maximum from which the unit is doubted."""
 
@@ -115,6 +124,8 @@ def collect_findings(
     rank: dict[Level, int] = {"problem": 0, "warning": 1, "note": 2}
     found = [*_check_file(streams, inside), *_check_lidars(lidars), *_check_scan_steps(odometries, streams),
              *_check_odometry(odometries, turns, streams), *_check_standing(lidars, odometries),
+             *_check_full_turn(lidars, turns, streams),
+             *_check_clocks(lidars, odometries),
              *_check_direction(streams, turned, tree), *_check_frames(tree, streams)]  # fmt: skip
     return tuple(sorted(found, key=lambda finding: rank[finding.level]))
 
@@ -131,6 +142,9 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
         known = ", ".join(f"{topic.name} ({topic.kind})" for topic in streams.topics) or "none"
         yield _problem("file", f"it contains no laser scans, but: {known}", "give a recording with a 2D lidar")
     yield from _check_remarks(streams)
+    if streams.left_out:
+        what = f"several robots, of which {streams.lasers[0].topic} is one; left out: {', '.join(streams.left_out)}"
+        yield _note("file", what, "choose another robot by the topic of its lidar")
     if any(topic.name == "FLASER" for topic in streams.topics) and streams.lasers:
         beams = len(streams.lasers[0].angles)
         what = f"FLASER lines do not contain angles: {beams} beams are assumed to begin at -90 deg"
@@ -190,6 +204,8 @@ def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
     elif found.repeated or found.backwards:
         what = f"stamps decrease {found.backwards} times, {found.repeated} are repeated"
         yield _warning(about, what, "the reader sorts the scans and keeps the first of equal stamps")
+    if lidar.clock is not None and lidar.kind != LOG_LINES:
+        yield from _check_steps_back(found, about)
     if found.gap_count:
         longest = found.gaps[0]
         what = f"{format_count(found.gap_count, 'gap')}, the longest {longest.length_s:.2f} s at {longest.at_s:.1f} s"
@@ -203,7 +219,21 @@ def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
     if lidar.unstamped:
         yield _warning(about, f"{lidar.unstamped} scans have no stamp; the time of recording is used")
     if lidar.clock is not None:
-        yield from _check_clock(lidar.clock, about, lidar.kind == "laser lines")
+        yield from _check_clock(lidar.clock, about, lidar.kind == LOG_LINES)
+
+
+def _check_steps_back(found: StreamTiming, about: str) -> Iterator[InspectionFinding]:
+    """Report a clock that was set back while the recorder's went on: the times of two parts overlap."""
+    step = found.step_back
+    if step is None or not found.usable:
+        return
+    count = "once" if found.steps_back == 1 else f"{found.steps_back} times"
+    back = f"its stamps go back by {step.length_s:.2f} s at {step.at_s:.1f} s ({count}) while the recording goes on"
+    before = [f"--set limit={step.before}"] if step.before > 0 else []
+    behind = [f"--set start={step.behind}"] if step.behind < found.count - found.repeated else []
+    part = f"take the part before it or behind it: {' or '.join([*before, *behind])}"
+    advice = part if found.steps_back == 1 and [*before, *behind] else "mend the clock, and record again"
+    yield _problem(about, f"{back}: in the order of their stamps, scans of different places mix", advice)
 
 
 def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[InspectionFinding]:
@@ -224,7 +254,10 @@ def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[Inspecti
             what,
             f"{advice}; do not combine with stamps of another clock",
         )
-    if abs(found.drift_ppm) > MAX_DRIFT_PPM:
+    if found.step_s:
+        what = f"its clock steps by {found.step_s:+.2f} s against the recorder's at {found.step_at_s:.1f} s"
+        yield _warning(about, what, "a clock that was set, or a recorder that was held up")
+    elif abs(found.drift_ppm) > MAX_DRIFT_PPM:
         yield _warning(about, f"its clock drifts from the recorder's by {found.drift_ppm:.0f} ppm")
 
 
@@ -239,6 +272,9 @@ def _check_units(lidar: LidarStats) -> Iterator[InspectionFinding]:
     elif 0.0 < middle < MIN_MEDIAN_M:
         what = f"the median range is {1e3 * middle:.1f} mm: metres taken for millimetres?"
         yield _problem(lidar.topic, what, 'a bag: record metres; a text log: unit = "m" in [scan]')
+    if abs(lidar.step_deg) * (lidar.beams - 1) > MAX_VIEW_DEG:
+        what = f"{lidar.beams} beams {abs(lidar.step_deg):.3g} deg apart are more than a full turn"
+        yield _problem(lidar.topic, f"{what}: degrees taken for radians?", f"a bag: --set '{FIELDS} angle_unit=deg'")
     if lidar.timing.usable and lidar.timing.count > MIN_RATED and not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
         what = f"{rate:.3g} scans per second: stamps in another unit than they are read in?"
         yield _problem(
@@ -325,6 +361,7 @@ def _check_odometry(
         yield _warning(
             "odometry", "no wheel odometry in it, or one that stands still", "the initial guess is constant velocity"
         )
+    yield from _check_shift(turns, streams)
     for one in () if streams.poses_from else odometries:
         about = f"odometry {one.topic}" + (f" ({one.child})" if one.topic == "tf" else "")
         yield from _check_motion(one, about)
@@ -341,6 +378,24 @@ def _check_standing(lidars: Sequence[LidarStats], odometries: Sequence[OdometryS
         if one.standing > MIN_STANDING:
             what = f"stands still, but {100 * (1 - still):.0f} % of the scans change within a second: the robot moves"
             yield _warning(f"odometry {one.topic}", what, "use odometry = 'none', or the topic of the real odometry")
+
+
+def is_apart(lidar: LidarStats, odometry: OdometryStats) -> bool:
+    """Return whether no scan lies within the times of an odometry."""
+    scans, poses = lidar.timing, odometry.timing
+    return scans.usable and (poses.last_ns < scans.first_ns or scans.last_ns < poses.first_ns)
+
+
+def _check_clocks(lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats]) -> Iterator[InspectionFinding]:
+    """Report an odometry whose times are not those of any scan."""
+    for one in odometries if lidars else ():
+        if all(is_apart(lidar, one) for lidar in lidars):
+            apart_s = (one.timing.first_ns - lidars[0].timing.first_ns) * 1e-9
+            side = "after" if apart_s > 0 else "before"
+            what = (
+                f"by its stamps it begins {abs(apart_s):.0f} s {side} the scans, and covers none of them: two clocks?"
+            )
+            yield _problem(f"odometry {one.topic}", what, "the scans have no wheel odometry; record with one clock")
 
 
 def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]:
@@ -383,6 +438,36 @@ def _check_turning(turn: TurnComparison | None, about: str) -> Iterator[Inspecti
     elif turn is not None and turn.spread_deg > 1.5 and not turn.driving:
         what = f"its rotations differ from those of the scans by {turn.spread_deg:.1f} deg ({turn.pairs} turns)"
         yield _note(about, what, "a weak initial guess for registrations")
+
+
+def _check_full_turn(
+    lidars: Sequence[LidarStats], turns: Mapping[str, TurnComparison], streams: RecordingStreams
+) -> Iterator[InspectionFinding]:
+    """Report FLASER lines, which state no angles, of a lidar that sees all around by the turns of the odometry."""
+    if len(lidars) != 1 or not any(topic.name == "FLASER" for topic in streams.topics):
+        return
+    for turn in turns.values():
+        view_deg = lidars[0].beams * lidars[0].step_deg / turn.scale if turn.scale > 0.0 else 0.0
+        if turn.differs and not turn.driving and abs(view_deg - 360.0) < MAX_VIEW_ERROR_DEG:
+            what = f"by {turn.pairs} turns of the odometry, {lidars[0].beams} beams see all around, not half of it"
+            mend = f"--set start_deg=-180 --set step_deg={360.0 / lidars[0].beams:.6g}, or where the first beam points"
+            yield _problem(FLASER_ANGLES, what, mend)
+            return
+
+
+def _check_shift(turns: Mapping[str, TurnComparison], streams: RecordingStreams) -> Iterator[InspectionFinding]:
+    """Warn of scans whose stamps are not the times at which the odometry rotates as they do."""
+    named = ((name.split()[0], turn) for name, turn in turns.items() if turn.is_shifted)
+    odometry, turn = next(named, ("", None))
+    if turn is None or streams.reader != "rosbag":
+        return
+    low, high = sorted(abs(value) for value in turn.shift_interval)
+    side = "later" if turn.shift_s > 0.0 else "earlier"
+    what = (
+        f"by the turns of {odometry}, the scans were taken {abs(turn.shift_s):.2f} s {side} than their stamps say "
+        f"({low:.2f} to {high:.2f} s, {turn.pairs} turns)"
+    )
+    yield _warning(STAMPS, what, f"if the stamps of the scans are wrong: --set stamp_shift_s={turn.shift_s:.2f}")
 
 
 def _check_direction(streams: RecordingStreams, turned: str, tree: FrameTree) -> Iterator[InspectionFinding]:

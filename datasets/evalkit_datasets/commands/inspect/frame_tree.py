@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from evalkit_datasets.commands.inspect.streams import LaserStream
-from evalkit_datasets.parsing.transforms import TransformTree
+from evalkit_datasets.parsing.transforms import TransformTree, with_prefix_of
 from evalkit_datasets.readers.rosbag import BASE_FRAMES
 
 
@@ -71,7 +71,7 @@ def mirror_if_upside_down(laser: LaserStream, tree: FrameTree) -> LaserStream:
 
 def _find_mounting(tree: TransformTree, laser: LaserStream) -> LidarMounting | None:
     """Return None if no base frame is connected to the lidar."""
-    for base in BASE_FRAMES:
+    for base in with_prefix_of(laser.frame, BASE_FRAMES):
         try:
             mounting = tree.find_mounting(base, laser.frame, int(laser.stamps_ns[0]))
         except ValueError as error:

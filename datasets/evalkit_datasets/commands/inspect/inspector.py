@@ -56,10 +56,16 @@ def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] |
     ``reader``: the data set that reads it; found by content and suffix if not given. ``given``: its parameters, which
     readers without an inspection of their own need.
     """
-    streams = _read_streams(path, reader or find_reader_name(path), given or {})
+    reader, topic = reader or find_reader_name(path), str((given or {}).get("topic", ""))
+    streams = _read_streams(path, reader, given or {})
     lidars = tuple(_measure_lidar(laser) for laser in streams.lasers)
+    best = _select_lidar(lidars, topic)
+    others = bag_streams.find_other_robots(streams, lidars[best].topic) if reader == ROSBAG and best is not None else ()
+    if others:
+        streams = _read_streams(path, reader, given or {}, frozenset(others))
+        lidars = tuple(one for one in lidars if one.topic not in others)
+        best = _select_lidar(lidars, topic)
     odometries = tuple(measure_odometry(wheels) for wheels in streams.wheels)
-    best = max(range(len(lidars)), key=lambda at: measured_directions(lidars[at]), default=None)
     tree = build_frame_tree(streams.tree, streams.lasers)
     turns = {}
     for wheels in streams.wheels if best is not None else ():
@@ -89,10 +95,18 @@ def _lacks_layout(path: Path, reader: str) -> bool:
     return reader == COLUMNS and not is_described(path)
 
 
-def _read_streams(path: Path, reader: str, given: Mapping[str, Value]) -> RecordingStreams:
+def _select_lidar(lidars: Sequence[LidarStats], topic: str) -> int | None:
+    """Return the index of the lidar of a topic, else of the one that measures most; None if there is none."""
+    named = (at for at, one in enumerate(lidars) if topic and one.topic.lstrip("/") == topic.lstrip("/"))
+    return next(named, max(range(len(lidars)), key=lambda at: measured_directions(lidars[at]), default=None))
+
+
+def _read_streams(
+    path: Path, reader: str, given: Mapping[str, Value], left_out: frozenset[str] = frozenset()
+) -> RecordingStreams:
     if reader == ROSBAG:
-        streams = bag_streams.read_bag_streams(path)
         fields = parse_fields(str(given.get("fields", "")))
+        streams = bag_streams.read_bag_streams(path, left_out, fields)
         return _reverse_angles(streams) if fields is not None and fields.clockwise else streams
     if reader == CARMEN:
         return log_streams.read_log_streams(path)

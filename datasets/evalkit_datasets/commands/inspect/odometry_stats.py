@@ -153,7 +153,8 @@ class TurnComparison:
     ``scale``: median of the rotation of the scans divided by that of the odometry (1: they agree, -1: opposite
     direction); ``interval``: of that median, about 95 %, by ranks. ``spread_deg``: half the range from the 16th to the
     84th percentile of the difference. ``driving``: the robot drives between the scans, so that only the direction of
-    their rotation is reliable.
+    their rotation is reliable. ``shift_s``: by how much later than its stamp a scan was taken, by the rotations of the
+    odometry, and ``shift_interval``: of it, about 95 %; both from the middle of a sweep, nan if unknown.
     """
 
     pairs: int
@@ -161,6 +162,14 @@ class TurnComparison:
     interval: tuple[float, float]
     spread_deg: float
     driving: bool = False
+    shift_s: float = math.nan
+    shift_interval: tuple[float, float] = (math.nan, math.nan)
+
+    @property
+    def is_shifted(self) -> bool:
+        """Whether the times of the scans differ from those of the odometry, beyond chance."""
+        low, high = self.shift_interval
+        return abs(self.shift_s) >= MIN_SHIFT_S and (low > 0.5 * MIN_SHIFT_S or high < -0.5 * MIN_SHIFT_S)
 
     @property
     def differs(self) -> bool:
@@ -169,6 +178,11 @@ class TurnComparison:
         return high < 0.0 if self.driving else high < 1.0 - SAME_SCALE or low > 1.0 + SAME_SCALE
 
 
+MIN_SHIFT_S = 0.08
+"""A smaller difference of times is that of half a sweep, or no visible distance."""
+
+SHIFTS_S = np.arange(-1.0, 1.005, 0.01)
+RESAMPLES = 200
 MAX_PAIR_S = 3.0
 MAX_SHIFT = 0.25
 """Translation divided by range, as a share of the rotation: pairs that translate more are not used."""
@@ -202,11 +216,39 @@ def compare_turns(wheels: OdometryStream, laser: LaserStream) -> TurnComparison 
     middle_m = float(np.median([_median_range(laser.ranges[at]) for at in order]))
     step = float(np.median(np.diff(laser.angles)))
     pairs = _select_pairs(times, poses, MAX_TURN, lambda turn: MAX_SHIFT * middle_m * turn)
-    on_spot = _compare_pairs(poses, {
+    turns = {
         (one, other): _measure_rotation(laser.ranges[order[one]], laser.ranges[order[other]], step)
         for one, other in pairs
-    })  # fmt: skip
-    return on_spot or _compare_while_driving(laser, times, order, poses)
+    }
+    on_spot = _compare_pairs(poses, turns)
+    if on_spot is None:
+        return _compare_while_driving(laser, times, order, poses)
+    if on_spot.differs:
+        return on_spot
+    middle_s = 0.5e-9 * laser.time_increment_ns * (len(laser.angles) - 1)
+    shift_s, *interval = _measure_shift(wheels, times, turns) - middle_s
+    return replace(on_spot, shift_s=float(shift_s), shift_interval=(float(interval[0]), float(interval[1])))
+
+
+def _measure_shift(wheels: OdometryStream, times: Stamps, turns: Mapping[tuple[int, int], float | None]) -> Floats:
+    """Return the time (s) to add to those of the scans so that the odometry rotates alike, and its interval (3,).
+
+    It is that of the smallest median difference, nan beyond 1 s; the interval is that of resampled pairs, from 2.5 to
+    97.5 %.
+    """
+    known = {pair: turn for pair, turn in turns.items() if turn is not None}
+    stamps, first = np.unique(wheels.stamps_ns, return_index=True)
+    heading = np.unwrap(wheels.poses[first, 2])
+    ones, others = ((times[list(at)] - stamps[0]) * 1e-9 for at in zip(*known, strict=True))
+    late = SHIFTS_S[:, None]
+    at, begin, end = (stamps - stamps[0]) * 1e-9, ones + late, others + late
+    turned = np.interp(end, at, heading) - np.interp(begin, at, heading)
+    apart = np.abs(turned - np.array(list(known.values())))
+    picks = np.random.default_rng(0).integers(0, apart.shape[1], (RESAMPLES, apart.shape[1]))
+    drawn = [SHIFTS_S[int(np.median(apart[:, pick], axis=1).argmin())] for pick in picks]
+    best = SHIFTS_S[int(np.median(apart, axis=1).argmin())]
+    inside = SHIFTS_S[0] < best < SHIFTS_S[-1]
+    return np.array([best if inside else math.nan, *np.percentile(drawn, [2.5, 97.5])])
 
 
 def _compare_while_driving(laser: LaserStream, times: Stamps, order: Ints, poses: Floats) -> TurnComparison | None:

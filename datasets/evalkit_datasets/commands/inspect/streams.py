@@ -149,7 +149,7 @@ class RecordingStreams:
     ``poses_from``: program that computed the poses ("gmapping" or "graph"), "" if they are not corrected ones.
     ``digits``: largest number of significant digits of a scan's stamp, 0 for binary stamps. ``first_damage``: the
     first line that was dropped, and why. ``remarks``: comments in the file. ``damage``: None for a bag with its index;
-    else its records were read up to the damage.
+    else its records were read up to the damage. ``left_out``: topics of other robots than that of the chosen lidar.
     """
 
     path: Path
@@ -165,3 +165,4 @@ class RecordingStreams:
     first_damage: str = ""
     remarks: Sequence[str] = ()
     damage: BagDamage | None = None
+    left_out: tuple[str, ...] = ()

@@ -6,8 +6,9 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,23 +21,31 @@ from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import Choice
 from evalkit_datasets.commands.inspect.findings import (
     DIRECTION,
+    FLASER_ANGLES,
+    STAMPS,
     InspectionFinding,
     LidarStats,
     check_body,
+    is_apart,
     is_default_code,
 )
 from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
 from evalkit_datasets.parsing.range_minimum import RANGE_MIN
+from evalkit_datasets.parsing.transforms import own_name, with_prefix_of
 from evalkit_datasets.parsing.truth_files import TruthPaths, load_truth
 from evalkit_datasets.recordings import catalog, data_sets
 
 TILT_WORDS = ("vertical",)
 MAPPER = "mapper."
 PROBLEM = "problem"  # the name of a choice that sets nothing
-STATES_DIRECTION = {"base_from_sensor", "fields"}
-"""Parameters of a user who knows how the lidar is mounted."""
+STATED_BY: Mapping[str, frozenset[str]] = {
+    DIRECTION: frozenset({"base_from_sensor", "fields"}),
+    STAMPS: frozenset({"stamp_shift_s"}),
+    FLASER_ANGLES: frozenset({"start_deg", "step_deg"}),
+}
+"""Parameters of a user who has read a finding, by what it is about: it is not repeated."""
 
 MIN_MOUNTING_DEG, MAX_SQUARE_DEG = 5.0, 2.0
 """A smaller heading is not applied; a heading this close to a multiple of 90 deg is taken as that."""
@@ -106,8 +115,13 @@ def choose_parameters(reader: str, given: Mapping[str, Value]) -> tuple[Choice, 
 
 def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Choice, ...], _Trial]:
     """Return the choices beside the given parameters, and the result of opening the recording with both."""
-    lidar = next((one for one in recording.lidars if one.topic == given.get("topic")), best_lidar(recording)[0])
-    choose = {"carmen": _choose_for_log, "rosbag": _choose_for_bag}.get(_find_reader(recording), _choose_for_columns)
+    topic = str(given.get("topic", "")).lstrip("/")
+    lidar = next((one for one in recording.lidars if one.topic.lstrip("/") == topic), best_lidar(recording)[0])
+    choosers: Mapping[str, Callable[[Inspection], Iterator[Choice]]] = {
+        "carmen": _choose_for_log,
+        "rosbag": partial(_choose_for_bag, lidar=lidar),
+    }
+    choose = choosers.get(_find_reader(recording), _choose_for_columns)
     choices = [*_repeat_problems(recording, given), *choose(recording), *_find_truth_files(recording, given)]
     choices += [*_repeat_body(lidar, given), *_choose_cells(lidar)]
     choices = [one for one in choices if one.name not in given]
@@ -134,7 +148,8 @@ def best_lidar(recording: Inspection) -> tuple[LidarStats, str]:
     )
     best = max(level, key=measured_directions)
     if len(recording.lidars) == 1:
-        return best, "the only lidar"
+        whose = " of its robot; the topics of other robots are left out, choose another by --topic"
+        return best, f"the only lidar{whose if recording.streams.left_out else ''}"
     view = f"{best.field_of_view_deg:.0f} deg, {100 * best.returns.hits:.0f} % hits, {best.timing.rate_hz:.1f} Hz"
     others = ", ".join(
         f"{one.topic} ({one.field_of_view_deg:.0f} deg, {100 * one.returns.hits:.0f} %)"
@@ -149,18 +164,22 @@ def _is_tilted_by_name(lidar: LidarStats) -> bool:
     return any(word in lidar.topic.lower() for word in TILT_WORDS)
 
 
-def _choose_for_bag(recording: Inspection) -> Iterator[Choice]:
-    lidar, why = best_lidar(recording)
+def _choose_for_bag(recording: Inspection, lidar: LidarStats) -> Iterator[Choice]:
+    _, why = best_lidar(recording)
     yield Choice("topic", lidar.topic, f"topic {lidar.topic}: {why}")
     if fields := _find_fields(recording, lidar.topic):
         yield Choice("fields", fields, f"fields of {lidar.kind} by their names and values: {fields}; check the units")
     messages = [one for one in recording.odometries if one.topic != "tf"]
     usable = [one for one in messages or recording.odometries if one.like_wheels]
+    apart = [one for one in usable if is_apart(lidar, one)]
+    usable = [one for one in usable if one not in apart]
     if not usable:
         why = "its motion is not that of wheels" if recording.odometries else "the bag has none"
+        why = "its times are not those of the scans" if apart else why
         yield Choice("odometry", "none", f"odometry none: {why}")
         return
-    named = next((one for one in usable if one.topic.lstrip("/") == "odom"), usable[0])
+    own = [one for one in usable if one.child in with_prefix_of(lidar.frame, [own_name(one.child)])] or usable
+    named = next((one for one in own if one.topic.lstrip("/") == "odom"), own[0])
     what = f"odometry {named.topic} of frame '{named.child}': {named.path_m:.1f} m"
     yield Choice("odometry", named.topic if len(messages) > 1 else None, what)
     if named.topic == "tf" and sum(one.topic == "tf" for one in usable) > 1:
@@ -171,6 +190,9 @@ def _choose_mounting(recording: Inspection, lidar: LidarStats, recorded: Pose) -
     """Choose the heading that straight drives show where nothing states it; say where it contradicts what is stated."""
     angle = _measure_mounting(recording, lidar)
     if angle is None:
+        if _find_reader(recording) == "rosbag" and lidar.frame not in recording.frames.names:
+            why = "the lidar is taken as the base: no transform states its mounting, and no straight drive shows it"
+            yield Choice("base_from_sensor", None, f"{why}; beside a ground truth, give base_from_sensor")
         return
     off_deg = math.degrees(float(wrap(math.radians(angle.heading_deg) - recorded.theta)))
     if abs(off_deg) < MIN_MOUNTING_DEG:
@@ -211,9 +233,9 @@ def _choose_for_log(recording: Inspection) -> Iterator[Choice]:
 def _repeat_problems(recording: Inspection, given: Mapping[str, Value]) -> Iterator[Choice]:
     """Say before a comparison what makes its numbers wrong, such as ranges in another unit."""
     said: set[str] = set()  # the same odometry may come as messages and as tf
-    for finding in (one for one in recording.findings if one.level == "problem" or one.about == DIRECTION):
+    for finding in (one for one in recording.findings if one.level == "problem" or one.about in (DIRECTION, STAMPS)):
         unused = finding.about.startswith("odometry ") and given.get("odometry") == "none"
-        stated = finding.about == DIRECTION and not STATES_DIRECTION.isdisjoint(given)
+        stated = not STATED_BY.get(finding.about, frozenset()).isdisjoint(given)
         if not unused and not stated and finding.what not in said:
             yield _repeat(finding)
         said.add(finding.what)

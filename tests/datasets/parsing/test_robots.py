@@ -1,0 +1,24 @@
+"""Which topics belong to the robot of a laser."""
+
+import pytest
+
+from evalkit_datasets.parsing.robots import find_foreign_topics
+
+
+@pytest.mark.parametrize(
+    ("laser", "lasers", "motions", "foreign"),
+    [
+        ("/scan", ["/scan"], ["/odom", "/tf"], []),
+        ("/front/scan", ["/front/scan", "/rear/scan"], ["/odom", "/tf"], []),  # one robot with two lidars
+        ("/camera/scan", ["/camera/scan"], ["/camera/odom/sample", "/wheel/odom"], []),
+        ("/a/scan", ["/a/scan", "/b/scan"], ["/a/odom", "/b/odom", "/tf"], ["/b/odom", "/b/scan"]),
+        ("/a/front/scan", ["/a/front/scan", "/a/rear/scan"], ["/a/front/odom", "/a/odom"], []),
+        ("/fleet/a/scan", ["/fleet/a/scan", "/fleet/b/scan"], ["/fleet/a/tf", "/fleet/b/tf"],
+         ["/fleet/b/scan", "/fleet/b/tf"]),
+        ("/scan", ["/scan", "/b/scan"], ["/odom", "/b/odom"], ["/b/odom", "/b/scan"]),
+        ("/scan", ["/scan", "/b/scan"], ["/b/odom"], []),  # then they are its own, too
+        ("/a1/scan", ["/a1/scan", "/a10/scan"], ["/a1/odom", "/a10/odom"], ["/a10/odom", "/a10/scan"]),
+    ],
+)  # fmt: skip
+def test_the_topics_of_other_robots(laser, lasers, motions, foreign):
+    assert sorted(find_foreign_topics(laser, lasers, motions)) == foreign
