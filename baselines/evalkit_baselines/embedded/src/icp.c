@@ -13,6 +13,7 @@
 #define BEYOND EK_R(0.25)     /* cells: searched beyond the last neighbour; saves later searches */
 #define ALONE EK_R(1.0)       /* cells: searched beyond the limit where no neighbour is within it; likewise */
 #define ROUNDED_DOWN (EK_R(1.0) - EK_R(8.0) * EK_EPSILON)
+#define ALIKE (EK_R(16.0) * EK_EPSILON) /* share of a square: squares that differ by more have different roots */
 #define SHARE EK_R(2.0) /* of the squares around each place that the one around a group may have */
 #define ABREAST (32u / sizeof(ek_real)) /* points whose candidates lie side by side: a register of AVX2 */
 #define DENSE 12u /* target points for each source point from which places are searched one by one */
@@ -566,10 +567,11 @@ static void keep_facing(size_t padded, const ek_real *EK_RESTRICT facing, ek_rea
     }
 }
 
-/* Whether one distance is smaller, of distances or of their squares: two squares may have the same root. */
+/* Whether one distance is smaller, of distances or of their squares: two squares may have the same root. The only branch is
+ * one that is hardly ever taken. */
 static inline int is_closer(ek_real one, ek_real other, int squared)
 {
-    if (squared && one < other && one > ROUNDED_DOWN * other) {
+    if (squared && EK_FABS(other - one) < ALIKE * other) {
         return EK_SQRT(one) < EK_SQRT(other);
     }
     return one < other;
