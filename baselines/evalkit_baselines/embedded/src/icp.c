@@ -5,6 +5,7 @@
 #include "ek/table.h"
 #include "ek/tally.h"
 #include "ek/wide.h"
+#include "lists.h"
 
 #include <string.h>
 
@@ -15,9 +16,10 @@
 #define ROUNDED_DOWN (EK_R(1.0) - EK_R(8.0) * EK_EPSILON)
 #define ALIKE (EK_R(16.0) * EK_EPSILON) /* share of a square: squares that differ by more have different roots */
 #define SHARE EK_R(2.0) /* of the squares around each place that the one around a group may have */
-#define ABREAST (32u / sizeof(ek_real)) /* points whose candidates lie side by side: a register of AVX2 */
+#define ABREAST (32u / sizeof(ek_real)) /* points whose candidates lie side by side: a register of AVX2; EK_LANES with AVX-512 */
 #define DENSE 12u /* target points for each source point from which places are searched one by one */
-#define AHEAD 12u /* searches from the prefetch of a block to its use */
+#define AHEAD 32u /* searches from the prefetch of a block to its use */
+#define CACHE_LINE 64u
 #define MIN_LIMIT EK_R(1e-12) /* m; the square of a smaller limit may be rounded to 0: no candidates are used */
 #define MAX_SUPPORT 20u /* points of a mean that count: the points of a scan share the error of its pose */
 #define CLEAR_VIEW EK_R(0.1)  /* share across its line of the directions that a target point was seen from: a smaller one is of no side */
@@ -84,7 +86,7 @@ ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targ
     memset(icp, 0, sizeof *icp);
     icp->capacity = capacity;
     icp->targets = targets;
-    icp->wide = ek_is_wide();
+    icp->wide = ek_wide();
     for (size_t i = 0; i < sizeof reals / sizeof *reals; i++) {
         *reals[i] = (ek_real *)ek_arena_alloc(arena, EK_PADDED(capacity), sizeof(ek_real));
     }
@@ -124,6 +126,12 @@ ek_status ek_icp_init_table(ek_icp *icp, ek_arena *arena)
     return EK_OK;
 }
 
+/* Points whose candidates lie side by side: a vector of the processor, where it has one. */
+static inline size_t abreast_of(const ek_icp *icp)
+{
+    return icp->wide == EK_AVX512 ? EK_LANES : ABREAST;
+}
+
 /* Coordinate (m) of what stands for candidate k where there is none: two of one point are not equally far. */
 static inline ek_real far_away(size_t k)
 {
@@ -151,8 +159,9 @@ static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
         icp->facing[i] = EK_R(1.0);
         icp->lined[i] = (uint32_t)icp->targets;
     }
+    const size_t abreast = abreast_of(icp);
     for (size_t k = EK_BLOCK * (padded - EK_LANES); k < EK_BLOCK * padded && icp->choice; k++) {
-        icp->cx[k] = icp->cy[k] = far_away(k / ABREAST % EK_BLOCK); /* of the last lanes; those of points are overwritten by the first search */
+        icp->cx[k] = icp->cy[k] = far_away(k / abreast % EK_BLOCK); /* of the last lanes; those of points are overwritten by the first search */
         icp->slots[k] = 0u;
     }
     return EK_OK;
@@ -181,44 +190,42 @@ EK_LOOP void move_points(size_t padded, ek_pose pose, ek_real limit, ek_real mar
     }
 }
 
-EK_WIDE static void move_points_wide(const ek_icp *p, size_t padded, ek_pose pose, ek_real limit, ek_real margin)
+EK_LOOP void move_of(const ek_icp *p, size_t padded, ek_pose pose, ek_real limit, ek_real margin)
 {
     move_points(padded, pose, limit, margin, p->px, p->py, p->tx, p->ty, p->ax, p->ay, p->others, p->mx, p->my,
                 p->distance, p->slack);
 }
 
+EK_COPIES(void, move_of, (const ek_icp *p, size_t padded, ek_pose pose, ek_real limit, ek_real margin),
+          { move_of(p, padded, pose, limit, margin); })
+
 static void move_source(const ek_icp *p, size_t padded, ek_pose pose, ek_real limit, ek_real margin)
 {
-    if (EK_IF_WIDE(p->wide)) {
-        move_points_wide(p, padded, pose, limit, margin);
-    } else {
-        move_points(padded, pose, limit, margin, p->px, p->py, p->tx, p->ty, p->ax, p->ay, p->others, p->mx, p->my,
-                    p->distance, p->slack);
-    }
+    EK_CALL(p->wide, move_of, (p, padded, pose, limit, margin));
 }
 
-/* Where the first candidate of a point is; the next one is ABREAST further. */
-static inline size_t first_candidate(size_t i)
+/* Where the first candidate of a point is; the next one is `abreast` further. */
+static inline size_t first_candidate(size_t i, size_t abreast)
 {
-    return EK_BLOCK * (i / ABREAST * ABREAST) + i % ABREAST;
+    return EK_BLOCK * (i & ~(abreast - 1u)) + (i & (abreast - 1u));
 }
 
 /* Choose the nearest of the candidates of each point, of equals the first, and give it weight 1 if the square of its
  * distance is below `reach` (m^2), else 0. Returns how often two were equally near if `ties` is 1, else 0. */
-EK_LOOP ek_real choose_candidates(size_t padded, ek_real reach, int ties, const ek_real *EK_RESTRICT mx,
+EK_LOOP ek_real choose_candidates(size_t padded, ek_real reach, int ties, size_t abreast, const ek_real *EK_RESTRICT mx,
                                   const ek_real *EK_RESTRICT my, const ek_real *EK_RESTRICT cx,
                                   const ek_real *EK_RESTRICT cy, ek_real *EK_RESTRICT tx, ek_real *EK_RESTRICT ty,
                                   ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT choice,
                                   ek_real *EK_RESTRICT weight)
 {
     ek_real tied[EK_LANES] = {EK_R(0.0)}, total = EK_R(0.0);
-    for (size_t i = 0; i < padded; i += ABREAST) {
-        for (size_t lane = 0; lane < ABREAST; lane++) {
+    for (size_t i = 0; i < padded; i += abreast) {
+        for (size_t lane = 0; lane < abreast; lane++) {
             const size_t first = EK_BLOCK * i + lane;
             const ek_real x = mx[i + lane], y = my[i + lane];
             ek_real u = cx[first], v = cy[first], best = (x - u) * (x - u) + (y - v) * (y - v), which = EK_R(0.0);
             for (size_t k = 1; k < EK_BLOCK; k++) {
-                const ek_real a = cx[first + ABREAST * k], b = cy[first + ABREAST * k];
+                const ek_real a = cx[first + abreast * k], b = cy[first + abreast * k];
                 const ek_real square = (x - a) * (x - a) + (y - b) * (y - b);
                 const int closer = square < best;
                 if (ties) {
@@ -242,38 +249,41 @@ EK_LOOP ek_real choose_candidates(size_t padded, ek_real reach, int ties, const 
     return total;
 }
 
-/* Constant `ties` only: a loop that tests them is not made into vectors. */
-EK_LOOP ek_real choose_of(const ek_icp *p, size_t padded, ek_real reach, int ties)
+/* Constant `ties` and `abreast` only: a loop that tests them is not made into vectors. */
+#define CHOOSE(ties, abreast) \
+    choose_candidates(padded, reach, ties, abreast, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight)
+
+EK_LOOP ek_real choose(const ek_icp *p, size_t padded, ek_real reach)
 {
-    return choose_candidates(padded, reach, ties, p->mx, p->my, p->cx, p->cy, p->tx, p->ty, p->slack, p->choice, p->weight);
+    return CHOOSE(0, ABREAST);
 }
 
-EK_WIDE static ek_real choose_wide(const ek_icp *p, size_t padded, ek_real reach)
+EK_LOOP ek_real choose_tied(const ek_icp *p, size_t padded, ek_real reach)
 {
-    return choose_of(p, padded, reach, 0);
+    return CHOOSE(1, ABREAST);
 }
 
-EK_WIDE static ek_real choose_tied_wide(const ek_icp *p, size_t padded, ek_real reach)
-{
-    return choose_of(p, padded, reach, 1);
-}
+#if EK_COPIED
+EK_WIDE static ek_real choose_avx2(const ek_icp *p, size_t padded, ek_real reach) { return CHOOSE(0, ABREAST); }
+EK_WIDE static ek_real choose_tied_avx2(const ek_icp *p, size_t padded, ek_real reach) { return CHOOSE(1, ABREAST); }
+EK_WIDEST static ek_real choose_avx512(const ek_icp *p, size_t padded, ek_real reach) { return CHOOSE(0, EK_LANES); }
+EK_WIDEST static ek_real choose_tied_avx512(const ek_icp *p, size_t padded, ek_real reach) { return CHOOSE(1, EK_LANES); }
+#endif
 
 static ek_real choose_neighbours(const ek_icp *p, size_t padded, ek_real reach, int ties)
 {
-    if (EK_IF_WIDE(p->wide)) {
-        return ties ? choose_tied_wide(p, padded, reach) : choose_wide(p, padded, reach);
-    }
-    return ties ? choose_of(p, padded, reach, 1) : choose_of(p, padded, reach, 0);
+    return ties ? EK_CALL(p->wide, choose_tied, (p, padded, reach)) : EK_CALL(p->wide, choose, (p, padded, reach));
 }
 
 /* Choose of the candidates of a point that are exactly as near as the chosen one that with the lowest index in the cloud. */
 static void choose_lowest(const ek_icp *icp, const ek_index *target, size_t count)
 {
+    const size_t abreast = abreast_of(icp);
     for (size_t i = 0; i < count; i++) {
-        const size_t first = first_candidate(i);
+        const size_t first = first_candidate(i, abreast);
         size_t chosen = (size_t)(int32_t)icp->choice[i];
         for (size_t k = 0; k < EK_BLOCK && icp->weight[i] > EK_R(0.0); k++) {
-            const ek_real a = icp->cx[first + ABREAST * k], b = icp->cy[first + ABREAST * k];
+            const ek_real a = icp->cx[first + abreast * k], b = icp->cy[first + abreast * k];
             const ek_real x = icp->mx[i] - a, y = icp->my[i] - b;
             const uint32_t *const slots = icp->slots + EK_BLOCK * i;
             if (x * x + y * y == icp->slack[i] && target->id[slots[k]] < target->id[slots[chosen]]) {
@@ -287,7 +297,7 @@ static void choose_lowest(const ek_icp *icp, const ek_index *target, size_t coun
 }
 
 /* List the points whose neighbour may have changed; returns their number. */
-static uint32_t list_stale(size_t padded, const ek_real *EK_RESTRICT slack, uint32_t *EK_RESTRICT stale)
+EK_LOOP uint32_t list_lacking(size_t padded, const ek_real *EK_RESTRICT slack, uint32_t *EK_RESTRICT stale)
 {
     uint32_t searches = 0u;
     for (uint32_t i = 0; i < padded; i += EK_LANES) {
@@ -297,6 +307,23 @@ static uint32_t list_stale(size_t padded, const ek_real *EK_RESTRICT slack, uint
         }
     }
     return searches;
+}
+
+#if EK_COPIED
+#define list_lacking_avx2 list_lacking
+EK_WIDEST static uint32_t list_lacking_avx512(size_t padded, const ek_real *slack, uint32_t *stale)
+{
+    uint32_t searches = 0u;
+    for (uint32_t i = 0; i < padded; i += EK_LANES) {
+        searches = ek_append_lanes(stale, searches, i, (__mmask8)~ek_lanes_above_zero(slack + i));
+    }
+    return searches;
+}
+#endif
+
+static uint32_t list_stale(const ek_icp *icp, size_t padded)
+{
+    return EK_CALL(icp->wide, list_lacking, (padded, icp->slack, icp->stale));
 }
 
 /* Take the normal of the target point of a pair, and whether it was seen from the same side: a thin wall has a face on
@@ -324,7 +351,7 @@ static ek_real first_look(const ek_icp *icp, const ek_index *target, uint32_t i,
 static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t padded,
                                   ek_real limit)
 {
-    const uint32_t searches = list_stale(padded, icp->slack, icp->stale);
+    const uint32_t searches = list_stale(icp, padded);
     ek_real first = target->cells.cell;
     for (uint32_t k = 0; k < searches; k++) {
         const uint32_t i = icp->stale[k];
@@ -354,11 +381,11 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, const ek_
 /* Take the points of a block of the table as the candidates of a point. */
 static inline void load_block(ek_icp *icp, const ek_block *block, uint32_t i)
 {
-    ek_real *const EK_RESTRICT x = icp->cx + first_candidate(i);
-    ek_real *const EK_RESTRICT y = icp->cy + first_candidate(i);
+    const size_t abreast = abreast_of(icp), first = first_candidate(i, abreast);
+    ek_real *const EK_RESTRICT x = icp->cx + first, *const EK_RESTRICT y = icp->cy + first;
     for (size_t k = 0; k < EK_BLOCK; k++) {
-        x[ABREAST * k] = block->x[k];
-        y[ABREAST * k] = block->y[k];
+        x[abreast * k] = block->x[k];
+        y[abreast * k] = block->y[k];
     }
     memcpy(icp->slots + EK_BLOCK * i, block->slot, sizeof block->slot);
     icp->ax[i] = block->centre_x;
@@ -383,18 +410,28 @@ static void load_neighbour(ek_icp *icp, const ek_index *target, uint32_t i, ek_r
     load_block(icp, &only, i);
 }
 
+/* Prefetch a block: each of its cache lines, wherever it begins. */
+static inline void prefetch_block(const ek_block *block)
+{
+    const char *const bytes = (const char *)block;
+    for (size_t at = 0; at < sizeof *block; at += CACHE_LINE) {
+        EK_PREFETCH(bytes + at);
+    }
+    EK_PREFETCH(bytes + sizeof *block - 1u);
+}
+
 /* Load the candidates of the points whose neighbour may have changed; returns the number of searches. */
 static uint32_t load_candidates(ek_icp *icp, const ek_index *target, size_t padded, ek_real limit)
 {
     ek_table *const table = target->table;
-    const uint32_t searches = list_stale(padded, icp->slack, icp->stale);
+    const uint32_t searches = list_stale(icp, padded);
     ek_table_locate(table, target, icp->mx, icp->my, icp->stale, searches, icp->pair_source);
+    for (uint32_t k = 0; k < AHEAD && k < searches; k++) {
+        prefetch_block(table->block + icp->pair_source[k]);
+    }
     for (uint32_t k = 0; k < searches; k++) {
         const uint32_t i = icp->stale[k], at = icp->pair_source[k];
-        const uint32_t soon = k + AHEAD < searches ? icp->pair_source[k + AHEAD] : 0u;
-        EK_PREFETCH(table->block + soon);
-        EK_PREFETCH(table->block[soon].y);
-        EK_PREFETCH(&table->block[soon].complete);
+        prefetch_block(table->block + (k + AHEAD < searches ? icp->pair_source[k + AHEAD] : 0u));
         const ek_block *block = table->block + at;
         if (!block->complete) {
             block = ek_table_block(table, target, at, icp->mx[i], icp->my[i], limit);
@@ -411,13 +448,13 @@ static uint32_t load_candidates(ek_icp *icp, const ek_index *target, size_t padd
 /* Take the points that were found for one place of a group as the candidates of a point. */
 static inline void load_nearby(ek_icp *icp, const ek_index *target, const ek_nearby *found, uint32_t lane, uint32_t i)
 {
-    ek_real *const EK_RESTRICT x = icp->cx + first_candidate(i);
-    ek_real *const EK_RESTRICT y = icp->cy + first_candidate(i);
+    const size_t abreast = abreast_of(icp), first = first_candidate(i, abreast);
+    ek_real *const EK_RESTRICT x = icp->cx + first, *const EK_RESTRICT y = icp->cy + first;
     for (size_t k = 0; k < EK_BLOCK; k++) {
         const uint32_t slot = found->slot[lane][k];
         const int none = slot == EK_NONE;
-        x[ABREAST * k] = none ? far_away(k) : target->xy[2u * slot];
-        y[ABREAST * k] = none ? far_away(k) : target->xy[2u * slot + 1u];
+        x[abreast * k] = none ? far_away(k) : target->xy[2u * slot];
+        y[abreast * k] = none ? far_away(k) : target->xy[2u * slot + 1u];
         icp->slots[EK_BLOCK * i + k] = none ? 0u : slot;
     }
     icp->ax[i] = icp->mx[i];
@@ -485,7 +522,7 @@ static uint32_t load_group(ek_icp *icp, const ek_index *target, const uint32_t *
 /* As load_candidates, without a table: search the index for groups of points. */
 static uint32_t load_groups(ek_icp *icp, const ek_index *target, size_t padded, ek_real limit)
 {
-    const uint32_t searches = list_stale(padded, icp->slack, icp->stale);
+    const uint32_t searches = list_stale(icp, padded);
     for (uint32_t done = 0; done < searches;) {
         done += load_group(icp, target, icp->stale + done, searches - done, limit);
     }
@@ -583,19 +620,19 @@ static inline int is_closer(ek_real one, ek_real other, int squared)
 static void keep_closest(size_t padded, const uint32_t *EK_RESTRICT nearest, const ek_real *EK_RESTRICT distance,
                          int squared, uint32_t *EK_RESTRICT owner, uint32_t *EK_RESTRICT later, ek_real *EK_RESTRICT weight)
 {
-    size_t count = 0u;
+    uint32_t count = 0u;
     for (size_t i = padded; i > 0u; i -= EK_LANES) {
         for (size_t k = 1; k <= EK_LANES; k++) {
             owner[nearest[i - k]] = (uint32_t)(i - k);
         }
     }
-    for (size_t i = 0; i < padded; i += EK_LANES) {
-        for (size_t k = i; k < i + EK_LANES; k++) {
-            later[count] = (uint32_t)k;
-            count += owner[nearest[k]] != (uint32_t)k;
+    for (uint32_t i = 0; i < padded; i += EK_LANES) {
+        for (uint32_t k = i; k < i + EK_LANES; k++) {
+            later[count] = k;
+            count += owner[nearest[k]] != k;
         }
     }
-    for (size_t k = 0; k < count; k++) {
+    for (uint32_t k = 0; k < count; k++) {
         const uint32_t i = later[k], rival = owner[nearest[i]];
         const uint32_t closer = 0u - (uint32_t)is_closer(distance[i], distance[rival], squared), swap = (i ^ rival) & closer;
         owner[nearest[i]] = rival ^ swap;

@@ -1,5 +1,6 @@
 #include "ek/index.h"
 #include "ek/tally.h"
+#include "ek/wide.h"
 
 #include <string.h>
 
@@ -19,6 +20,7 @@ ek_status ek_index_init(ek_index *index, ek_arena *arena, size_t capacity, size_
     memset(index, 0, sizeof *index);
     index->capacity = capacity;
     index->cell_capacity = cells;
+    index->wide = ek_wide();
     index->xy = (ek_real *)ek_arena_alloc(arena, 2u * EK_INDEX_SLOTS(capacity), sizeof(ek_real));
     index->id = (uint32_t *)ek_arena_alloc(arena, EK_INDEX_SLOTS(capacity), sizeof(uint32_t));
     index->start = (uint32_t *)ek_arena_alloc(arena, cells + 2u + EK_INDEX_BLOCK, sizeof(uint32_t));

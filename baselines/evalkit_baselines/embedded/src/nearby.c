@@ -44,11 +44,10 @@ EK_LOOP void rank(uint32_t count, float scale, const float *EK_RESTRICT cx, cons
     }
 }
 
-EK_WIDE static void rank_wide(uint32_t count, float scale, const float *cx, const float *cy, const float *px,
-                              const float *py, int32_t (*ranked)[EK_GROUP])
-{
-    rank(count, scale, cx, cy, px, py, ranked);
-}
+EK_COPIES(void, rank,
+          (uint32_t count, float scale, const float *cx, const float *cy, const float *px, const float *py,
+           int32_t (*ranked)[EK_GROUP]),
+          { rank(count, scale, cx, cy, px, py, ranked); })
 
 /* Gather the points in the cells that squares around the places touch, relative to (x, y); 0 if there are too many. */
 static int gather(const ek_index *index, const ek_bounds *places, ek_real radius, ek_real x, ek_real y,
@@ -130,11 +129,7 @@ int ek_index_nearby(const ek_index *index, const ek_real x[EK_GROUP], const ek_r
     }
     const ek_real rounding = ROUNDING * (across + up) + index->cells.margin;
     const float scale = LARGEST / (float)((across + up) * (across + up)), per = 1.0f / scale;
-    if (EK_IF_WIDE(wide)) {
-        rank_wide(around.count, scale, around.x, around.y, px, py, keys);
-    } else {
-        rank(around.count, scale, around.x, around.y, px, py, keys);
-    }
+    EK_CALL(wide, rank, (around.count, scale, around.x, around.y, px, py, keys));
     for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
         const int32_t first = keys[0][lane] / (int32_t)MAX_AROUND, next = keys[EK_BLOCK][lane];
         const ek_real border = distance_to_edge(&index->cells, &around.box, &edges, x[lane], y[lane]);

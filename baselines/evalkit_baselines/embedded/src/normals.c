@@ -103,7 +103,7 @@ static int gather_box(const ek_index *index, const ek_cell_box *box, ek_real x, 
 }
 
 /* Count for each point how many others are nearer. */
-EK_WIDE static void rank_points(size_t count, ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT rank)
+EK_LOOP void rank_points(size_t count, ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT rank)
 {
     for (size_t k = count; k < EK_PADDED(count); k++) {
         squared[k] = EK_R(0.0);
@@ -119,6 +119,8 @@ EK_WIDE static void rank_points(size_t count, ek_real *EK_RESTRICT squared, ek_r
     }
 }
 
+EK_COPIES(void, rank_points, (size_t count, ek_real *squared, ek_real *rank), { rank_points(count, squared, rank); })
+
 /* As search_box, by ranks, which no processor has to predict; where fewer than `least` points are near, only their number.
  * 0 if more than BLOCK points are near, or two equally near ones. */
 static int rank_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius, size_t least,
@@ -133,7 +135,7 @@ static int rank_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek
     if (near.count < least) {
         return 1;
     }
-    rank_points(near.count, near.squared, rank);
+    EK_CALL(index->wide, rank_points, (near.count, near.squared, rank));
     for (size_t k = 0; k < near.count; k++) {
         const size_t at = (size_t)(int32_t)rank[k];
         found->squared[at] = near.squared[k];
@@ -153,7 +155,7 @@ static ek_real find_nearest(const ek_index *index, ek_real x, ek_real y, ek_real
         const int last = ek_cell_grid_is_all(&index->cells, &box) || widest;
         const ek_real within = last ? limit : radius - index->cells.margin;
         const size_t least = last ? 0u : found->wanted;
-        if (!(EK_IF_WIDE(ek_is_wide()) && rank_box(index, &box, x, y, within, least, found))) {
+        if (!(EK_IF_WIDE(index->wide) && rank_box(index, &box, x, y, within, least, found))) {
             search_box(index, &box, x, y, within, found);
         }
         if (found->count == found->wanted || last) {
