@@ -5,7 +5,7 @@
 #include "ek/table.h"
 #include "ek/tally.h"
 #include "ek/wide.h"
-#include "lists.h"
+#include "lanes.h"
 
 #include <string.h>
 
@@ -315,7 +315,8 @@ EK_WIDEST static uint32_t list_lacking_avx512(size_t padded, const ek_real *slac
 {
     uint32_t searches = 0u;
     for (uint32_t i = 0; i < padded; i += EK_LANES) {
-        searches = ek_append_lanes(stale, searches, i, (__mmask8)~ek_lanes_above_zero(slack + i));
+        const ek_lanes zero = EK_LANES_OF(setzero)(), now = EK_LANES_OF(loadu)(slack + i);
+        searches = ek_append_lanes(stale, searches, i, (__mmask8)~EK_BELOW(zero, now));
     }
     return searches;
 }

@@ -1,6 +1,7 @@
 #include "ek/normals.h"
 #include "ek/tally.h"
 #include "ek/wide.h"
+#include "lanes.h"
 
 #include <string.h>
 
@@ -69,38 +70,81 @@ static void search_box(const ek_index *index, const ek_cell_box *box, ek_real x,
     }
 }
 
-/* Points of a box, in no order; there is room for a row of cells beyond the last. */
+/* Points of a box, in no order; there is room for a row of cells and some lanes beyond the last. */
 typedef struct {
-    size_t count;
-    ek_real squared[2u * BLOCK]; /* m^2 */
-    uint32_t slot[2u * BLOCK];
+    uint32_t count;
+    ek_real squared[2u * BLOCK + EK_LANES]; /* m^2 */
+    uint32_t slot[2u * BLOCK + EK_LANES];
 } near_points;
 
-/* Gather the points of a box that are nearer than `radius` (m); 0 if there are more than BLOCK. */
-static int gather_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius,
-                      near_points *near)
+/* Append the points from one slot to another that are nearer than the root of `limit` (m^2). */
+static inline void append_row(near_points *near, const ek_real *xy, uint32_t from, uint32_t to, ek_real x, ek_real y,
+                              ek_real limit)
 {
-    const ek_real *const xy = index->xy, limit = radius * radius;
-    size_t count = 0u;
+    for (uint32_t k = from; k < to; k++) {
+        const ek_real dx = xy[2u * k] - x, dy = xy[2u * k + 1u] - y;
+        near->squared[near->count] = dx * dx + dy * dy;
+        near->slot[near->count] = k;
+        near->count += near->squared[near->count] < limit ? 1u : 0u;
+    }
+}
+
+#if EK_COPIED
+EK_WIDEST static inline void append_row_avx512(near_points *near, const ek_real *xy, uint32_t from, uint32_t to, ek_real x,
+                                               ek_real y, ek_real limit)
+{
+    for (uint32_t k = from; k < to; k += EK_LANES) {
+        const uint32_t count = to - k < EK_LANES ? to - k : EK_LANES;
+        const ek_lanes squared = ek_square_pairs(xy + 2u * (size_t)k, count, x, y);
+        const __mmask8 inside = (__mmask8)(EK_BELOW(squared, EK_LANES_OF(set1)(limit)) & ((1u << count) - 1u));
+        EK_LANES_OF(storeu)(near->squared + near->count, EK_LANES_OF(maskz_compress)(inside, squared));
+        near->count = ek_append_lanes(near->slot, near->count, k, inside);
+    }
+}
+#endif
+
+/* Gather the points of a box that are nearer than `radius` (m); 0 if there are more than BLOCK. `widest`: constant. */
+EK_LOOP int gather_near(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius, int widest,
+                        near_points *near)
+{
+    const ek_real limit = radius * radius;
+    near->count = 0u;
     for (int32_t row = box->bottom; row <= box->top; row++) {
         const uint32_t *const start = index->start + (size_t)row * index->cells.columns;
         const uint32_t from = start[box->left], to = start[box->right + 1];
         if (to - from > BLOCK) {
             return 0;
         }
-        for (uint32_t k = from; k < to; k++) {
-            const ek_real dx = xy[2u * k] - x, dy = xy[2u * k + 1u] - y;
-            near->squared[count] = dx * dx + dy * dy;
-            near->slot[count] = k;
-            count += near->squared[count] < limit ? 1u : 0u;
+#if EK_COPIED
+        if (widest) {
+            append_row_avx512(near, index->xy, from, to, x, y, limit);
+        } else
+#endif
+        {
+            append_row(near, index->xy, from, to, x, y, limit);
         }
-        if (count > BLOCK) {
+        if (near->count > BLOCK) {
             return 0;
         }
     }
-    near->count = count;
+    (void)widest;
     return 1;
 }
+
+EK_LOOP int gather_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius,
+                       near_points *near)
+{
+    return gather_near(index, box, x, y, radius, 0, near);
+}
+
+#if EK_COPIED
+#define gather_box_avx2 gather_box
+EK_WIDEST static int gather_box_avx512(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius,
+                                       near_points *near)
+{
+    return gather_near(index, box, x, y, radius, 1, near);
+}
+#endif
 
 /* Count for each point how many others are nearer. */
 EK_LOOP void rank_points(size_t count, ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT rank)
@@ -128,7 +172,7 @@ static int rank_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek
 {
     near_points near;
     ek_real rank[BLOCK], sum = EK_R(0.0);
-    if (!gather_box(index, box, x, y, radius, &near)) {
+    if (!EK_CALL(index->wide, gather_box, (index, box, x, y, radius, &near))) {
         return 0;
     }
     found->count = near.count < found->wanted ? near.count : found->wanted;
