@@ -163,7 +163,30 @@ EK_LOOP void rank_points(size_t count, ek_real *EK_RESTRICT squared, ek_real *EK
     }
 }
 
-EK_COPIES(void, rank_points, (size_t count, ek_real *squared, ek_real *rank), { rank_points(count, squared, rank); })
+#if EK_COPIED
+EK_WIDE static void rank_points_avx2(size_t count, ek_real *squared, ek_real *rank)
+{
+    rank_points(count, squared, rank);
+}
+
+/* The bits of one comparison with all points are counted: no sum waits for another one. */
+EK_WIDEST static void rank_points_avx512(size_t count, ek_real *squared, ek_real *rank)
+{
+    ek_lanes all[BLOCK / EK_LANES];
+    for (size_t k = count; k < BLOCK; k++) {
+        squared[k] = EK_FAR * EK_FAR; /* nearer than no point */
+    }
+    for (size_t group = 0; group < BLOCK / EK_LANES; group++) {
+        all[group] = EK_LANES_OF(loadu)(squared + EK_LANES * group);
+    }
+    for (size_t k = 0; k < count; k++) {
+        const ek_lanes one = EK_LANES_OF(set1)(squared[k]);
+        const __mmask16 low = _mm512_kunpackb(EK_BELOW(all[1], one), EK_BELOW(all[0], one));
+        const __mmask16 high = _mm512_kunpackb(EK_BELOW(all[3], one), EK_BELOW(all[2], one));
+        rank[k] = (ek_real)__builtin_popcount((uint32_t)high << 16 | low);
+    }
+}
+#endif
 
 /* As search_box, by ranks, which no processor has to predict; where fewer than `least` points are near, only their number.
  * 0 if more than BLOCK points are near, or two equally near ones. */
