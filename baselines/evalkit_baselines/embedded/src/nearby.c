@@ -132,6 +132,8 @@ EK_WIDEST static inline void append_row_avx512(surroundings *around, const ek_re
     }
     around->count += points;
 }
+#else
+#define append_row_avx512 append_row
 #endif
 
 /* Gather the points of the box, relative to (x, y); 0 if there are too many. `widest`: constant. */
@@ -145,15 +147,7 @@ EK_LOOP int gather_box(const ek_index *index, ek_real x, ek_real y, int widest, 
         if (points > MAX_AROUND - around->count) {
             return 0;
         }
-#if EK_COPIED
-        if (widest) {
-            append_row_avx512(around, index->xy + 2u * (size_t)from, from, points, x, y);
-            continue;
-        }
-#else
-        (void)widest;
-#endif
-        append_row(around, index->xy + 2u * (size_t)from, from, points, x, y);
+        (widest ? append_row_avx512 : append_row)(around, index->xy + 2u * (size_t)from, from, points, x, y);
     }
     return 1;
 }

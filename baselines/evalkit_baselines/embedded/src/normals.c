@@ -101,6 +101,8 @@ EK_WIDEST static inline void append_row_avx512(near_points *near, const ek_real 
         near->count = ek_append_lanes(near->slot, near->count, k, inside);
     }
 }
+#else
+#define append_row_avx512 append_row
 #endif
 
 /* Gather the points of a box that are nearer than `radius` (m); 0 if there are more than BLOCK. `widest`: constant. */
@@ -115,19 +117,11 @@ EK_LOOP int gather_near(const ek_index *index, const ek_cell_box *box, ek_real x
         if (to - from > BLOCK) {
             return 0;
         }
-#if EK_COPIED
-        if (widest) {
-            append_row_avx512(near, index->xy, from, to, x, y, limit);
-        } else
-#endif
-        {
-            append_row(near, index->xy, from, to, x, y, limit);
-        }
+        (widest ? append_row_avx512 : append_row)(near, index->xy, from, to, x, y, limit);
         if (near->count > BLOCK) {
             return 0;
         }
     }
-    (void)widest;
     return 1;
 }
 
@@ -164,10 +158,7 @@ EK_LOOP void rank_points(size_t count, ek_real *EK_RESTRICT squared, ek_real *EK
 }
 
 #if EK_COPIED
-EK_WIDE static void rank_points_avx2(size_t count, ek_real *squared, ek_real *rank)
-{
-    rank_points(count, squared, rank);
-}
+EK_WIDE static void rank_points_avx2(size_t count, ek_real *squared, ek_real *rank) { rank_points(count, squared, rank); }
 
 /* The bits of one comparison with all points are counted: no sum waits for another one. */
 EK_WIDEST static void rank_points_avx512(size_t count, ek_real *squared, ek_real *rank)
