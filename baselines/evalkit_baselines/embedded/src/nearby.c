@@ -100,11 +100,13 @@ EK_WIDEST static void rank_avx512(uint32_t count, float scale, const float *cx, 
 /* Append `points` points from the slot `from` on, relative to (x, y). */
 static inline void append_row(surroundings *around, const ek_real *xy, uint32_t from, uint32_t points, ek_real x, ek_real y)
 {
+    uint32_t count = around->count; /* local: kept in a register */
     for (uint32_t k = 0; k < points; k++) {
-        around->slot[around->count] = from + k;
-        around->x[around->count] = (float)(xy[2u * k] - x);
-        around->y[around->count++] = (float)(xy[2u * k + 1u] - y);
+        around->slot[count] = from + k;
+        around->x[count] = (float)(xy[2u * k] - x);
+        around->y[count++] = (float)(xy[2u * k + 1u] - y);
     }
+    around->count = count;
 }
 
 #if EK_COPIED

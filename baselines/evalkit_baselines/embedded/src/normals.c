@@ -81,12 +81,14 @@ typedef struct {
 static inline void append_row(near_points *near, const ek_real *xy, uint32_t from, uint32_t to, ek_real x, ek_real y,
                               ek_real limit)
 {
+    uint32_t count = near->count; /* local: kept in a register */
     for (uint32_t k = from; k < to; k++) {
         const ek_real dx = xy[2u * k] - x, dy = xy[2u * k + 1u] - y;
-        near->squared[near->count] = dx * dx + dy * dy;
-        near->slot[near->count] = k;
-        near->count += near->squared[near->count] < limit ? 1u : 0u;
+        near->squared[count] = dx * dx + dy * dy;
+        near->slot[count] = k;
+        count += near->squared[count] < limit ? 1u : 0u;
     }
+    near->count = count;
 }
 
 #if EK_COPIED
