@@ -24,14 +24,11 @@ EK_LOOP ek_real count_lanes(size_t padded, const ek_real *EK_RESTRICT weight)
     return add_lanes(sums);
 }
 
-EK_WIDE static ek_real count_wide(size_t padded, const ek_real *weight)
-{
-    return count_lanes(padded, weight);
-}
+EK_COPIES(ek_real, count_lanes, (size_t padded, const ek_real *weight), { return count_lanes(padded, weight); })
 
 ek_real ek_fit_count(const ek_real *weight, size_t padded, int wide)
 {
-    return EK_IF_WIDE(wide) ? count_wide(padded, weight) : count_lanes(padded, weight);
+    return EK_CALL(wide, count_lanes, (padded, weight));
 }
 
 EK_LOOP ek_real sum_lanes(size_t padded, int squared, const ek_real *EK_RESTRICT weight,
@@ -47,14 +44,12 @@ EK_LOOP ek_real sum_lanes(size_t padded, int squared, const ek_real *EK_RESTRICT
     return add_lanes(sums);
 }
 
-EK_WIDE static ek_real sum_wide(size_t padded, int squared, const ek_real *weight, const ek_real *distance)
-{
-    return sum_lanes(padded, squared, weight, distance);
-}
+EK_COPIES(ek_real, sum_lanes, (size_t padded, int squared, const ek_real *weight, const ek_real *distance),
+          { return sum_lanes(padded, squared, weight, distance); })
 
 ek_real ek_fit_sum(const ek_real *weight, const ek_real *distance, size_t padded, int squared, int wide)
 {
-    return EK_IF_WIDE(wide) ? sum_wide(padded, squared, weight, distance) : sum_lanes(padded, squared, weight, distance);
+    return EK_CALL(wide, sum_lanes, (padded, squared, weight, distance));
 }
 
 /* The motion with rotation theta (rad) that moves point (px, py) to (qx, qy). */
@@ -90,20 +85,19 @@ EK_LOOP void sum_points(size_t padded, ek_real ox, ek_real oy, const ek_real *EK
     }
 }
 
-EK_WIDE static void sum_points_wide(const ek_pairs *p, ek_real ox, ek_real oy, ek_real total[7])
+EK_LOOP void sum_points_of(const ek_pairs *p, ek_real ox, ek_real oy, ek_real total[7])
 {
     sum_points(p->padded, ox, oy, p->x, p->y, p->tx, p->ty, p->weight, total);
 }
+
+EK_COPIES(void, sum_points_of, (const ek_pairs *p, ek_real ox, ek_real oy, ek_real total[7]),
+          { sum_points_of(p, ox, oy, total); })
 
 /* Equations 3 and 4, corrected. */
 ek_pose ek_fit_points(const ek_pairs *pairs, ek_real ox, ek_real oy)
 {
     ek_real total[7];
-    if (EK_IF_WIDE(pairs->wide)) {
-        sum_points_wide(pairs, ox, oy, total);
-    } else {
-        sum_points(pairs->padded, ox, oy, pairs->x, pairs->y, pairs->tx, pairs->ty, pairs->weight, total);
-    }
+    EK_CALL(pairs->wide, sum_points_of, (pairs, ox, oy, total));
     const ek_real count = total[0], px = total[1] / count, py = total[2] / count;
     const ek_real qx = total[3] / count, qy = total[4] / count;
     const ek_real theta = EK_ATAN2(total[5] - count * (px * qy - py * qx), total[6] - count * (px * qx + py * qy));
@@ -210,16 +204,22 @@ EK_LOOP void sum_lines(size_t padded, ek_real cx, ek_real cy, ek_real sharp, con
     }
 }
 
-EK_WIDE static void sum_sources_wide(const ek_pairs *p, ek_real ox, ek_real oy, ek_real total[3])
+EK_LOOP void sum_sources_of(const ek_pairs *p, ek_real ox, ek_real oy, ek_real total[3])
 {
     sum_sources(p->padded, ox, oy, p->x, p->y, p->weight, total);
 }
 
-EK_WIDE static void sum_lines_wide(const ek_pairs *p, const ek_real *weight, ek_real cx, ek_real cy, ek_real sharp,
-                                   ek_real total[9])
+EK_COPIES(void, sum_sources_of, (const ek_pairs *p, ek_real ox, ek_real oy, ek_real total[3]),
+          { sum_sources_of(p, ox, oy, total); })
+
+EK_LOOP void sum_lines_of(const ek_pairs *p, const ek_real *weight, ek_real cx, ek_real cy, ek_real sharp, ek_real total[9])
 {
     sum_lines(p->padded, cx, cy, sharp, p->x, p->y, p->tx, p->ty, p->nx, p->ny, weight, total);
 }
+
+EK_COPIES(void, sum_lines_of,
+          (const ek_pairs *p, const ek_real *weight, ek_real cx, ek_real cy, ek_real sharp, ek_real total[9]),
+          { sum_lines_of(p, weight, cx, cy, sharp, total); })
 
 ek_pose ek_fit_lines(const ek_pairs *pairs, ek_real cauchy, ek_real ox, ek_real oy)
 {
@@ -227,17 +227,9 @@ ek_pose ek_fit_lines(const ek_pairs *pairs, ek_real cauchy, ek_real ox, ek_real 
     const ek_real sharp = cauchy > EK_R(0.0) ? EK_R(1.0) / cauchy : EK_R(0.0);
     const ek_real *const weight = p->share ? p->share : p->weight;
     ek_real sources[3], total[9], move[3];
-    if (EK_IF_WIDE(p->wide)) {
-        sum_sources_wide(p, ox, oy, sources);
-    } else {
-        sum_sources(p->padded, ox, oy, p->x, p->y, p->weight, sources);
-    }
+    EK_CALL(p->wide, sum_sources_of, (p, ox, oy, sources));
     const ek_real cx = sources[1] / sources[0] + ox, cy = sources[2] / sources[0] + oy;
-    if (EK_IF_WIDE(p->wide)) {
-        sum_lines_wide(p, weight, cx, cy, sharp, total);
-    } else {
-        sum_lines(p->padded, cx, cy, sharp, p->x, p->y, p->tx, p->ty, p->nx, p->ny, weight, total);
-    }
+    EK_CALL(p->wide, sum_lines_of, (p, weight, cx, cy, sharp, total));
     ek_real matrix[3][3] = {{total[0], total[1], total[3]}, {total[1], total[2], total[4]},
                             {total[3], total[4], total[5]}};
     solve(matrix, total + 6, move);

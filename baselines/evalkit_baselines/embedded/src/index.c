@@ -1,5 +1,7 @@
 #include "ek/index.h"
 #include "ek/tally.h"
+#include "ek/wide.h"
+#include "lanes.h"
 
 #include <string.h>
 
@@ -19,6 +21,7 @@ ek_status ek_index_init(ek_index *index, ek_arena *arena, size_t capacity, size_
     memset(index, 0, sizeof *index);
     index->capacity = capacity;
     index->cell_capacity = cells;
+    index->wide = ek_wide();
     index->xy = (ek_real *)ek_arena_alloc(arena, 2u * EK_INDEX_SLOTS(capacity), sizeof(ek_real));
     index->id = (uint32_t *)ek_arena_alloc(arena, EK_INDEX_SLOTS(capacity), sizeof(uint32_t));
     index->start = (uint32_t *)ek_arena_alloc(arena, cells + 2u + EK_INDEX_BLOCK, sizeof(uint32_t));
@@ -185,6 +188,48 @@ static uint32_t find_lowest_id(const ek_index *index, const ek_cell_box *box, ek
     return slot;
 }
 
+/* Compare the points in the cells of a box. */
+EK_LOOP void compare_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, candidates *found)
+{
+    found->best = found->second = EK_FAR * EK_FAR;
+    found->slot = EK_NONE;
+    const uint32_t *start = index->start + (size_t)box->bottom * index->cells.columns;
+    for (int32_t line = box->bottom; line <= box->top; line++, start += index->cells.columns) {
+        compare_slots(index, start[box->left], start[box->right + 1], x, y, found);
+    }
+}
+
+#if EK_COPIED
+#define compare_box_avx2 compare_box
+
+/* Eight points of a row at a time; most rows have no more. Of equally near points another one may be taken: then the one with
+ * the lowest index in the cloud is looked for. */
+EK_WIDEST static void compare_box_avx512(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y,
+                                         candidates *found)
+{
+    const ek_lanes far_off = EK_LANES_OF(set1)(EK_FAR * EK_FAR);
+    ek_lanes best = far_off, second = far_off;
+    __m256i slots = _mm256_set1_epi32((int32_t)EK_NONE);
+    const uint32_t *start = index->start + (size_t)box->bottom * index->cells.columns;
+    for (int32_t line = box->bottom; line <= box->top; line++, start += index->cells.columns) {
+        const uint32_t to = start[box->right + 1];
+        for (uint32_t k = start[box->left]; k < to; k += EK_LANES) {
+            const uint32_t count = to - k < EK_LANES ? to - k : EK_LANES;
+            const ek_lanes squares = ek_square_pairs(index->xy + 2u * (size_t)k, count, x, y);
+            const ek_lanes squared = EK_LANES_OF(mask_mov)(far_off, (__mmask8)((1u << count) - 1u), squares);
+            const __mmask8 nearer = EK_BELOW(squared, best);
+            second = EK_LANES_OF(min)(second, EK_LANES_OF(max)(squared, best));
+            best = EK_LANES_OF(min)(best, squared);
+            slots = _mm256_mask_mov_epi32(slots, nearer, ek_count_lanes(k));
+        }
+    }
+    found->best = ek_least_lane(best);
+    const uint32_t lane = (uint32_t)__builtin_ctz((uint32_t)EK_EQUAL(best, EK_LANES_OF(set1)(found->best)));
+    found->second = ek_least_lane(EK_LANES_OF(min)(second, EK_LANES_OF(mask_mov)(best, (__mmask8)(1u << lane), far_off)));
+    found->slot = (uint32_t)_mm256_cvtsi256_si32(_mm256_permutevar8x32_epi32(slots, _mm256_set1_epi32((int32_t)lane)));
+}
+#endif
+
 /* Search all cells that a square of half width `radius` (m) around (x, y) touches; fill *box with them. Returns a lower
  * bound on the distance (m) to any point outside them, reduced by `margin` for rounding. */
 static inline ek_real search_square(const ek_index *index, ek_real x, ek_real y, ek_real radius, ek_real margin,
@@ -192,12 +237,7 @@ static inline ek_real search_square(const ek_index *index, ek_real x, ek_real y,
 {
     const ek_cell_grid *const frame = &index->cells;
     *box = ek_cell_grid_box(frame, x, y, radius);
-    found->best = found->second = EK_FAR * EK_FAR;
-    found->slot = EK_NONE;
-    const uint32_t *start = index->start + (size_t)box->bottom * frame->columns;
-    for (int32_t line = box->bottom; line <= box->top; line++, start += frame->columns) {
-        compare_slots(index, start[box->left], start[box->right + 1], x, y, found);
-    }
+    EK_CALL(index->wide, compare_box, (index, box, x, y, found));
     return ek_cell_grid_is_all(frame, box) ? EK_FAR : radius - margin;
 }
 

@@ -1,5 +1,8 @@
 #include "ek/nearby.h"
 #include "ek/wide.h"
+#include "lanes.h"
+
+#include <string.h>
 
 #define BITS 8 /* of a key for the number of a candidate; the 23 bits above are its squared distance */
 #define MAX_AROUND (1u << BITS)
@@ -9,8 +12,8 @@
 
 /* Candidates of all places, relative to the first place (m). */
 typedef struct {
-    uint32_t count, slot[MAX_AROUND];
-    float x[MAX_AROUND], y[MAX_AROUND];
+    uint32_t count, slot[MAX_AROUND + EK_LANES];
+    float x[MAX_AROUND + EK_LANES], y[MAX_AROUND + EK_LANES];
     ek_cell_box box; /* cells that contain them */
 } surroundings;
 
@@ -44,14 +47,128 @@ EK_LOOP void rank(uint32_t count, float scale, const float *EK_RESTRICT cx, cons
     }
 }
 
-EK_WIDE static void rank_wide(uint32_t count, float scale, const float *cx, const float *cy, const float *px,
+#if EK_COPIED
+EK_WIDE static void rank_avx2(uint32_t count, float scale, const float *cx, const float *cy, const float *px,
                               const float *py, int32_t (*ranked)[EK_GROUP])
 {
     rank(count, scale, cx, cy, px, py, ranked);
 }
 
+/* Insert keys into those of the same lanes, which are in ascending order. */
+EK_WIDEST static inline void insert_keys(__m512i keys[EK_BLOCK + 1u], __m512i key)
+{
+    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
+        const __m512i old = keys[j];
+        keys[j] = _mm512_min_epi32(key, old);
+        key = _mm512_max_epi32(key, old);
+    }
+}
+
+/* As rank, with two candidates at once: the eight places in the lower half of a register with one, in the upper half with the
+ * other. No two keys are equal, so that the smallest ones do not depend on the order. */
+EK_WIDEST static void rank_avx512(uint32_t count, float scale, const float *cx, const float *cy, const float *px,
+                                  const float *py, int32_t (*ranked)[EK_GROUP])
+{
+    const __m512i none = _mm512_set1_epi32(NO_KEY);
+    const __m512 place_x = _mm512_broadcast_f32x8(_mm256_loadu_ps(px)), place_y = _mm512_broadcast_f32x8(_mm256_loadu_ps(py));
+    __m512i keys[EK_BLOCK + 1u];
+    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
+        keys[j] = none;
+    }
+    for (uint32_t k = 0; k < count; k += 2u) {
+        const uint32_t next = k + 1u < count ? k + 1u : k;
+        const __m512 x = _mm512_mask_blend_ps(0xFF00u, _mm512_set1_ps(cx[k]), _mm512_set1_ps(cx[next]));
+        const __m512 y = _mm512_mask_blend_ps(0xFF00u, _mm512_set1_ps(cy[k]), _mm512_set1_ps(cy[next]));
+        const __m512 dx = _mm512_sub_ps(x, place_x), dy = _mm512_sub_ps(y, place_y);
+        const __m512 squared = _mm512_add_ps(_mm512_mul_ps(dx, dx), _mm512_mul_ps(dy, dy));
+        const __m512i numbers = _mm512_mask_set1_epi32(_mm512_set1_epi32((int32_t)k), 0xFF00u, (int32_t)next);
+        const __m512i large = _mm512_slli_epi32(_mm512_cvttps_epi32(_mm512_mul_ps(squared, _mm512_set1_ps(scale))), BITS);
+        const __m512i key = _mm512_add_epi32(large, numbers);
+        insert_keys(keys, next > k ? key : _mm512_mask_blend_epi32(0xFF00u, key, none));
+    }
+    __m512i all[EK_BLOCK + 1u];
+    memcpy(all, keys, sizeof all);
+    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
+        insert_keys(all, _mm512_shuffle_i64x2(keys[j], keys[j], 0x4E));
+    }
+    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
+        _mm256_storeu_si256((__m256i *)(void *)ranked[j], _mm512_castsi512_si256(all[j]));
+    }
+}
+#endif
+
+/* Append `points` points from the slot `from` on, relative to (x, y). */
+static inline void append_row(surroundings *around, const ek_real *xy, uint32_t from, uint32_t points, ek_real x, ek_real y)
+{
+    uint32_t count = around->count; /* local: kept in a register */
+    for (uint32_t k = 0; k < points; k++) {
+        around->slot[count] = from + k;
+        around->x[count] = (float)(xy[2u * k] - x);
+        around->y[count++] = (float)(xy[2u * k + 1u] - y);
+    }
+    around->count = count;
+}
+
+#if EK_COPIED
+/* The same, eight points at a time: most rows have no more, and need no branch. */
+EK_WIDEST static inline void append_row_avx512(surroundings *around, const ek_real *xy, uint32_t from, uint32_t points,
+                                               ek_real x, ek_real y)
+{
+    const __m256i evens = _mm256_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14), odds = _mm256_setr_epi32(1, 3, 5, 7, 9, 11, 13, 15);
+    for (uint32_t k = 0; k < points; k += EK_LANES) {
+        const uint32_t left = points - k, both = left < EK_LANES ? (1u << (2u * left)) - 1u : 0xFFFFu;
+        const ek_real *const first = xy + 2u * k;
+        float *const to_x = around->x + around->count + k, *const to_y = around->y + around->count + k;
+#ifdef EK_FLOAT
+        const __m512 place = _mm512_setr_ps(x, y, x, y, x, y, x, y, x, y, x, y, x, y, x, y);
+        const __m512 moved = _mm512_sub_ps(_mm512_maskz_loadu_ps((__mmask16)both, first), place);
+        const __m256 low = _mm512_castps512_ps256(moved), high = _mm512_extractf32x8_ps(moved, 1);
+#else
+        const __m512d place = _mm512_setr_pd(x, y, x, y, x, y, x, y);
+        const __m256 low = _mm512_cvtpd_ps(_mm512_sub_pd(_mm512_maskz_loadu_pd((__mmask8)both, first), place));
+        const __m256 high = _mm512_cvtpd_ps(_mm512_sub_pd(_mm512_maskz_loadu_pd((__mmask8)(both >> 8), first + 8), place));
+#endif
+        _mm256_storeu_ps(to_x, _mm256_permutex2var_ps(low, evens, high));
+        _mm256_storeu_ps(to_y, _mm256_permutex2var_ps(low, odds, high));
+        ek_store_numbers(around->slot + around->count + k, ek_count_lanes(from + k));
+    }
+    around->count += points;
+}
+#else
+#define append_row_avx512 append_row
+#endif
+
+/* Gather the points of the box, relative to (x, y); 0 if there are too many. `widest`: constant. */
+EK_LOOP int gather_box(const ek_index *index, ek_real x, ek_real y, int widest, surroundings *around)
+{
+    const ek_cell_box box = around->box;
+    around->count = 0u;
+    for (int32_t row = box.bottom; row <= box.top; row++) {
+        const uint32_t *const start = index->start + (size_t)row * index->cells.columns;
+        const uint32_t from = start[box.left], points = start[box.right + 1] - from;
+        if (points > MAX_AROUND - around->count) {
+            return 0;
+        }
+        (widest ? append_row_avx512 : append_row)(around, index->xy + 2u * (size_t)from, from, points, x, y);
+    }
+    return 1;
+}
+
+EK_LOOP int gather_points(const ek_index *index, ek_real x, ek_real y, surroundings *around)
+{
+    return gather_box(index, x, y, 0, around);
+}
+
+#if EK_COPIED
+#define gather_points_avx2 gather_points
+EK_WIDEST static int gather_points_avx512(const ek_index *index, ek_real x, ek_real y, surroundings *around)
+{
+    return gather_box(index, x, y, 1, around);
+}
+#endif
+
 /* Gather the points in the cells that squares around the places touch, relative to (x, y); 0 if there are too many. */
-static int gather(const ek_index *index, const ek_bounds *places, ek_real radius, ek_real x, ek_real y,
+static int gather(const ek_index *index, const ek_bounds *places, ek_real radius, ek_real x, ek_real y, int wide,
                   surroundings *around)
 {
     const ek_cell_grid *const grid = &index->cells;
@@ -61,22 +178,7 @@ static int gather(const ek_index *index, const ek_bounds *places, ek_real radius
     box->right = ek_cell_grid_clamp((places->right + radius - grid->left) * grid->per_cell, last_column);
     box->bottom = ek_cell_grid_clamp((places->bottom - radius - grid->bottom) * grid->per_cell, last_row);
     box->top = ek_cell_grid_clamp((places->top + radius - grid->bottom) * grid->per_cell, last_row);
-    uint32_t count = 0u;
-    for (int32_t row = box->bottom; row <= box->top; row++) {
-        const uint32_t *const start = index->start + (size_t)row * grid->columns;
-        const uint32_t from = start[box->left], points = start[box->right + 1] - from;
-        const ek_real *const xy = index->xy + 2u * (size_t)from;
-        if (points > MAX_AROUND - count) {
-            return 0;
-        }
-        for (uint32_t k = 0; k < points; k++) {
-            around->slot[count] = from + k;
-            around->x[count] = (float)(xy[2u * k] - x);
-            around->y[count++] = (float)(xy[2u * k + 1u] - y);
-        }
-    }
-    around->count = count;
-    return 1;
+    return EK_CALL(wide, gather_points, (index, x, y, around));
 }
 
 /* Edges of the cells of a box (m). */
@@ -116,7 +218,7 @@ int ek_index_nearby(const ek_index *index, const ek_real x[EK_GROUP], const ek_r
         px[lane] = (float)(x[lane] - x[0]);
         py[lane] = (float)(y[lane] - y[0]);
     }
-    if (index->count == 0u || !gather(index, &places, radius, x[0], y[0], &around)) {
+    if (index->count == 0u || !gather(index, &places, radius, x[0], y[0], wide, &around)) {
         return 0;
     }
     /* no place is farther from a candidate */
@@ -130,11 +232,7 @@ int ek_index_nearby(const ek_index *index, const ek_real x[EK_GROUP], const ek_r
     }
     const ek_real rounding = ROUNDING * (across + up) + index->cells.margin;
     const float scale = LARGEST / (float)((across + up) * (across + up)), per = 1.0f / scale;
-    if (EK_IF_WIDE(wide)) {
-        rank_wide(around.count, scale, around.x, around.y, px, py, keys);
-    } else {
-        rank(around.count, scale, around.x, around.y, px, py, keys);
-    }
+    EK_CALL(wide, rank, (around.count, scale, around.x, around.y, px, py, keys));
     for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
         const int32_t first = keys[0][lane] / (int32_t)MAX_AROUND, next = keys[EK_BLOCK][lane];
         const ek_real border = distance_to_edge(&index->cells, &around.box, &edges, x[lane], y[lane]);

@@ -1,6 +1,7 @@
 #include "ek/normals.h"
 #include "ek/tally.h"
 #include "ek/wide.h"
+#include "lanes.h"
 
 #include <string.h>
 
@@ -69,41 +70,80 @@ static void search_box(const ek_index *index, const ek_cell_box *box, ek_real x,
     }
 }
 
-/* Points of a box, in no order; there is room for a row of cells beyond the last. */
+/* Points of a box, in no order; there is room for a row of cells and some lanes beyond the last. */
 typedef struct {
-    size_t count;
-    ek_real squared[2u * BLOCK]; /* m^2 */
-    uint32_t slot[2u * BLOCK];
+    uint32_t count;
+    ek_real squared[2u * BLOCK + EK_LANES]; /* m^2 */
+    uint32_t slot[2u * BLOCK + EK_LANES];
 } near_points;
 
-/* Gather the points of a box that are nearer than `radius` (m); 0 if there are more than BLOCK. */
-static int gather_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius,
-                      near_points *near)
+/* Append the points from one slot to another that are nearer than the root of `limit` (m^2). */
+static inline void append_row(near_points *near, const ek_real *xy, uint32_t from, uint32_t to, ek_real x, ek_real y,
+                              ek_real limit)
 {
-    const ek_real *const xy = index->xy, limit = radius * radius;
-    size_t count = 0u;
+    uint32_t count = near->count; /* local: kept in a register */
+    for (uint32_t k = from; k < to; k++) {
+        const ek_real dx = xy[2u * k] - x, dy = xy[2u * k + 1u] - y;
+        near->squared[count] = dx * dx + dy * dy;
+        near->slot[count] = k;
+        count += near->squared[count] < limit ? 1u : 0u;
+    }
+    near->count = count;
+}
+
+#if EK_COPIED
+EK_WIDEST static inline void append_row_avx512(near_points *near, const ek_real *xy, uint32_t from, uint32_t to, ek_real x,
+                                               ek_real y, ek_real limit)
+{
+    for (uint32_t k = from; k < to; k += EK_LANES) {
+        const uint32_t count = to - k < EK_LANES ? to - k : EK_LANES;
+        const ek_lanes squared = ek_square_pairs(xy + 2u * (size_t)k, count, x, y);
+        const __mmask8 inside = (__mmask8)(EK_BELOW(squared, EK_LANES_OF(set1)(limit)) & ((1u << count) - 1u));
+        EK_LANES_OF(storeu)(near->squared + near->count, EK_LANES_OF(maskz_compress)(inside, squared));
+        near->count = ek_append_lanes(near->slot, near->count, k, inside);
+    }
+}
+#else
+#define append_row_avx512 append_row
+#endif
+
+/* Gather the points of a box that are nearer than `radius` (m); 0 if there are more than BLOCK. `widest`: constant. */
+EK_LOOP int gather_near(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius, int widest,
+                        near_points *near)
+{
+    const ek_real limit = radius * radius;
+    near->count = 0u;
     for (int32_t row = box->bottom; row <= box->top; row++) {
         const uint32_t *const start = index->start + (size_t)row * index->cells.columns;
         const uint32_t from = start[box->left], to = start[box->right + 1];
         if (to - from > BLOCK) {
             return 0;
         }
-        for (uint32_t k = from; k < to; k++) {
-            const ek_real dx = xy[2u * k] - x, dy = xy[2u * k + 1u] - y;
-            near->squared[count] = dx * dx + dy * dy;
-            near->slot[count] = k;
-            count += near->squared[count] < limit ? 1u : 0u;
-        }
-        if (count > BLOCK) {
+        (widest ? append_row_avx512 : append_row)(near, index->xy, from, to, x, y, limit);
+        if (near->count > BLOCK) {
             return 0;
         }
     }
-    near->count = count;
     return 1;
 }
 
+EK_LOOP int gather_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius,
+                       near_points *near)
+{
+    return gather_near(index, box, x, y, radius, 0, near);
+}
+
+#if EK_COPIED
+#define gather_box_avx2 gather_box
+EK_WIDEST static int gather_box_avx512(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius,
+                                       near_points *near)
+{
+    return gather_near(index, box, x, y, radius, 1, near);
+}
+#endif
+
 /* Count for each point how many others are nearer. */
-EK_WIDE static void rank_points(size_t count, ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT rank)
+EK_LOOP void rank_points(size_t count, ek_real *EK_RESTRICT squared, ek_real *EK_RESTRICT rank)
 {
     for (size_t k = count; k < EK_PADDED(count); k++) {
         squared[k] = EK_R(0.0);
@@ -119,6 +159,28 @@ EK_WIDE static void rank_points(size_t count, ek_real *EK_RESTRICT squared, ek_r
     }
 }
 
+#if EK_COPIED
+EK_WIDE static void rank_points_avx2(size_t count, ek_real *squared, ek_real *rank) { rank_points(count, squared, rank); }
+
+/* The bits of one comparison with all points are counted: no sum waits for another one. */
+EK_WIDEST static void rank_points_avx512(size_t count, ek_real *squared, ek_real *rank)
+{
+    ek_lanes all[BLOCK / EK_LANES];
+    for (size_t k = count; k < BLOCK; k++) {
+        squared[k] = EK_FAR * EK_FAR; /* nearer than no point */
+    }
+    for (size_t group = 0; group < BLOCK / EK_LANES; group++) {
+        all[group] = EK_LANES_OF(loadu)(squared + EK_LANES * group);
+    }
+    for (size_t k = 0; k < count; k++) {
+        const ek_lanes one = EK_LANES_OF(set1)(squared[k]);
+        const __mmask16 low = _mm512_kunpackb(EK_BELOW(all[1], one), EK_BELOW(all[0], one));
+        const __mmask16 high = _mm512_kunpackb(EK_BELOW(all[3], one), EK_BELOW(all[2], one));
+        rank[k] = (ek_real)__builtin_popcount((uint32_t)high << 16 | low);
+    }
+}
+#endif
+
 /* As search_box, by ranks, which no processor has to predict; where fewer than `least` points are near, only their number.
  * 0 if more than BLOCK points are near, or two equally near ones. */
 static int rank_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius, size_t least,
@@ -126,14 +188,14 @@ static int rank_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek
 {
     near_points near;
     ek_real rank[BLOCK], sum = EK_R(0.0);
-    if (!gather_box(index, box, x, y, radius, &near)) {
+    if (!EK_CALL(index->wide, gather_box, (index, box, x, y, radius, &near))) {
         return 0;
     }
     found->count = near.count < found->wanted ? near.count : found->wanted;
     if (near.count < least) {
         return 1;
     }
-    rank_points(near.count, near.squared, rank);
+    EK_CALL(index->wide, rank_points, (near.count, near.squared, rank));
     for (size_t k = 0; k < near.count; k++) {
         const size_t at = (size_t)(int32_t)rank[k];
         found->squared[at] = near.squared[k];
@@ -153,7 +215,7 @@ static ek_real find_nearest(const ek_index *index, ek_real x, ek_real y, ek_real
         const int last = ek_cell_grid_is_all(&index->cells, &box) || widest;
         const ek_real within = last ? limit : radius - index->cells.margin;
         const size_t least = last ? 0u : found->wanted;
-        if (!(EK_IF_WIDE(ek_is_wide()) && rank_box(index, &box, x, y, within, least, found))) {
+        if (!(EK_IF_WIDE(index->wide) && rank_box(index, &box, x, y, within, least, found))) {
             search_box(index, &box, x, y, within, found);
         }
         if (found->count == found->wanted || last) {

@@ -420,7 +420,8 @@ static ek_status set_aside(ek_slam *slam, const ek_prior *prior, ek_pose predict
 static ek_status project(ek_slam *slam, const ek_sweep *prepared)
 {
     const ek_slam_parameters *const p = &slam->parameters;
-    const int64_t took_ns = p->deskew ? ek_sweep_times_take(&slam->sweeps, prepared, ek_slam_period_ns(slam, prepared)) : 0;
+    const int timed = p->deskew && prepared->beams <= p->points; /* more beams are refused, and not read */
+    const int64_t took_ns = timed ? ek_sweep_times_take(&slam->sweeps, prepared, ek_slam_period_ns(slam, prepared)) : 0;
     ek_sweep swept = *prepared;
     if (took_ns != 0) {
         swept.has_motion = 1;

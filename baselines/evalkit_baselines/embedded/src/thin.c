@@ -92,19 +92,15 @@ size_t ek_thin(ek_thinner *thinner, const ek_real *xy, size_t count, ek_real siz
         return 0u;
     }
     sort_by_cell(thinner, xy, count, size, work);
-    for (size_t i = 0, from = 0; i < count; i++) {
-        const ek_real *const point = xy + 2u * (size_t)thinner->order[i];
-        if (i == 0u || thinner->key[i] != thinner->key[i - 1u]) {
-            means[2u * cells] = means[2u * cells + 1u] = EK_R(0.0);
-            cells++;
-            from = i;
+    for (size_t from = 0, next; from < count; from = next, cells++) {
+        ek_real x = EK_R(0.0), y = EK_R(0.0); /* local: a sum in memory waits for each store */
+        for (next = from; next < count && thinner->key[next] == thinner->key[from]; next++) {
+            const ek_real *const point = xy + 2u * (size_t)thinner->order[next];
+            x += point[0];
+            y += point[1];
         }
-        means[2u * cells - 2u] += point[0];
-        means[2u * cells - 1u] += point[1];
-        if (i + 1u == count || thinner->key[i + 1u] != thinner->key[i]) {
-            means[2u * cells - 2u] /= (ek_real)(i + 1u - from);
-            means[2u * cells - 1u] /= (ek_real)(i + 1u - from);
-        }
+        means[2u * cells] = x / (ek_real)(next - from);
+        means[2u * cells + 1u] = y / (ek_real)(next - from);
     }
     return cells;
 }

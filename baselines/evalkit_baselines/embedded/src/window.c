@@ -24,7 +24,7 @@ void ek_window_init(ek_window *window)
     memset(window->ends, 0, bytes);
     memset(window->outline, 0, bytes);
     forget_marks(window);
-    window->wide = ek_is_wide();
+    window->wide = ek_wide();
 }
 
 /* Clear the lines `first` to `last`. */

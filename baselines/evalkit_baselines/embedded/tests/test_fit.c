@@ -1,6 +1,5 @@
 #include "check.h"
 #include "ek/fit.h"
-#include "ek/wide.h"
 
 #define COUNT 40u
 
@@ -89,34 +88,8 @@ static void far_pairs_weigh_less(void)
     pairs.share = NULL;
 }
 
-/* Pairs in general position with fractions as weights: the loops for AVX2 give the same bits. */
-static void wide_loops_give_the_same_bits(void)
-{
-    const ek_pose motion = {EK_R(0.3), EK_R(-0.2), EK_R(0.4)};
-    uint64_t seed = 9u;
-    fill(motion, 2);
-    for (size_t k = 0; k < COUNT; k++) {
-        x[k] += uniform(&seed, -0.1, 0.1);
-        weight[k] = uniform(&seed, 0.0, 1.0);
-    }
-    ek_pose points[2], lines[2];
-    ek_real sums[2][3];
-    for (int wide = 0; wide < 2; wide++) {
-        pairs.wide = wide && ek_is_wide();
-        points[wide] = ek_fit_points(&pairs, EK_R(1.0), EK_R(2.0));
-        lines[wide] = ek_fit_lines(&pairs, EK_R(0.1), EK_R(1.0), EK_R(2.0));
-        sums[wide][0] = ek_fit_count(weight, COUNT, pairs.wide);
-        sums[wide][1] = ek_fit_sum(weight, x, COUNT, 0, pairs.wide);
-        sums[wide][2] = ek_fit_sum(weight, x, COUNT, 1, pairs.wide);
-    }
-    pairs.wide = 0;
-    CHECK(memcmp(points, points + 1, sizeof *points) == 0 && memcmp(lines, lines + 1, sizeof *lines) == 0);
-    CHECK(memcmp(sums[0], sums[1], sizeof *sums) == 0);
-}
-
 int main(void)
 {
-    wide_loops_give_the_same_bits();
     exact_pairs_give_the_motion();
     oblique_walls_give_the_motion();
     along_a_single_wall_nothing_moves();

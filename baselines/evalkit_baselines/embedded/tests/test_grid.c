@@ -209,7 +209,7 @@ static void both_copies_of_the_loops_draw_the_same(ek_grid_parameters parameters
         ek_arena arena = memory_of(900000u);
         for (int wide = 0; wide < 2; wide++) {
             CHECK(ek_grid_init(&drawn[wide], &arena, &parameters) == EK_OK && ek_arena_check(&arena) == EK_OK);
-            drawn[wide].window.wide &= wide;
+            drawn[wide].window.wide = wide ? drawn[wide].window.wide : 0;
         }
         for (int k = 0; k < 40; k++) {
             ek_real hits[2u * 60u];
@@ -250,7 +250,7 @@ static void long_beams_fill_whole_words(void)
             ek_window window = {SIDE, SIDE / 32, bits[wide][0], bits[wide][1], bits[wide][2], bits[wide][2],
                                 {0u, 0u, 0u, 0u}, 0u, 0u, 0};
             ek_window_init(&window);
-            window.wide &= wide;
+            window.wide = wide ? window.wide : 0;
             CHECK(ek_window_mark_beams(&window, &view, end, 1u, 0) == 0u);
             for (size_t word = 0; word < ALL; word++) {
                 for (uint32_t left = bits[wide][k & 4u ? 0 : 1][word]; left; left &= left - 1u) {

@@ -68,7 +68,7 @@ static int all_bounds_hold(uint64_t *seed, ek_real radius)
             x[lane] = turn % 7 ? from_x + uniform(seed, -step, step) : cloud[2u * ((size_t)turn + lane)];
             y[lane] = turn % 7 ? from_y + uniform(seed, -step, step) : cloud[2u * ((size_t)turn + lane) + 1u];
         }
-        const int near = ek_index_nearby(&index_, x, y, radius, ek_is_wide(), &found);
+        const int near = ek_index_nearby(&index_, x, y, radius, ek_wide(), &found);
         CHECK(near == ek_index_nearby(&index_, x, y, radius, 0, &plainly));
         CHECK(!near || memcmp(&found, &plainly, sizeof found) == 0);
         for (uint32_t lane = 0; near && lane < EK_GROUP; lane++) {
@@ -139,7 +139,7 @@ static void a_registration_is_the_same(uint64_t *seed, int lattice)
         parameters.share_noise = turn % 4 == 3;
         index_.seen_from = turn % 8 > 3 ? seen_from : NULL;
         parameters.origin_x = parameters.origin_y = EK_R(0.3);
-        icp.wide = turn % 3 != 1 && ek_is_wide();
+        icp.wide = turn % 3 != 1 ? ek_wide() : 0;
         icp.grouped = EK_GROUPED;
         in_groups.iterations = singly.iterations = 0u;
         CHECK(ek_normals_defer(&index_, 8u, normals) == EK_OK);
@@ -171,7 +171,7 @@ static void far_away_nothing_is_found_in_groups_but_singly(void)
     ek_arena arena = memory_of(4096u);
     CHECK(ek_index_init(&far, &arena, 1u, 16u) == EK_OK && ek_index_build(&far, one, 1u) == EK_OK);
     CHECK_NEAR(far.cells.cell, 1e-3, 1e-9);
-    const int near = ek_index_nearby(&far, x, y, EK_R(1e-3), ek_is_wide(), &found);
+    const int near = ek_index_nearby(&far, x, y, EK_R(1e-3), ek_wide(), &found);
     CHECK(near ? found.slot[0][0] == 0u && sizeof(ek_real) > 4u : sizeof(ek_real) == 4u);
     CHECK(ek_index_nearest(&far, x[0], y[0], EK_R(1.0), EK_R(1.0)).slot == 0u);
     free(arena.memory);

@@ -16,7 +16,7 @@ typedef struct {
     const ek_real *nx, *ny; /* unit normals of the lines through the target points; for ek_fit_lines only */
     const ek_real *weight;  /* 1: a pair, 0: not */
     const ek_real *share;   /* NULL, or the weights of the pairs for ek_fit_lines, 0: no pair */
-    int wide;               /* 1: the processor has AVX2 (wide.h); the sums are the same */
+    int wide;               /* what the processor has: ek_wide() (wide.h); the sums are the same */
 } ek_pairs;
 
 #define ek_fit_count EK_NAME(fit_count)

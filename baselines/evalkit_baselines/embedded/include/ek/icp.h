@@ -62,7 +62,7 @@ typedef void (*ek_icp_trace)(void *context, const ek_icp_iteration *iteration);
 /* Working memory of one registration. */
 typedef struct {
     size_t capacity, targets;
-    int wide;               /* 1: the processor has AVX2 (wide.h) */
+    int wide;               /* what the processor has: ek_wide() (wide.h) */
     int grouped;            /* 1: points that lie beside each other are searched together (nearby.h) */
     ek_real *px, *py;       /* source points */
     ek_real *mx, *my;       /* source points in the target's frame */

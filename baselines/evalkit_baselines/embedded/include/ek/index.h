@@ -43,6 +43,7 @@ typedef struct {
     const ek_real *seen_from; /* NULL: unknown; or for each point the mean of unit vectors x y to where it was seen from, in
                                  the order of the cloud; set after each change of the points (for EK_METRIC_LINE of icp.h) */
     ek_table *table;      /* NULL, or the table of its neighbours (table.h) */
+    int wide;             /* what the processor has: ek_wide() (wide.h) */
 } ek_index;
 
 /* Result of a search. */

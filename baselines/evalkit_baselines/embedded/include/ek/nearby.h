@@ -25,7 +25,7 @@ typedef struct {
 #define ek_index_nearby EK_NAME(index_nearby)
 
 /* Find the points nearest to EK_GROUP places (m) within a square of half width `radius` (m, above 0) around each; wide:
- * ek_is_wide(). Returns 0 and finds nothing if more than 256 points are around them, or none in the index. Places must be
+ * ek_wide(). Returns 0 and finds nothing if more than 256 points are around them, or none in the index. Places must be
  * finite. */
 int ek_index_nearby(const ek_index *index, const ek_real x[EK_GROUP], const ek_real y[EK_GROUP], ek_real radius, int wide,
                     ek_nearby *found);

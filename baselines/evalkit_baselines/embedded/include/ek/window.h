@@ -26,7 +26,7 @@ typedef struct {
     uint32_t *outline; /* working memory of ek_window_fill_outline (polygon.h) */
     ek_marks marks;    /* contains all marks */
     uint32_t steep_left, steep_right; /* columns that contain all marks of `along`; none if the first is larger */
-    int wide;          /* 1: the processor has AVX2 (wide.h); the marks are the same */
+    int wide;          /* 0: the processor has no AVX2 (wide.h); the marks are the same */
 } ek_window;
 
 /* Transform from points (u, v) to cells of the window: (c u - s v + x, s u + c v + y). Beams start at (start_x,

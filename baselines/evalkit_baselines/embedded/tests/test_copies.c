@@ -1,0 +1,122 @@
+/* The copies of the loops give the same bits: `test_copies 1` compares those for AVX2 with those for every processor, 2 those
+ * for AVX-512. Where the processor lacks it: SKIPPED. */
+#include "check.h"
+#include "ek/fit.h"
+#include "ek/icp.h"
+#include "ek/normals.h"
+#include "ek/table.h"
+#include "ek/wide.h"
+
+#define SKIPPED 77
+#define TARGETS 3000u
+#define SOURCES 203u /* no multiple of the lanes */
+#define COUNT 40u
+
+static ek_real cloud[2u * TARGETS], source[2u * SOURCES], normals[2][2u * TARGETS];
+
+/* Pairs in general position with fractions as weights. */
+static void fits_are_the_same(int wide, uint64_t *seed)
+{
+    static ek_real numbers[8][COUNT];
+    ek_pose points[2], lines[2];
+    ek_real sums[2][3];
+    for (size_t k = 0; k < 8u * COUNT; k++) {
+        numbers[k / COUNT][k % COUNT] = uniform(seed, k < 6u * COUNT ? -3.0 : 0.0, k < 6u * COUNT ? 3.0 : 1.0);
+    }
+    for (int copy = 0; copy < 2; copy++) {
+        const int now = copy ? wide : 0;
+        const ek_pairs pairs = {COUNT,      numbers[0], numbers[1], numbers[2], numbers[3],
+                                numbers[4], numbers[5], numbers[6], numbers[7], now};
+        points[copy] = ek_fit_points(&pairs, EK_R(1.0), EK_R(2.0));
+        lines[copy] = ek_fit_lines(&pairs, EK_R(0.1), EK_R(1.0), EK_R(2.0));
+        sums[copy][0] = ek_fit_count(numbers[6], COUNT, now);
+        sums[copy][1] = ek_fit_sum(numbers[6], numbers[0], COUNT, 0, now);
+        sums[copy][2] = ek_fit_sum(numbers[6], numbers[0], COUNT, 1, now);
+    }
+    CHECK(memcmp(points, points + 1, sizeof *points) == 0 && memcmp(lines, lines + 1, sizeof *lines) == 0);
+    CHECK(memcmp(sums[0], sums[1], sizeof *sums) == 0);
+}
+
+static void normals_are_the_same(ek_index *index, int wide)
+{
+    for (int copy = 0; copy < 2; copy++) {
+        index->wide = copy ? wide : 0;
+        CHECK(ek_normals_compute(index, 8u, EK_FAR, normals[copy]) == EK_OK);
+    }
+    CHECK(memcmp(normals[0], normals[1], sizeof *normals) == 0);
+}
+
+/* Points and lines, with and without a table, one-to-one and not; every fourth source point lies on a target point, and some
+ * target points are equally near. */
+static void registrations_are_the_same(ek_index *index, ek_icp *icp, int wide, uint64_t *seed)
+{
+    ek_icp_parameters parameters = ek_icp_default();
+    parameters.epsilon = EK_R(1e-9);
+    for (uint32_t turn = 0; turn < 32u; turn++) {
+        const ek_pose guess = {uniform(seed, -0.1, 0.1), uniform(seed, -0.1, 0.1), uniform(seed, -0.03, 0.03)};
+        ek_match match[2];
+        parameters.one_to_one = turn & 1u ? 1 : 0;
+        parameters.error_before = turn & 2u ? 1 : 0;
+        parameters.metric = turn & 4u ? EK_METRIC_LINE : EK_METRIC_POINT;
+        parameters.share_noise = turn & 8u ? 1 : 0;
+        parameters.error = turn & 16u ? EK_ERROR_RMSE : EK_ERROR_MEAN;
+        index->normals = normals[0];
+        for (int copy = 0; copy < 2; copy++) {
+            icp->wide = copy ? wide : 0;
+            CHECK(ek_icp_register(icp, index, source, SOURCES, guess, &parameters, NULL, NULL, match + copy) == EK_OK);
+        }
+        CHECK(memcmp(&match[0].target_from_source, &match[1].target_from_source, sizeof(ek_pose)) == 0);
+        CHECK(match[0].error == match[1].error && match[0].inliers == match[1].inliers && match[0].inliers > 50);
+        CHECK(match[0].iterations == match[1].iterations && match[0].iterations > 1);
+        CHECK(index->table || match[0].queries == match[1].queries); /* a table is fuller the second time */
+    }
+}
+
+static void compare(int wide)
+{
+    static ek_index index;
+    static ek_icp icp;
+    static ek_table table;
+    uint64_t seed = 9u;
+    ek_arena arena = memory_of(6000000u);
+    for (size_t k = 0; k < TARGETS; k++) { /* a wall, and what stands around; some in a raster */
+        cloud[2u * k] = uniform(&seed, 0.0, 10.0);
+        cloud[2u * k + 1u] = k % 3u ? uniform(&seed, -0.1, 0.1) : uniform(&seed, -1.0, 6.0);
+        if (k % 5u == 0u) {
+            cloud[2u * k] = EK_R(0.125) * EK_FLOOR(EK_R(8.0) * cloud[2u * k]);
+            cloud[2u * k + 1u] = EK_R(0.125) * EK_FLOOR(EK_R(8.0) * cloud[2u * k + 1u]);
+        }
+    }
+    for (size_t k = 0; k < 2u * SOURCES; k++) {
+        source[k] = cloud[k] + (k % 8u < 2u ? EK_R(0.0) : uniform(&seed, -0.02, 0.02));
+    }
+    CHECK(ek_index_init(&index, &arena, TARGETS, 40000u) == EK_OK && ek_icp_init(&icp, &arena, SOURCES, TARGETS) == EK_OK);
+    CHECK(ek_icp_init_table(&icp, &arena) == EK_OK && ek_icp_init_lines(&icp, &arena) == EK_OK);
+    CHECK(ek_table_init(&table, &arena, &index, 4000u, 10000u) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    CHECK(icp.wide == ek_wide() && index.wide == ek_wide());
+    CHECK(ek_index_build(&index, cloud, TARGETS) == EK_OK);
+    fits_are_the_same(wide, &seed);
+    normals_are_the_same(&index, wide);
+    for (size_t k = 0; k < 3u; k++) { /* at last by searches of single places */
+        index.table = k == 0u ? &table : NULL;
+        icp.grouped = k < 2u;
+        registrations_are_the_same(&index, &icp, wide, &seed);
+    }
+    CHECK(table.blocks > 100u);
+    free(arena.memory);
+}
+
+int main(int count, char **arguments)
+{
+    const int wide = count == 2 ? atoi(arguments[1]) : 0;
+    if (wide < EK_AVX2 || wide > EK_AVX512) {
+        fprintf(stderr, "test_copies: expected 1 (AVX2) or 2 (AVX-512)\n");
+        return EXIT_FAILURE;
+    }
+    if (ek_wide() < wide) {
+        printf("skipped: this processor or compiler has no %s\n", wide == EK_AVX2 ? "AVX2" : "AVX-512");
+        return SKIPPED;
+    }
+    compare(wide);
+    return verdict();
+}
