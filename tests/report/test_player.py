@@ -87,7 +87,7 @@ def test_the_number_of_ranges_is_within_the_budget_and_the_beams_have_no_gap():
 
 
 def test_many_sequences_share_the_budget_of_the_page():
-    assert ranges_per_sequence(1) == ranges_per_sequence(7) == module.MAX_RANGES
+    assert ranges_per_sequence(1) == ranges_per_sequence(2) == module.MAX_RANGES
     assert ranges_per_sequence(20) * 20 == module.MAX_ON_PAGE
 
 
@@ -185,5 +185,5 @@ def test_twenty_runs_on_twenty_sequences_stay_within_eight_megabytes(record):
     run = record("a", "room", {}, answered=3000, expected=3000)
     made = build_player([run], Noisy, WINDOW, lines([run]), ranges_per_sequence(20))
     assert len(made.content) * 20 < 6e6  # the rest is for drawings, maps and tables
-    assert made.remarks.startswith("2,000 of 3,000 scans")
-    assert "One beam in 7 is shown." in made.remarks
+    assert made.remarks.startswith("1,000 of 3,000 scans")
+    assert "One beam in 12 is shown." in made.remarks

@@ -36,10 +36,10 @@ from evalkit.results.run_record import RunRecord
 
 RESIDUAL = 1e-4
 """Step of residuals and errors (m)."""
-MAX_SCANS = 2000
+MAX_SCANS = 1000
 MAX_RANGES = 300_000
-MAX_ON_PAGE = 2_200_000
-"""Ranges in a sequence and on the page: at about 1.5 bytes each a page of fourteen methods stays below 8 MB."""
+MAX_ON_PAGE = 600_000
+"""Ranges in a sequence and on the page: a page of thirteen methods on ten sequences stays below 8 MB."""
 MAX_CELLS = 3000
 QUANTITIES = (("error", "error"), ("s2s", "S2S residual"), ("s2m", "S2M residual"))
 FARTHEST_M = 1e6

@@ -8,7 +8,10 @@ function sortable(table) {
       const up = sorted ? sorted !== "ascending" : heading.dataset.first !== "descending";
       headings.forEach((other) => other.removeAttribute("aria-sort"));
       heading.setAttribute("aria-sort", up ? "ascending" : "descending");
-      const key = (body) => body.rows[0].cells[column].dataset.sort ?? "";
+      const key = (body) => {
+        const cell = body.rows[0].cells[column];
+        return cell.dataset.sort ?? cell.textContent.trim(); // its text where that is all it shows
+      };
       const order = (a, b) => {
         const [x, y] = [key(a), key(b)];
         if (x === "" || y === "") return (x === "") - (y === "");
