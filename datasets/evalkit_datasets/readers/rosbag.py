@@ -72,7 +72,7 @@ class RosBag:
         cloud = CloudSlice(height_min_m, height_max_m, beams).beyond("rosbag", range_min_m)
         self._options = SweepOptions(cloud, parse_fields(fields), sweep_s, range_min_m, stamp_shift_s)
         which = reader_common.select_scans(start, every, limit)
-        whole, contents = rosbag_parser.read_bag(self._path, topic, which, self._options)
+        whole, contents = rosbag_parser.read_bag(self._path, topic, which, self._options, odometry)
         self._counts = self._count_defects(whole, contents)
         self._scans = whole.select(which)
         if not len(self._scans):
