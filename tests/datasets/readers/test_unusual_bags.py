@@ -639,11 +639,16 @@ def test_an_odometry_with_another_clock_is_not_taken(tmp_path, apart_s):
     assert last.odom_from_base.x == pytest.approx(4.9)
 
 
-def turn_to_and_fro(folder, late_s, **scan):
-    """Write a lidar that turns to and fro on the spot, five scans a second, each seen ``late_s`` after its stamp."""
+def turn_to_and_fro(folder, late_s, other="", **scan):
+    """Write a lidar that turns to and fro on the spot, five scans a second, each seen ``late_s`` after its stamp.
+
+    The odometry of the topic ``other`` has the times of the scans.
+    """
     bag, angles = Bag("mcap"), np.radians(np.arange(-180.0, 180.0))
     for k in range(3000):
         bag.odom(T0 + k * PERIOD // 5, 0.0, yaw=math.sin(0.7 * 0.02 * k))
+        if other:
+            bag.odom(T0 + k * PERIOD // 5, 0.0, yaw=math.sin(0.7 * (0.02 * k + late_s)), topic=other)
     for k in range(10, 290):
         ways = angles + math.sin(0.7 * (0.2 * k + late_s))
         room = 3.0 + np.cos(2 * ways) + 0.5 * np.sin(5 * ways) + 0.3 * np.cos(11 * ways + 1.0)
@@ -659,6 +664,12 @@ def test_half_a_revolution_whose_time_is_not_stated_is_no_wrong_stamp(tmp_path):
     assert said.endswith("if the lidar turns once a scan: --set sweep_s=0.2")
     mended = choose_parameters("rosbag", {"path": str(path), "sweep_s": 0.2})
     assert not [one for one in mended if "stamps of" in one.reason]
+
+
+def test_scans_that_agree_with_one_odometry_have_no_wrong_stamps(tmp_path):
+    path = turn_to_and_fro(tmp_path, 0.3, "/wheels", time_increment=0.0)
+    (said,) = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "stamps of" in one.reason]
+    assert said.endswith("but /wheels agrees with them; use --set odometry=/wheels")
 
 
 @pytest.mark.parametrize("late_s", [0.3, -0.2])

@@ -476,6 +476,9 @@ def _check_shift(
         f"by the turns of {odometry}, the scans were taken {abs(turn.shift_s):.2f} s {side} than their stamps say "
         f"({low:.2f} to {high:.2f} s, {turn.pairs} turns)"
     )
+    if agreeing := [name.split()[0] for name, other in turns.items() if other.agrees_in_time]:
+        yield _warning(STAMPS, f"{what}, but {agreeing[0]} agrees with them", f"use --set odometry={agreeing[0]}")
+        return
     lidar = next(one for one in lidars if one.topic == turned)
     if lidar.sweep_s == 0.0 and 0.0 < turn.shift_s < 0.5 * lidar.revolution_s + MAX_OFFSET_S:
         sweep = f"if the lidar turns once a scan: --set sweep_s={lidar.revolution_s:.2g}"
