@@ -621,6 +621,15 @@ def test_a_clock_that_was_set_back_is_a_problem_that_a_comparison_repeats(tmp_pa
     assert RosBag(str(path), start=70).stamps_ns[0] == T0 + 49 * PERIOD + PERIOD // 2
 
 
+def test_a_scan_that_comes_late_is_no_clock_that_was_set_back(tmp_path):
+    bag = Bag("mcap")
+    for at in range(40):
+        bag.scan(T0 + at * PERIOD, [2.0, 3.0, 4.0], recorded=T0 + at * PERIOD + (10 * PERIOD if at == 20 else 0))
+    recording = inspect_recording(bag.write(tmp_path))
+    assert recording.lidars[0].timing.backwards == 1
+    assert not [one for one in recording.findings if one.level == "problem"]
+
+
 @pytest.mark.parametrize("apart_s", [3600, -1_600_000_000])
 def test_an_odometry_with_another_clock_is_not_taken(tmp_path, apart_s):
     bag = Bag("mcap").tf(T0, "base_link", "laser")
