@@ -198,7 +198,10 @@ def _find_group(only: Collection[str], has_rules: bool) -> Only:
         raise typer.BadParameter(f"--only {unknown[0]}: expected {', '.join(CHECK_GROUPS)}")
     if len(groups) > 1:
         raise typer.BadParameter(f"--only takes one group of checks, found {' and '.join(groups)}")
-    return next((group for group in CHECK_GROUPS if group in groups), "")
+    for group in CHECK_GROUPS:
+        if group in groups:
+            return group
+    return ""
 
 
 def _report(request: ValidationRequest, execution: _Execution, frames: int) -> AcceptanceReport:
