@@ -648,6 +648,19 @@ def test_an_odometry_with_another_clock_is_not_taken(tmp_path, apart_s):
     assert last.odom_from_base.x == pytest.approx(4.9)
 
 
+def test_an_odometry_with_another_clock_is_no_problem_beside_one_that_can_be_used(tmp_path):
+    bag = Bag("mcap").tf(T0, "base_link", "laser")
+    for at in range(50):
+        stamp = T0 + at * PERIOD
+        bag.scan(stamp, [2.0, 3.0, 4.0, 5.0, 6.0]).odom(stamp, 0.1 * at, topic="/wheels")
+        bag.odom(stamp + 3600 * 10**9, 0.1 * at, topic="/visual")
+    path = bag.write(tmp_path)
+    chosen = choose_parameters("rosbag", {"path": str(path)})
+    assert [one.value for one in chosen if one.name == "odometry"] == ["/wheels"]
+    assert not [one for one in chosen if "two clocks" in one.reason]
+    assert [one.level for one in inspect_recording(path).findings if "two clocks" in one.what] == ["warning"]
+
+
 def turn_to_and_fro(folder, late_s, other="", **scan):
     """Write a lidar that turns to and fro on the spot, five scans a second, each seen ``late_s`` after its stamp.
 

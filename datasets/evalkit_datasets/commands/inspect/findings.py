@@ -394,15 +394,16 @@ def is_apart(lidar: LidarStats, odometry: OdometryStats) -> bool:
 
 
 def _check_clocks(lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats]) -> Iterator[InspectionFinding]:
-    """Report an odometry whose times are not those of any scan."""
-    for one in odometries if lidars else ():
-        if all(is_apart(lidar, one) for lidar in lidars):
-            apart_s = (one.timing.first_ns - lidars[0].timing.first_ns) * 1e-9
-            side = "after" if apart_s > 0 else "before"
-            what = (
-                f"by its stamps it begins {abs(apart_s):.0f} s {side} the scans, and covers none of them: two clocks?"
-            )
+    """Report an odometry whose times are not those of any scan: a problem if there is no other."""
+    apart = [one for one in odometries if lidars and all(is_apart(lidar, one) for lidar in lidars)]
+    for one in apart:
+        apart_s = (one.timing.first_ns - lidars[0].timing.first_ns) * 1e-9
+        side = "after" if apart_s > 0 else "before"
+        what = f"by its stamps it begins {abs(apart_s):.0f} s {side} the scans, and covers none of them: two clocks?"
+        if len(apart) == len(odometries):
             yield _problem(f"odometry {one.topic}", what, "the scans have no wheel odometry; record with one clock")
+        else:
+            yield _warning(f"odometry {one.topic}", what, "use another odometry, or record with one clock")
 
 
 def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]:
