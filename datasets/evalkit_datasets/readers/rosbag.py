@@ -304,7 +304,9 @@ SPEC = DatasetSpec(
             high=10.0,
         ),
         RANGE_MIN,
-        Parameter("stamp_shift_s", 0.0, "s", "added to the stamps of the scans, where their clock is another one"),
+        Parameter(
+            "stamp_shift_s", 0.0, "s", "added to the stamps of the scans, where these are not the times of the odometry"
+        ),
         *reader_common.SELECTION,
     ),
     missing=partial(reader_common.describe_missing_files, "rosbag"),
