@@ -299,7 +299,7 @@ SPEC = DatasetSpec(
             "sweep_s",
             0.0,
             "s",
-            "time from the first beam to the last where a scan's time_increment is 0",
+            "time from the first beam to the last where a scan's time_increment is 0 or less",
             low=0.0,
             high=10.0,
         ),

@@ -220,7 +220,9 @@ def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
     if found.period_s and found.jitter_s > 0.2 * found.period_s:
         yield _note(about, f"the period of {found.period_s:.3f} s has a jitter of {found.jitter_s:.3f} s")
     if lidar.kind.endswith("LaserScan") and lidar.sweep_s == 0.0 and MIN_SWEEP_S <= found.period_s <= MAX_SWEEP_S:
-        what = f"time_increment is 0: the motion within the scans, {found.period_s:.2g} s apart, is not corrected"
+        what = (
+            f"time_increment is 0 or less: the motion within the scans, {found.period_s:.2g} s apart, is not corrected"
+        )
         mend = f"set sweep_s = {lidar.revolution_s:.2g} of the reader, and mend its driver"
         yield _warning(about, what, f"if the lidar turns once a scan, {mend}")
     if lidar.unstamped:
@@ -483,7 +485,7 @@ def _check_shift(
     lidar = next(one for one in lidars if one.topic == turned)
     if lidar.sweep_s == 0.0 and 0.0 < turn.shift_s < 0.5 * lidar.revolution_s + MAX_OFFSET_S:
         sweep = f"if the lidar turns once a scan: --set sweep_s={lidar.revolution_s:.2g}"
-        yield _warning(STAMPS, f"{what}: the middle of a revolution, whose time_increment is 0", sweep)
+        yield _warning(STAMPS, f"{what}: the middle of a revolution, whose time_increment is 0 or less", sweep)
         return
     mend = f"--set stamp_shift_s={turn.shift_s:.2f}"
     yield _warning(STAMPS, what, f"if the stamps of the scans are wrong, not those of the odometry: {mend}")
