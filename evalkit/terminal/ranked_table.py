@@ -153,8 +153,8 @@ def _rows_of_answer(analysis: Analysis) -> tuple[str, list[RankedRow]]:
         note = f"best or tied {one.led}/{one.counted}" if one.led else ""
         note += (", cheapest" if note else "cheapest") if answer.cheapest is one else ""
         by_base = compare(answer.contests, one.method, base).error
-        against = "baseline" if one.method in baselines else f"{by_base:.2f} x" if by_base is not None else ""
-        rows.append(RankedRow(one.method, f"{ratio:.2f} x", against, _cost(counted, one.method), note, ratio))
+        against = "baseline" if one.method in baselines else _format_ratio(by_base) if by_base is not None else ""
+        rows.append(RankedRow(one.method, _format_ratio(ratio), against, _cost(counted, one.method), note, ratio))
     by = " and ".join(dict.fromkeys(filter(None, (answer.common, base))))
     return f"error by that of {by}, mean over shared data", rows
 
@@ -174,7 +174,12 @@ def _note(analysis: Analysis, ranking: Ranking, method: str) -> str:
 
 
 def _against(value: float, baseline: float | None, is_baseline: bool) -> str:
-    return "baseline" if is_baseline else f"{value / baseline:.2f} x" if baseline else ""
+    return "baseline" if is_baseline else _format_ratio(value / baseline) if baseline else ""
+
+
+def _format_ratio(ratio: float) -> str:
+    """Return "0.25 x"; a ratio that would be 0.00 has one digit that is not 0."""
+    return f"{ratio:.2f} x" if ratio == 0.0 or ratio >= 0.005 else f"{ratio:.1g} x"
 
 
 def _cost(sequences: Sequence[SequenceAnalysis], method: str) -> str:

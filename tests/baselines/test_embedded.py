@@ -412,6 +412,13 @@ def test_a_scan_without_beams_returns_the_guess_and_one_with_too_many_raises():
         pipeline.update(Frame(long))
 
 
+def test_a_package_without_the_compiled_core_is_built_from_a_checkout_not_from_the_index(tmp_path, monkeypatch):
+    monkeypatch.setattr(compiled, "MODULES", {"double": "_core_absent"})
+    assert "--editable" in compiled.compiled_missing()
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "site" / "evalkit_baselines" / "embedded" / "compiled.py"))
+    assert compiled.compiled_missing().endswith("--no-deps . (in a checkout of evalkit)")
+
+
 def test_without_the_compiled_core_every_method_is_unavailable_and_has_no_substitute(monkeypatch):
     monkeypatch.setattr(compiled, "MODULES", {"double": "_core_absent"})
     for spec in (embedded.SPEC, embedded.FLOAT, embedded.PIPELINE, embedded.PIPELINE_LINE, embedded.MAPPER):

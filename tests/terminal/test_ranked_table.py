@@ -135,6 +135,16 @@ def test_several_data_sets_are_ranked_by_the_mean_ratio_of_errors(record, build)
     assert [row.against for row in rows] == ["0.10 x", "0.20 x", "baseline"]
 
 
+def test_a_ratio_far_below_one_is_not_zero(record, build):
+    runs = [
+        record(name, "room", {"ate_rmse_m": error * (1.0 + 0.01 * seed)}, seed=seed)
+        for name, error in (("wheel", 0.5), ("plane", 0.0017))
+        for seed in range(4)
+    ]
+    _, rows = build_rows(analyse(build(runs)))
+    assert [row.against for row in rows] == ["0.003 x", "baseline"]
+
+
 def test_one_data_set_that_counts_is_ranked_by_its_own_errors(demo):
     analysis = analyse(demo)
     assert [one.sequence for one in analysis.answer.contests] == ["room"]

@@ -43,7 +43,7 @@ _LASTING_LINES: dict[str, Value] = {
 
 MAP_LINE = replace(
     SPEC,
-    summary="paper-map-line in C99: one lasting map, distances to walls with Cauchy weights",
+    summary="paper-map-line in C99: distances to walls with Cauchy weights, by default in one lasting map",
     parameters=with_defaults(registration.PARAMETERS, **{p.name: p.default for p in paper.MAP_LINE.parameters}),
     frontend=paper.MAP_LINE.frontend,
     tuned_on=paper.MAP_LINE.tuned_on,

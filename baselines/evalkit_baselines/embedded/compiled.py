@@ -48,7 +48,9 @@ def to_real(values: Floats, module: ModuleType) -> Reals:
 
 
 def _remedy() -> str:
-    """Return the command that builds the core, from this checkout or from the package's source."""
+    """Return the command that builds the core from this checkout; of a package, from the checkout it came from."""
     root = Path(__file__).resolve().parents[3]
-    what = f"--editable '{root}'" if (root / "pyproject.toml").exists() else "--no-binary evalkit evalkit"
-    return f"apt-get install -y gcc g++ && pip install --force-reinstall --no-deps {what}"
+    checkout = (root / "pyproject.toml").exists()
+    where = f"--editable '{root}'" if checkout else "."
+    command = f"apt-get install -y gcc g++ && pip install --force-reinstall --no-deps {where}"
+    return command if checkout else f"{command} (in a checkout of evalkit)"

@@ -1,7 +1,9 @@
 """Parse a CARMEN log (plain or gzip) line by line into scans, odometry poses and parameters.
 
-Supported lines: FLASER, ROBOTLASER1, ODOM and PARAM of CARMEN, LASER_READING of GMapping's .gfs. NEFF and VERTEX lines
-only show where the poses in the file come from. Lines that cannot be parsed are counted and skipped, never guessed.
+Supported lines: FLASER, ROBOTLASER1, ODOM and PARAM of CARMEN, LASER_READING of GMapping's .gfs. RAWLASER1 lines, which
+contain no pose, are read where no other line has a scan: CARMEN repeats them with poses as one of the others. NEFF and
+VERTEX lines only show where the poses in the file come from. Lines that cannot be parsed are counted and skipped, never
+guessed.
 """
 
 from __future__ import annotations
@@ -29,8 +31,12 @@ MAX_LINES_BEFORE = 2000
 
 PoseRow = tuple[float, float, float]
 
+NO_POSE: PoseRow = (0.0, 0.0, 0.0)
+
 Layout = tuple[float, float]
 """Angle of the first beam of a FLASER line and step between beams, in deg; step 0: by the number of beams."""
+
+DEFAULT_LAYOUT: Layout = -90.0, 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,21 +55,25 @@ class Log:
     """Content of a log other than its scans; complete after the last line has been read.
 
     ``poses_from``: "gmapping" or "graph" if the poses in the log are corrected ones, "" if they are wheel odometry.
+    ``is_raw``: whether its scans are RAWLASER1 lines.
     ``damaged``: number of lines skipped; ``damage``: line number of the first one and the reason.
     """
 
-    layout: Layout = (-90.0, 0.0)
+    layout: Layout = DEFAULT_LAYOUT
     odometry: PoseBuffer = field(default_factory=PoseBuffer)
     parameters: dict[str, str] = field(default_factory=dict)
     damaged: int = 0
     damage: tuple[int, str] = (0, "")
     rear: int = 0
     poses_from: str = ""
+    is_raw: bool = False
 
 
 def iter_readings(path: Path, log: Log) -> Iterator[tuple[int, Reading]]:
     """Yield line number and scan of every laser line in file order; the other lines are added to ``log``."""
     markers: set[bytes] = set()
+    log.is_raw = not _has_scans_with_pose(path)
+    lasers = _RAW_LASERS if log.is_raw else _LASERS
     for number, line in enumerate(iter_log_lines(path), start=1):
         words = line.split()
         if not words:
@@ -71,8 +81,8 @@ def iter_readings(path: Path, log: Log) -> Iterator[tuple[int, Reading]]:
         if words[0] in _MARKERS:
             markers.add(words[0])
         try:
-            if words[0] in _LASERS:
-                yield number, _LASERS[words[0]](log.layout, words)
+            if words[0] in lasers:
+                yield number, lasers[words[0]](log.layout, words)
             elif words[0] in _LINES:
                 _LINES[words[0]](log, words)
         except (ValueError, IndexError) as error:
@@ -93,7 +103,7 @@ def iter_readings_at(path: Path, layout: Layout, numbers: Iterable[int]) -> Iter
         if at == number:
             words = line.split()
             try:
-                yield _LASERS[words[0]](layout, words)
+                yield (_LASERS | _RAW_LASERS)[words[0]](layout, words)
             except (ValueError, IndexError, KeyError):
                 raise _changed_error(path) from None
             number = next(wanted, None)
@@ -108,6 +118,11 @@ def is_carmen(path: Path) -> bool:
                    for line in islice(iter_log_lines(path), MAX_LINES_BEFORE))  # fmt: skip
     except (BadData, DataMissing):
         return False
+
+
+def _has_scans_with_pose(path: Path) -> bool:
+    kinds = (line.split(maxsplit=1)[:1] for line in iter_log_lines(path))
+    return any(kind[0] in _LASERS for kind in kinds if kind)
 
 
 def iter_log_lines(path: Path) -> Iterator[bytes]:
@@ -138,19 +153,28 @@ def _parse_flaser(layout: Layout, words: list[bytes]) -> Reading:
 
 def _parse_robotlaser(_layout: Layout, words: list[bytes]) -> Reading:
     """``ROBOTLASER1 type start fov res max acc mode n r.. m [rem..] laser(3) robot(3) tv rv .. ipc_t host log_t``."""
+    ranges, angles = _parse_stated_scan(words, 14)
+    return Reading(_parse_stamp(words[-3]), ranges, angles, _parse_row(words[-14:-11]), _parse_row(words[-11:-8]))
+
+
+def _parse_rawlaser(_layout: Layout, words: list[bytes]) -> Reading:
+    """``RAWLASER1 type start fov res max acc mode n r.. m [rem..] ipc_t host log_t``."""
+    return Reading(_parse_stamp(words[-3]), *_parse_stated_scan(words, 3), NO_POSE, NO_POSE)
+
+
+def _parse_stated_scan(words: list[bytes], others: int) -> tuple[Floats, Floats]:
+    """Return ranges and angles of a line that states its angles, with so many words behind the remissions."""
     if len(words) < 10:
-        raise ValueError(f"{len(words)} words; too few for a ROBOTLASER1 line")
+        raise ValueError(f"{len(words)} words; too few for a {words[0].decode('latin-1')} line")
     beams = int(words[8])
     remissions = int(words[9 + beams]) if 1 < beams < len(words) - 9 else -1
-    if remissions < 0 or len(words) != 9 + beams + 1 + remissions + 14:
+    if remissions < 0 or len(words) != 9 + beams + 1 + remissions + others:
         raise ValueError(f"{beams} beams and {remissions} remissions declared, but {len(words)} words in the line")
     start, fov, step = (float(word) for word in words[2:5])
     step = step if step > 0.0 else fov / (beams - 1)
     if not (math.isfinite(start) and math.isfinite(step) and 0.0 < step * (beams - 1) < 2.0 * math.pi + 0.1):
         raise ValueError(f"start {start} and resolution {step} rad: not the angles of a scan")
-    angles = _make_angles(beams, start, step)
-    poses = _parse_row(words[-14:-11]), _parse_row(words[-11:-8])
-    return Reading(_parse_stamp(words[-3]), parse_columns(words, 9, 9 + beams), angles, *poses)
+    return parse_columns(words, 9, 9 + beams), _make_angles(beams, start, step)
 
 
 def _parse_laser_reading(layout: Layout, words: list[bytes]) -> Reading:
@@ -191,6 +215,8 @@ _LASERS: dict[bytes, Callable[[Layout, list[bytes]], Reading]] = {
     b"LASER_READING": _parse_laser_reading,
 }
 
+_RAW_LASERS: dict[bytes, Callable[[Layout, list[bytes]], Reading]] = {b"RAWLASER1": _parse_rawlaser}
+
 _LINES: dict[bytes, Callable[[Log, list[bytes]], None]] = {
     b"ODOM": _add_odom,
     b"PARAM": _add_param,
@@ -198,7 +224,7 @@ _LINES: dict[bytes, Callable[[Log, list[bytes]], None]] = {
 }
 
 
-_KNOWN_LINES = frozenset({*_LASERS, b"ODOM"})
+_KNOWN_LINES = frozenset({*_LASERS, *_RAW_LASERS, b"ODOM"})
 
 
 def _parse_beams(words: list[bytes], at: int, others: int) -> int:

@@ -131,8 +131,12 @@ class BagScans:
         return self.names[int(self.frames[0])]
 
 
-def read_bag(path: Path, topic: str, which: slice, options: SweepOptions) -> tuple[BagScans, Contents]:
-    """Return all scans of one laser topic ("": the only one), all odometry and the transforms.
+def read_bag(
+    path: Path, topic: str, which: slice, options: SweepOptions, odometry: str = ""
+) -> tuple[BagScans, Contents]:
+    """Return all scans of one laser topic ("": the only one), odometry and transforms of its robot.
+
+    ``odometry``: the topic that the user names, which is read whatever robot it is of.
 
     Of moving transforms those nearest to the first scan taken (``which``) are kept, and all that may be odometry.
     Raises BadData if the topic is absent (with the known topics) or the bag is damaged (with how to repair it).
@@ -142,7 +146,7 @@ def read_bag(path: Path, topic: str, which: slice, options: SweepOptions) -> tup
         contents = Contents(damage=find_damage(reader))
         laser = _select_laser_topic(path, topics, topic, options)
         scans = _read_scans(reader, laser, contents, options)
-        foreign = find_foreign_topics(laser, *_list_topics(topics, options))
+        foreign = find_foreign_topics(laser, *_list_topics(topics, options), odometry)
         for connection, message, _ in iter_messages(reader, (ODOMETRY,), foreign):
             add_odometry(contents, connection.topic, message)
         taken = scans.stamps_ns[which]

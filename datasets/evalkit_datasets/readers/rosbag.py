@@ -72,7 +72,7 @@ class RosBag:
         cloud = CloudSlice(height_min_m, height_max_m, beams).beyond("rosbag", range_min_m)
         self._options = SweepOptions(cloud, parse_fields(fields), sweep_s, range_min_m, stamp_shift_s)
         which = reader_common.select_scans(start, every, limit)
-        whole, contents = rosbag_parser.read_bag(self._path, topic, which, self._options)
+        whole, contents = rosbag_parser.read_bag(self._path, topic, which, self._options, odometry)
         self._counts = self._count_defects(whole, contents)
         self._scans = whole.select(which)
         if not len(self._scans):
@@ -299,12 +299,14 @@ SPEC = DatasetSpec(
             "sweep_s",
             0.0,
             "s",
-            "time from the first beam to the last where a scan's time_increment is 0",
+            "time from the first beam to the last where a scan's time_increment is 0 or less",
             low=0.0,
             high=10.0,
         ),
         RANGE_MIN,
-        Parameter("stamp_shift_s", 0.0, "s", "added to the stamps of the scans, where their clock is another one"),
+        Parameter(
+            "stamp_shift_s", 0.0, "s", "added to the stamps of the scans, where these are not the times of the odometry"
+        ),
         *reader_common.SELECTION,
     ),
     missing=partial(reader_common.describe_missing_files, "rosbag"),

@@ -7,11 +7,11 @@ import re
 import secrets
 import shlex
 import shutil
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
@@ -39,6 +39,7 @@ SEED_FILE = "seed.txt"
 SEED = re.compile(r"[0-9]{1,4000}")
 
 CheckGroup = Literal["rules", "registrations", "lockstep", "determinism"]
+CHECK_GROUPS: tuple[CheckGroup, ...] = get_args(CheckGroup)
 
 Subject = Literal["back end", "mapper", "data set"]
 
@@ -57,9 +58,10 @@ def validate(
         ),
     ] = None,
     only: Annotated[
-        CheckGroup | None,
+        list[str] | None,
         typer.Option(
             metavar="<checks>",
+            autocompletion=lambda: list(CHECK_GROUPS),
             help="Only one group of checks: rules, registrations, lockstep or determinism.",
             show_default="levels 0 to 5",
         ),
@@ -147,7 +149,7 @@ def validate(
     from evalkit.commands.validate import plan, printing, run  # noqa: PLC0415 - imports scipy and matplotlib
 
     _add_module_path(*(backends or []), reference, *(peer or []))
-    group: Only = "rules" if rule else only or ""
+    group = _find_group(only or [], bool(rule))
     names = backends or []
     name = _single_name(names, group)
     effort = plan.QUICK if quick else plan.FULL
@@ -187,6 +189,19 @@ class _Execution:
     folder: Path
     workers: int
     display: ProgressDisplay
+
+
+def _find_group(only: Collection[str], has_rules: bool) -> Only:
+    """The only group of checks, "" for all; single rules (``has_rules``) are of one. Raises BadParameter for others."""
+    groups = dict.fromkeys([*only, "rules"] if has_rules else only)
+    if unknown := [name for name in groups if name not in CHECK_GROUPS]:
+        raise typer.BadParameter(f"--only {unknown[0]}: expected {', '.join(CHECK_GROUPS)}")
+    if len(groups) > 1:
+        raise typer.BadParameter(f"--only takes one group of checks, found {' and '.join(groups)}")
+    for group in CHECK_GROUPS:
+        if group in groups:
+            return group
+    return ""
 
 
 def _report(request: ValidationRequest, execution: _Execution, frames: int) -> AcceptanceReport:

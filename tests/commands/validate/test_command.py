@@ -261,3 +261,23 @@ def test_invalid_requests_are_rejected_before_anything_is_computed():
         make_plan("paper", on=("room 0.3",))
     with pytest.raises(BadParameter, match="laps"):
         make_plan("paper", on=("room laps=many",))
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--only", "rules", "--only", "lockstep"], "--only takes one group of checks, found rules and lockstep"),
+        (["--only", "lockstep", "--rule", "starts"], "--only takes one group of checks, found lockstep and rules"),
+        (["--only", "speed"], "--only speed: expected rules, registrations, lockstep, determinism"),
+    ],
+)
+def test_several_groups_of_checks_or_an_unknown_one_are_a_usage_error(tmp_path, more, said):
+    ended = CliRunner().invoke(app, ["validate", "wheel-odometry", "-o", str(tmp_path), *more], env={"COLUMNS": "200"})
+    assert ended.exit_code == 2
+    assert said in ended.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_single_rules_may_be_given_with_their_group(tmp_path):
+    words = ["validate", "wheel-odometry", "-o", str(tmp_path), "--only", "rules", "--rule", "starts"]
+    assert CliRunner().invoke(app, words).exit_code == 0

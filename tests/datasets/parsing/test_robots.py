@@ -2,7 +2,7 @@
 
 import pytest
 
-from evalkit_datasets.parsing.robots import find_foreign_topics
+from evalkit_datasets.parsing.robots import count_common_spaces, find_foreign_topics
 
 
 @pytest.mark.parametrize(
@@ -22,3 +22,15 @@ from evalkit_datasets.parsing.robots import find_foreign_topics
 )  # fmt: skip
 def test_the_topics_of_other_robots(laser, lasers, motions, foreign):
     assert sorted(find_foreign_topics(laser, lasers, motions)) == foreign
+
+
+def test_an_odometry_that_the_user_names_is_kept():
+    topics = ["/scan", "/camera/scan"], ["/odom", "/camera/odom/sample", "/camera/tf"]
+    assert sorted(find_foreign_topics("/scan", *topics)) == ["/camera/odom/sample", "/camera/scan", "/camera/tf"]
+    assert sorted(find_foreign_topics("/scan", *topics, "camera/odom/sample")) == ["/camera/scan", "/camera/tf"]
+
+
+def test_the_namespaces_that_two_topics_have_in_common_are_counted():
+    assert count_common_spaces("/a/b/odom", "/a/b/scan") == 2
+    assert count_common_spaces("/a/b/odom", "/a/front/b/scan") == 1
+    assert count_common_spaces("/a/odom", "/a10/scan") == count_common_spaces("/odom", "/scan") == 0

@@ -10,6 +10,7 @@ import pytest
 
 from evalkit.core.errors import BadData, BadParameter, DataMissing
 from evalkit.core.pose import Pose
+from evalkit_datasets.commands.inspect.inspector import inspect_recording
 from evalkit_datasets.readers.carmen import SPEC, Carmen
 
 DATA = Path(os.environ.get("EVALKIT_DATA") or "absent")
@@ -25,6 +26,11 @@ def robotlaser(stamp, ranges, robot=(1.0, 2.0, 0.5), step=0.5, remissions=(), fo
     fov = step * (len(ranges) - 1) if fov is None else fov
     words = ["ROBOTLASER1", 0, -1.0, fov, step, 80.0, 0.01, 0, len(ranges), *ranges, len(remissions), *remissions]
     return " ".join(map(str, [*words, *robot, *robot, 0, 0, 0, 0, 0, stamp, "robot", "0.5"]))
+
+
+def rawlaser(stamp, ranges, start=-1.0, step=0.5, remissions=()):
+    words = ["RAWLASER1", 0, start, step * (len(ranges) - 1), step, 80.0, 0.01, 0, len(ranges), *ranges]
+    return " ".join(map(str, [*words, len(remissions), *remissions, stamp, "robot", "0.5"]))
 
 
 def odom(stamp, x=0.0, y=0.0, theta=0.0):
@@ -82,6 +88,31 @@ def test_robotlaser_lines_contain_their_own_angles_and_optional_remissions(tmp_p
     assert first.scan.angles.tolist() == second.scan.angles.tolist() == [-1.0, -0.5, 0.0]
     assert second.scan.ranges.tolist() == [2.0, 3.0, 4.0]
     assert second.scan.stamp_ns == 2 * 10**9
+
+
+def test_a_log_of_raw_scans_has_their_angles_and_the_odometry_of_its_odom_lines(tmp_path):
+    lines = (odom(0.0), rawlaser(1.0, [2.0, 3.0, 4.0], remissions=(7, 8)), odom(2.0, x=1.0), rawlaser(2.0, [5.0] * 3))
+    path = log(tmp_path, "PARAM robot_frontlaser_offset 0.2", *lines)
+    frames = list(Carmen(path).frames())
+    np.testing.assert_allclose([frame.scan.ranges for frame in frames], [[2.0, 3.0, 4.0], [5.0, 5.0, 5.0]])
+    np.testing.assert_allclose(frames[0].scan.angles, [-1.0, -0.5, 0.0])
+    assert [frame.odom_from_base.x for frame in frames] == [0.5, 1.0]
+    assert frames[0].base_from_sensor.x == 0.2
+    found = inspect_recording(Path(path))
+    assert (found.lidars[0].topic, found.lidars[0].beams) == ("RAWLASER1", 3)
+    assert next(Carmen(log(tmp_path, *lines[1::2])).frames()).odom_from_base is None
+
+
+def test_raw_scans_beside_the_same_ones_with_poses_are_not_read_twice(tmp_path):
+    path = log(tmp_path, rawlaser(1.0, [2.0] * 3), robotlaser(1.1, [3.0] * 3), rawlaser(2.0, [2.0] * 3))
+    (frame,) = Carmen(path).frames()
+    assert frame.scan.ranges[0] == 3.0
+    assert Carmen(path).notes() == {}
+
+
+def test_a_damaged_line_of_a_raw_scan_is_counted(tmp_path):
+    path = log(tmp_path, rawlaser(1.0, [2.0] * 3), rawlaser(2.0, [2.0] * 3)[:-12])
+    assert Carmen(path).notes() == {"damaged lines dropped": 1}
 
 
 def test_a_robotlaser_line_uses_its_angle_step_not_its_field_of_view(tmp_path):

@@ -83,11 +83,14 @@ def read_bag_streams(
     )
 
 
-def find_other_robots(streams: RecordingStreams, laser: str) -> frozenset[str]:
-    """Return the topics with scans, odometry or transforms of other robots than that of a laser."""
+def find_other_robots(streams: RecordingStreams, laser: str, odometry: str = "") -> frozenset[str]:
+    """Return the topics with scans, odometry or transforms of other robots than that of a laser.
+
+    ``odometry``: the topic that the user names, which is not left out.
+    """
     kinds = (rosbag_parser.ODOMETRY, *rosbag_parser.TRANSFORMS)
     motions = [one.name for one in streams.topics if one.kind in kinds and one.count]
-    return find_foreign_topics(laser, [one.topic for one in streams.lasers], motions)
+    return find_foreign_topics(laser, [one.topic for one in streams.lasers], motions, odometry)
 
 
 def _find_unusual_sweeps(reader: Any) -> dict[str, MessageFields]:

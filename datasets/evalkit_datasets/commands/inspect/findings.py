@@ -30,7 +30,7 @@ MAX_SCAN_STEP_M = 0.4
 HANDLED = "handled by the reader"
 DIRECTION = "direction of the angles"
 STAMPS = "stamps of the scans"
-FLASER_ANGLES = "angles of FLASER lines"
+SET_BACK = "clock set back"
 LOG_LINES = "laser lines"
 
 
@@ -68,6 +68,11 @@ class LidarStats:
     returns: RangeStats
     damaged: int
     unstamped: int
+
+    @property
+    def revolution_s(self) -> float:
+        """The time from the first beam to the last (s) if the lidar turns once a scan."""
+        return self.timing.period_s * self.field_of_view_deg / 360.0
 
     @property
     def limits(self) -> str:
@@ -124,7 +129,7 @@ def collect_findings(
     rank: dict[Level, int] = {"problem": 0, "warning": 1, "note": 2}
     found = [*_check_file(streams, inside), *_check_lidars(lidars), *_check_scan_steps(odometries, streams),
              *_check_odometry(odometries, turns, streams), *_check_standing(lidars, odometries),
-             *_check_full_turn(lidars, turns, streams),
+             *_check_full_turn(lidars, turns, streams), *_check_shift(lidars, turns, turned, streams),
              *_check_clocks(lidars, odometries),
              *_check_direction(streams, turned, tree), *_check_frames(tree, streams)]  # fmt: skip
     return tuple(sorted(found, key=lambda finding: rank[finding.level]))
@@ -143,11 +148,13 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
         yield _problem("file", f"it contains no laser scans, but: {known}", "give a recording with a 2D lidar")
     yield from _check_remarks(streams)
     if streams.left_out:
-        what = f"several robots, of which {streams.lasers[0].topic} is one; left out: {', '.join(streams.left_out)}"
-        yield _note("file", what, "choose another robot by the topic of its lidar")
+        what = f"by the namespaces of its topics, it is of several robots, and {streams.lasers[0].topic} of one of them"
+        advice = "choose another robot by the topic of its lidar, or an odometry by its topic"
+        yield _note("file", f"{what}; left out: {', '.join(streams.left_out)}", advice)
     if any(topic.name == "FLASER" for topic in streams.topics) and streams.lasers:
-        beams = len(streams.lasers[0].angles)
-        what = f"FLASER lines do not contain angles: {beams} beams are assumed to begin at -90 deg"
+        angles = streams.lasers[0].angles
+        first = f"{len(angles)} beams are assumed to begin at {math.degrees(angles[0]):.6g} deg"
+        what = f"FLASER lines do not contain angles: {first}"
         yield _note("lidar", what, "half a beam rotates all scans alike; parameters start_deg, step_deg")
     if any(topic.name == "RLASER" for topic in streams.topics):
         yield _note("lidar", "the log also contains a rear laser (RLASER), which is ignored")
@@ -213,9 +220,11 @@ def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
     if found.period_s and found.jitter_s > 0.2 * found.period_s:
         yield _note(about, f"the period of {found.period_s:.3f} s has a jitter of {found.jitter_s:.3f} s")
     if lidar.kind.endswith("LaserScan") and lidar.sweep_s == 0.0 and MIN_SWEEP_S <= found.period_s <= MAX_SWEEP_S:
-        what = f"time_increment is 0: the motion within the scans, {found.period_s:.2g} s apart, is not corrected"
-        mend = f"sweep_s = {found.period_s * lidar.field_of_view_deg / 360.0:.2g}"
-        yield _warning(about, what, f"if the lidar turns once a scan, set {mend} of the reader, and mend its driver")
+        what = (
+            f"time_increment is 0 or less: the motion within the scans, {found.period_s:.2g} s apart, is not corrected"
+        )
+        mend = f"set sweep_s = {lidar.revolution_s:.2g} of the reader, and mend its driver"
+        yield _warning(about, what, f"if the lidar turns once a scan, {mend}")
     if lidar.unstamped:
         yield _warning(about, f"{lidar.unstamped} scans have no stamp; the time of recording is used")
     if lidar.clock is not None:
@@ -228,12 +237,13 @@ def _check_steps_back(found: StreamTiming, about: str) -> Iterator[InspectionFin
     if step is None or not found.usable:
         return
     count = "once" if found.steps_back == 1 else f"{found.steps_back} times"
-    back = f"its stamps go back by {step.length_s:.2f} s at {step.at_s:.1f} s ({count}) while the recording goes on"
+    where = f"{step.length_s:.2f} s at {step.at_s:.1f} s ({count})"
+    back = f"the stamps of {about} go back by {where} while the recording goes on"
     before = [f"--set limit={step.before}"] if step.before > 0 else []
     behind = [f"--set start={step.behind}"] if step.behind < found.count - found.repeated else []
     part = f"take the part before it or behind it: {' or '.join([*before, *behind])}"
     advice = part if found.steps_back == 1 and [*before, *behind] else "mend the clock, and record again"
-    yield _problem(about, f"{back}: in the order of their stamps, scans of different places mix", advice)
+    yield _problem(SET_BACK, f"{back}: in the order of their stamps, scans of different places mix", advice)
 
 
 def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[InspectionFinding]:
@@ -361,7 +371,6 @@ def _check_odometry(
         yield _warning(
             "odometry", "no wheel odometry in it, or one that stands still", "the initial guess is constant velocity"
         )
-    yield from _check_shift(turns, streams)
     for one in () if streams.poses_from else odometries:
         about = f"odometry {one.topic}" + (f" ({one.child})" if one.topic == "tf" else "")
         yield from _check_motion(one, about)
@@ -387,15 +396,16 @@ def is_apart(lidar: LidarStats, odometry: OdometryStats) -> bool:
 
 
 def _check_clocks(lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats]) -> Iterator[InspectionFinding]:
-    """Report an odometry whose times are not those of any scan."""
-    for one in odometries if lidars else ():
-        if all(is_apart(lidar, one) for lidar in lidars):
-            apart_s = (one.timing.first_ns - lidars[0].timing.first_ns) * 1e-9
-            side = "after" if apart_s > 0 else "before"
-            what = (
-                f"by its stamps it begins {abs(apart_s):.0f} s {side} the scans, and covers none of them: two clocks?"
-            )
+    """Report an odometry whose times are not those of any scan: a problem if there is no other."""
+    apart = [one for one in odometries if lidars and all(is_apart(lidar, one) for lidar in lidars)]
+    for one in apart:
+        apart_s = (one.timing.first_ns - lidars[0].timing.first_ns) * 1e-9
+        side = "after" if apart_s > 0 else "before"
+        what = f"by its stamps it begins {abs(apart_s):.0f} s {side} the scans, and covers none of them: two clocks?"
+        if len(apart) == len(odometries):
             yield _problem(f"odometry {one.topic}", what, "the scans have no wheel odometry; record with one clock")
+        else:
+            yield _warning(f"odometry {one.topic}", what, "use another odometry, or record with one clock")
 
 
 def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]:
@@ -451,11 +461,13 @@ def _check_full_turn(
         if turn.differs and not turn.driving and abs(view_deg - 360.0) < MAX_VIEW_ERROR_DEG:
             what = f"by {turn.pairs} turns of the odometry, {lidars[0].beams} beams see all around, not half of it"
             mend = f"--set start_deg=-180 --set step_deg={360.0 / lidars[0].beams:.6g}, or where the first beam points"
-            yield _problem(FLASER_ANGLES, what, mend)
+            yield _problem("angles of FLASER lines", what, mend)
             return
 
 
-def _check_shift(turns: Mapping[str, TurnComparison], streams: RecordingStreams) -> Iterator[InspectionFinding]:
+def _check_shift(
+    lidars: Sequence[LidarStats], turns: Mapping[str, TurnComparison], turned: str, streams: RecordingStreams
+) -> Iterator[InspectionFinding]:
     """Warn of scans whose stamps are not the times at which the odometry rotates as they do."""
     named = ((name.split()[0], turn) for name, turn in turns.items() if turn.is_shifted)
     odometry, turn = next(named, ("", None))
@@ -467,7 +479,16 @@ def _check_shift(turns: Mapping[str, TurnComparison], streams: RecordingStreams)
         f"by the turns of {odometry}, the scans were taken {abs(turn.shift_s):.2f} s {side} than their stamps say "
         f"({low:.2f} to {high:.2f} s, {turn.pairs} turns)"
     )
-    yield _warning(STAMPS, what, f"if the stamps of the scans are wrong: --set stamp_shift_s={turn.shift_s:.2f}")
+    if agreeing := [name.split()[0] for name, other in turns.items() if other.agrees_in_time]:
+        yield _warning(STAMPS, f"{what}, but {agreeing[0]} agrees with them", f"use --set odometry={agreeing[0]}")
+        return
+    lidar = next(one for one in lidars if one.topic == turned)
+    if lidar.sweep_s == 0.0 and 0.0 < turn.shift_s < 0.5 * lidar.revolution_s + MAX_OFFSET_S:
+        sweep = f"if the lidar turns once a scan: --set sweep_s={lidar.revolution_s:.2g}"
+        yield _warning(STAMPS, f"{what}: the middle of a revolution, whose time_increment is 0 or less", sweep)
+        return
+    mend = f"--set stamp_shift_s={turn.shift_s:.2f}"
+    yield _warning(STAMPS, what, f"if the stamps of the scans are wrong, not those of the odometry: {mend}")
 
 
 def _check_direction(streams: RecordingStreams, turned: str, tree: FrameTree) -> Iterator[InspectionFinding]:

@@ -21,7 +21,7 @@ from evalkit_datasets.commands.inspect.odometry_stats import (
 from evalkit_datasets.commands.inspect.range_stats import measure_ranges
 from evalkit_datasets.commands.inspect.streams import LaserStream, RecordingStreams, Topic
 from evalkit_datasets.commands.inspect.timing import measure_clock_offset, measure_timing
-from evalkit_datasets.parsing import rosbag_parser
+from evalkit_datasets.parsing import carmen_parser, rosbag_parser
 from evalkit_datasets.parsing.columns_layout import is_described
 from evalkit_datasets.parsing.sweeps import parse_fields
 
@@ -60,9 +60,9 @@ def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] |
     streams = _read_streams(path, reader, given or {})
     lidars = tuple(_measure_lidar(laser) for laser in streams.lasers)
     best = _select_lidar(lidars, topic)
-    others = bag_streams.find_other_robots(streams, lidars[best].topic) if reader == ROSBAG and best is not None else ()
+    others = _find_other_robots(streams, lidars, best, given or {}) if reader == ROSBAG else frozenset()
     if others:
-        streams = _read_streams(path, reader, given or {}, frozenset(others))
+        streams = _read_streams(path, reader, given or {}, others)
         lidars = tuple(one for one in lidars if one.topic not in others)
         best = _select_lidar(lidars, topic)
     odometries = tuple(measure_odometry(wheels) for wheels in streams.wheels)
@@ -106,12 +106,39 @@ def _read_streams(
 ) -> RecordingStreams:
     if reader == ROSBAG:
         fields = parse_fields(str(given.get("fields", "")))
-        streams = bag_streams.read_bag_streams(path, left_out, fields)
+        streams = _correct_times(bag_streams.read_bag_streams(path, left_out, fields), given)
         return _reverse_angles(streams) if fields is not None and fields.clockwise else streams
     if reader == CARMEN:
-        return log_streams.read_log_streams(path)
+        layout = _number(given, "start_deg", carmen_parser.DEFAULT_LAYOUT[0]), _number(given, "step_deg", 0.0)
+        return log_streams.read_log_streams(path, layout)
     own = {name: value for name, value in given.items() if name not in ("start", "every", "limit")}
     return log_streams.read_sequence_streams(path, reader, own)
+
+
+def _find_other_robots(
+    streams: RecordingStreams, lidars: Sequence[LidarStats], best: int | None, given: Mapping[str, Value]
+) -> frozenset[str]:
+    if best is None:
+        return frozenset()
+    return bag_streams.find_other_robots(streams, lidars[best].topic, str(given.get("odometry", "")))
+
+
+def _number(given: Mapping[str, Value], name: str, default: float) -> float:
+    return float(str(given.get(name, default)))
+
+
+def _correct_times(streams: RecordingStreams, given: Mapping[str, Value]) -> RecordingStreams:
+    """Return the streams with the times of the scans as the reader gives them."""
+    shift_ns, sweep_ns = (round(_number(given, name, 0.0) * 1e9) for name in ("stamp_shift_s", "sweep_s"))
+    lasers = [
+        replace(
+            one,
+            stamps_ns=one.stamps_ns + shift_ns,
+            time_increment_ns=one.time_increment_ns or round(sweep_ns / (len(one.angles) - 1)),
+        )
+        for one in streams.lasers
+    ]
+    return replace(streams, lasers=lasers)
 
 
 def _reverse_angles(streams: RecordingStreams) -> RecordingStreams:

@@ -20,14 +20,14 @@ from evalkit_datasets.commands.inspect.other_files import describe_other_file
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, RecordingStreams, ScanSample, Topic
 from evalkit_datasets.parsing import carmen_parser
 from evalkit_datasets.parsing.buffers import PoseBuffer
-from evalkit_datasets.parsing.carmen_parser import Log, Reading
+from evalkit_datasets.parsing.carmen_parser import Layout, Log, Reading
 from evalkit_datasets.readers.columns import Columns
 
 COLUMNS, COLUMNS_KIND = "columns", "log in columns"
 MAX_FRAMES = 100_000
 NOTHING: Mapping[str, Value] = {}
 
-LASER_LINES = (b"FLASER", b"ROBOTLASER1")
+LASER_LINES, RAW_LINES = (b"FLASER", b"ROBOTLASER1"), (b"RAWLASER1",)
 MAX_REMARKS = 5
 MAX_KINDS = 1000  # kinds of lines that are counted
 SCAN_POSES = "robot pose of each scan"
@@ -52,9 +52,11 @@ class _LogScans:
 class _OtherLines:
     """What the lines of a log hold besides: number of each kind, comments, and the stamps of the logger's clock.
 
-    ``logger_ns``: of the scans, None after one that cannot be read. ``digits``: the most of an ipc stamp.
+    ``lasers``: the kinds of lines with scans. ``logger_ns``: of the scans, None after one that cannot be read.
+    ``digits``: the most of an ipc stamp.
     """
 
+    lasers: tuple[bytes, ...] = LASER_LINES
     kinds: Counter[str] = field(default_factory=Counter)
     remarks: list[str] = field(default_factory=list)
     logger_ns: array[int] | None = field(default_factory=lambda: array("q"))
@@ -73,7 +75,7 @@ class _OtherLines:
         kind = words[0].decode("latin-1")
         if kind in self.kinds or len(self.kinds) < MAX_KINDS:
             self.kinds[kind] += 1
-        if words[0] in LASER_LINES and len(words) > 3:
+        if words[0] in self.lasers and len(words) > 3:
             self.digits = max(self.digits, _count_digits(words[-3]))
             self._take_logger_stamp(words[-1])
 
@@ -85,13 +87,17 @@ class _OtherLines:
                 self.logger_ns = None
 
 
-def read_log_streams(path: Path) -> RecordingStreams:
-    """Return the streams of a log; raises BadData if the file is not a log or is damaged gzip."""
-    log, scans, others = Log(), _LogScans(), _OtherLines()
+def read_log_streams(path: Path, layout: Layout = carmen_parser.DEFAULT_LAYOUT) -> RecordingStreams:
+    """Return the streams of a log; raises BadData if the file is not a log or is damaged gzip.
+
+    ``layout``: the angles of lines that do not state them.
+    """
+    log, scans = Log(layout), _LogScans()
     for _, reading in carmen_parser.iter_readings(path, log):
         scans.take(reading)
     if not (len(scans.scans) or len(log.odometry) or log.damaged):
         raise BadData(str(path), "", *describe_other_file(path))
+    others = _OtherLines(RAW_LINES if log.is_raw else LASER_LINES)
     for line in carmen_parser.iter_log_lines(path):
         others.take(line)
     stamps = scans.robot.stamps_ns
@@ -99,7 +105,7 @@ def read_log_streams(path: Path) -> RecordingStreams:
     rate = 1.0 / seconds if seconds > 0.0 else float("nan")
     topics = [Topic(kind, _describe_line(kind), count, count * rate) for kind, count in others.kinds.most_common(12)]
     return RecordingStreams(
-        path, "CARMEN log", "carmen", topics, _make_laser_streams(scans, others.logger_ns),
+        path, "CARMEN log", "carmen", topics, _make_laser_streams(log, scans, others.logger_ns),
         _make_odometry_streams(log, scans.robot), poses_from=log.poses_from,
         digits=others.digits, damaged=log.damaged, remarks=others.remarks,
         first_damage=f"line {log.damage[0]}: {log.damage[1]}" if log.damaged else "",
@@ -139,13 +145,14 @@ def read_sequence_streams(path: Path, reader: str, given: Mapping[str, Value] = 
     )  # fmt: skip
 
 
-def _make_laser_streams(scans: _LogScans, logger_ns: array[int] | None) -> list[LaserStream]:
+def _make_laser_streams(log: Log, scans: _LogScans, logger_ns: array[int] | None) -> list[LaserStream]:
     """Return the lidar of a log; the logger's times are left out if they do not correspond to the scans."""
     if scans.first is None:
         return []
     recorded = np.asarray(logger_ns) if logger_ns is not None and len(logger_ns) == len(scans.scans) else None
+    lines = "RAWLASER1" if log.is_raw else "FLASER / ROBOTLASER1"
     return [
-        LaserStream("FLASER / ROBOTLASER1", "laser lines", "laser", scans.robot.stamps_ns, recorded, scans.scans,
+        LaserStream(lines, "laser lines", "laser", scans.robot.stamps_ns, recorded, scans.scans,
                     scans.first.angles, float("nan"), float("nan"))
     ]  # fmt: skip
 
@@ -167,6 +174,7 @@ def _count_digits(word: bytes) -> int:
 def _describe_line(kind: str) -> str:
     return {
         "FLASER": "front laser with two poses", "ROBOTLASER1": "laser with geometry", "ODOM": "wheel odometry or poses",
+        "RAWLASER1": "laser without poses, read if no other line has scans",
         "RLASER": "rear laser, ignored", "PARAM": "robot parameter", "NEFF": "written by GMapping",
         "VERTEX2": "pose of an optimised graph", "VERTEX_SE2": "pose of an optimised graph",
     }.get(kind, "ignored")  # fmt: skip

@@ -172,6 +172,11 @@ class TurnComparison:
         return abs(self.shift_s) >= MIN_SHIFT_S and (low > 0.5 * MIN_SHIFT_S or high < -0.5 * MIN_SHIFT_S)
 
     @property
+    def agrees_in_time(self) -> bool:
+        """Whether the times of the scans are known to be close to those of the odometry."""
+        return abs(self.shift_s) < 0.5 * MIN_SHIFT_S
+
+    @property
     def differs(self) -> bool:
         """Whether the scans rotate more than 15 % more or less than the odometry, or against it, beyond chance."""
         low, high = self.interval

@@ -73,7 +73,10 @@ def _describe_text(path: Path) -> tuple[str, str]:
             what,
             f"{layout}; poses alone are a ground truth, as TUM: evalkit compare RECORDING --ground-truth FILE.tum",
         )
-    return "text in which no line begins with FLASER, ROBOTLASER1, LASER_READING or ODOM", f"{layout}, or {READERS}"
+    return (
+        "text in which no line begins with FLASER, ROBOTLASER1, RAWLASER1, LASER_READING or ODOM",
+        f"{layout}, or {READERS}",
+    )
 
 
 def _describe_graph(path: Path) -> tuple[str, str]:

@@ -21,7 +21,7 @@ from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import Choice
 from evalkit_datasets.commands.inspect.findings import (
     DIRECTION,
-    FLASER_ANGLES,
+    SET_BACK,
     STAMPS,
     InspectionFinding,
     LidarStats,
@@ -33,6 +33,7 @@ from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
 from evalkit_datasets.parsing.range_minimum import RANGE_MIN
+from evalkit_datasets.parsing.robots import count_common_spaces
 from evalkit_datasets.parsing.transforms import own_name, with_prefix_of
 from evalkit_datasets.parsing.truth_files import TruthPaths, load_truth
 from evalkit_datasets.recordings import catalog, data_sets
@@ -43,7 +44,7 @@ PROBLEM = "problem"  # the name of a choice that sets nothing
 STATED_BY: Mapping[str, frozenset[str]] = {
     DIRECTION: frozenset({"base_from_sensor", "fields"}),
     STAMPS: frozenset({"stamp_shift_s"}),
-    FLASER_ANGLES: frozenset({"start_deg", "step_deg"}),
+    SET_BACK: frozenset({"start", "limit"}),
 }
 """Parameters of a user who has read a finding, by what it is about: it is not repeated."""
 
@@ -179,7 +180,8 @@ def _choose_for_bag(recording: Inspection, lidar: LidarStats) -> Iterator[Choice
         yield Choice("odometry", "none", f"odometry none: {why}")
         return
     own = [one for one in usable if one.child in with_prefix_of(lidar.frame, [own_name(one.child)])] or usable
-    named = next((one for one in own if one.topic.lstrip("/") == "odom"), own[0])
+    near = max(own, key=lambda one: count_common_spaces(one.topic, lidar.topic))
+    named = next((one for one in own if one.topic.lstrip("/") == "odom"), near)
     what = f"odometry {named.topic} of frame '{named.child}': {named.path_m:.1f} m"
     yield Choice("odometry", named.topic if len(messages) > 1 else None, what)
     if named.topic == "tf" and sum(one.topic == "tf" for one in usable) > 1:

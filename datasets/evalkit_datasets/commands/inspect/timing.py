@@ -102,7 +102,7 @@ def measure_timing(stamps_ns: Stamps) -> StreamTiming:
     typical = max(period, float(periods.mean())) if len(periods) else 0.0  # messages may come in bunches
     gap_indices = np.flatnonzero(periods > GAP_PERIODS * typical)
     longest = gap_indices[np.argsort(-periods[gap_indices], kind="stable")][:MAX_LISTED_GAPS]
-    back = np.flatnonzero(np.diff(stamps_ns) < -MIN_CLOCK_STEP_S * 1e9)
+    back = _find_steps_back(stamps_ns)
     return StreamTiming(
         len(stamps_ns),
         int(distinct[0]),
@@ -118,6 +118,12 @@ def measure_timing(stamps_ns: Stamps) -> StreamTiming:
         len(back),
         _measure_step_back(stamps_ns, distinct, back),
     )
+
+
+def _find_steps_back(stamps_ns: Stamps) -> Ints:
+    """Return the numbers of the stamps behind which a clock was set back; one message that comes late is none."""
+    back = np.flatnonzero(np.diff(stamps_ns[:-1]) < -MIN_CLOCK_STEP_S * 1e9)
+    return np.asarray(back[stamps_ns[back + 2] < stamps_ns[back]])
 
 
 def _measure_step_back(stamps_ns: Stamps, distinct: Stamps, back: Ints) -> StepBack | None:
