@@ -22,7 +22,8 @@
 #define EK_WIDEST __attribute__((target("avx512f,avx512bw,avx512cd,avx512dq,avx512vl,popcnt,prefer-vector-width=512")))
 #endif
 #define EK_HAS(part) (__builtin_cpu_supports(part) ? 1 : 0)
-#define EK_HAS_AVX512 (EK_HAS("avx512f") & EK_HAS("avx512bw") & EK_HAS("avx512cd") & EK_HAS("avx512dq") & EK_HAS("avx512vl"))
+#define EK_HAS_AVX512 /* all that EK_WIDEST names */ \
+    (EK_HAS("avx512f") & EK_HAS("avx512bw") & EK_HAS("avx512cd") & EK_HAS("avx512dq") & EK_HAS("avx512vl") & EK_HAS("popcnt"))
 #define ek_wide() (!EK_HAS("avx2") ? 0 : EK_HAS_AVX512 ? EK_AVX512 : EK_AVX2)
 #define EK_IF_WIDE(wide) (wide) /* at least AVX2 */
 #define EK_COPIES(returned, loop, parameters, body) \
