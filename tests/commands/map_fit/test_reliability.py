@@ -84,8 +84,11 @@ def test_probabilities_are_compared_in_groups_and_those_on_a_limit_belong_above(
 def test_the_documentation_shows_the_shipped_measurement():
     content = json.loads(files("evalkit.metrics").joinpath(FILE).read_text(encoding="utf-8"))
     page = (Path(__file__).parents[3] / "docs/pages/known-map-measured.md").read_text(encoding="utf-8")
-    for table in format_markdown(content).strip().split("\n\n"):
-        assert table in page
+    tables = format_markdown(content).strip().split("\n\n")
+    for table in tables:
+        assert page.count(table) == 1
+    rows = [row for row in page.splitlines() if row.startswith("| below ")]
+    assert len(rows) == sum(table.count("\n| below ") for table in tables)
 
 
 EXPERIMENT = """

@@ -104,7 +104,6 @@ ek_real ek_icp_choose(const ek_icp *p, size_t padded, ek_real reach, int ties)
     return ties ? EK_CALL(p->wide, choose_tied, (p, padded, reach)) : EK_CALL(p->wide, choose, (p, padded, reach));
 }
 
-/* Choose of the candidates of a point that are exactly as near as the chosen one that with the lowest index in the cloud. */
 void ek_icp_choose_lowest(const ek_icp *icp, const ek_index *target, size_t count)
 {
     const size_t abreast = ek_icp_abreast(icp);

@@ -8,8 +8,6 @@
 #define CLEAR_VIEW EK_R(0.1)  /* share across its line of the directions that a target point was seen from: less is no side */
 #define CLEAR_LOOK EK_R(0.02) /* the same for the direction to where the source points were seen from */
 
-/* Take the normal of the target point of a pair, and whether it was seen from the same side: a thin wall has a face on
- * either side. */
 void ek_icp_take_line(ek_icp *icp, const ek_index *target, const ek_real *normals, uint32_t i, uint32_t slot)
 {
     const size_t id = target->id[slot];
@@ -36,7 +34,6 @@ static uint32_t list_turned(size_t padded, const uint32_t *EK_RESTRICT nearest, 
     return count;
 }
 
-/* Take the normals of the neighbours where these have changed. */
 void ek_icp_take_normals(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t padded)
 {
     const uint32_t count = list_turned(padded, icp->nearest, icp->lined, icp->weight, icp->stale);
@@ -109,7 +106,6 @@ static void keep_closest(size_t padded, const uint32_t *EK_RESTRICT nearest, con
     }
 }
 
-/* Leave weight 1 to every pair that is used; returns their number (equation 2). Distances or their squares. */
 int32_t ek_icp_select_pairs(const ek_icp *icp, size_t padded, const ek_real *distance, int sided, int one_to_one)
 {
     if (sided) {
@@ -140,7 +136,6 @@ static void share_noise(ek_icp *icp, const ek_index *target, size_t padded)
     }
 }
 
-/* Distances of the source points to the target points of their pairs, from the squares of ek_icp_choose. */
 void ek_icp_measure_distances(ek_icp *icp, size_t padded)
 {
     for (size_t i = 0; i < padded; i++) {
@@ -157,7 +152,6 @@ static void measure_across(ek_icp *icp, size_t padded)
     }
 }
 
-/* Error over the pairs (equation 5), in the unit of the stop rule. */
 ek_real ek_icp_compute_error(ek_icp *icp, size_t padded, int32_t pairs, const ek_icp_parameters *parameters)
 {
     const ek_error_measure measure = parameters->error;
@@ -170,7 +164,6 @@ ek_real ek_icp_compute_error(ek_icp *icp, size_t padded, int32_t pairs, const ek
     return measure == EK_ERROR_RMSE ? EK_SQRT(total) : total;
 }
 
-/* The step of the pairs at a pose, in the target's frame. */
 ek_pose ek_icp_fit_step(ek_icp *icp, const ek_index *target, size_t padded, ek_pose pose, const ek_icp_parameters *parameters)
 {
     const int shared = parameters->share_noise && parameters->metric == EK_METRIC_LINE;

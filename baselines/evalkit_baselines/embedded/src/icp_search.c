@@ -19,7 +19,6 @@ static ek_real first_look(const ek_icp *icp, const ek_index *target, uint32_t i,
     return icp->distance[i] < limit ? known : FIRST_LOOK * target->cells.cell;
 }
 
-/* Search the neighbour of every point whose neighbour may have changed; returns the number of searches. */
 uint32_t ek_icp_search(ek_icp *icp, const ek_index *target, const ek_real *normals, size_t padded, ek_real limit)
 {
     const uint32_t searches = ek_icp_list_stale(icp, padded);

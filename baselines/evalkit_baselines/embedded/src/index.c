@@ -219,7 +219,7 @@ EK_WIDEST static void compare_box_avx512(const ek_index *index, const ek_cell_bo
             const ek_lanes squared = EK_LANES_OF(mask_mov)(far_off, (__mmask8)((1u << count) - 1u), squares);
             const __mmask8 nearer = EK_BELOW(squared, best);
             second = EK_LANES_OF(min)(second, EK_LANES_OF(max)(squared, best));
-            best = EK_LANES_OF(min)(best, squared);
+            best = EK_LANES_OF(min)(squared, best); /* the second one where a number is nan */
             slots = _mm256_mask_mov_epi32(slots, nearer, ek_count_lanes(k));
         }
     }

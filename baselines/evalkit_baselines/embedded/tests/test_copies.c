@@ -3,6 +3,7 @@
 #include "check.h"
 #include "ek/fit.h"
 #include "ek/icp.h"
+#include "ek/nearby.h"
 #include "ek/normals.h"
 #include "ek/table.h"
 #include "ek/wide.h"
@@ -35,6 +36,71 @@ static void fits_are_the_same(int wide, uint64_t *seed)
     }
     CHECK(memcmp(points, points + 1, sizeof *points) == 0 && memcmp(lines, lines + 1, sizeof *lines) == 0);
     CHECK(memcmp(sums[0], sums[1], sizeof *sums) == 0);
+}
+
+/* Places of a raster, on which some target points are equally near, and others; every eighth in the gap around (0, 0), where
+ * lanes without a point would lie. */
+static ek_real draw_place(uint32_t turn, uint64_t *seed, double low, double high)
+{
+    const ek_real place = uniform(seed, turn % 8u ? low : -0.1, turn % 8u ? high : 0.1);
+    return turn % 4u == 1u ? EK_R(0.0625) * EK_FLOOR(EK_R(16.0) * place) : place;
+}
+
+static void searches_are_the_same(ek_index *index, int wide, uint64_t *seed)
+{
+    uint32_t found = 0u;
+    for (uint32_t turn = 0; turn < 4000u; turn++) {
+        const ek_real x = draw_place(turn, seed, -6.0, 6.0), y = draw_place(turn, seed, -2.0, 8.0);
+        const ek_real radius = uniform(seed, 0.01, 1.0);
+        ek_neighbour answer[2];
+        for (int copy = 0; copy < 2; copy++) {
+            index->wide = copy ? wide : 0;
+            answer[copy] = ek_index_nearest(index, x, y, EK_R(0.3), radius);
+        }
+        CHECK(answer[0].slot == answer[1].slot && answer[0].others == answer[1].others);
+        CHECK(answer[0].slot == EK_NONE || answer[0].distance == answer[1].distance);
+        found += answer[0].slot != EK_NONE;
+    }
+    CHECK(found > 1000u && found < 3900u);
+}
+
+static void searches_in_groups_are_the_same(const ek_index *index, int wide, uint64_t *seed)
+{
+    uint32_t found = 0u;
+    for (uint32_t turn = 0; turn < 2000u; turn++) {
+        const ek_real from_x = draw_place(turn, seed, -6.0, 6.0), from_y = draw_place(turn, seed, -2.0, 8.0);
+        const ek_real radius = uniform(seed, 0.01, 0.4);
+        ek_real x[EK_GROUP], y[EK_GROUP];
+        ek_nearby nearby[2];
+        for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
+            x[lane] = from_x + uniform(seed, -0.1, 0.1);
+            y[lane] = from_y + uniform(seed, -0.1, 0.1);
+        }
+        memset(nearby, 0, sizeof nearby);
+        const int near = ek_index_nearby(index, x, y, radius, 0, nearby);
+        CHECK(near == ek_index_nearby(index, x, y, radius, wide, nearby + 1));
+        CHECK(!near || memcmp(nearby, nearby + 1, sizeof *nearby) == 0);
+        found += near ? 1u : 0u;
+    }
+    CHECK(found > 1000u);
+}
+
+/* More points in one cell than there are lanes, and a place that is nan, are no place for a neighbour. */
+static void nothing_is_near_what_is_no_place(int wide)
+{
+    ek_real points[2u * 40u];
+    ek_index index;
+    ek_arena arena = memory_of(8000u);
+    for (size_t k = 0; k < 2u * 40u; k++) {
+        points[k] = EK_R(1.0);
+    }
+    CHECK(ek_index_init(&index, &arena, 40u, 16u) == EK_OK && ek_index_build(&index, points, 40u) == EK_OK);
+    for (int copy = 0; copy < 2; copy++) {
+        index.wide = copy ? wide : 0;
+        CHECK(ek_index_nearest(&index, (ek_real)NAN, EK_R(1.0), EK_R(0.3), EK_R(0.1)).slot == EK_NONE);
+        CHECK(ek_index_nearest(&index, EK_R(1.0), EK_R(1.1), EK_R(0.3), EK_R(0.1)).slot == 0u);
+    }
+    free(arena.memory);
 }
 
 static void normals_are_the_same(ek_index *index, int wide)
@@ -79,9 +145,12 @@ static void compare(int wide)
     static ek_table table;
     uint64_t seed = 9u;
     ek_arena arena = memory_of(6000000u);
-    for (size_t k = 0; k < TARGETS; k++) { /* a wall, and what stands around; some in a raster */
-        cloud[2u * k] = uniform(&seed, 0.0, 10.0);
-        cloud[2u * k + 1u] = k % 3u ? uniform(&seed, -0.1, 0.1) : uniform(&seed, -1.0, 6.0);
+    for (size_t k = 0; k < TARGETS; k++) { /* a wall, and what stands around with a gap at (0, 0); some in a raster */
+        cloud[2u * k] = uniform(&seed, -5.0, 5.0);
+        cloud[2u * k + 1u] = k % 3u ? uniform(&seed, 0.9, 1.1) : uniform(&seed, 0.0, 7.0);
+        if (cloud[2u * k + 1u] < EK_R(0.25) && EK_FABS(cloud[2u * k]) < EK_R(0.25)) {
+            cloud[2u * k + 1u] += EK_R(0.25);
+        }
         if (k % 5u == 0u) {
             cloud[2u * k] = EK_R(0.125) * EK_FLOOR(EK_R(8.0) * cloud[2u * k]);
             cloud[2u * k + 1u] = EK_R(0.125) * EK_FLOOR(EK_R(8.0) * cloud[2u * k + 1u]);
@@ -96,6 +165,9 @@ static void compare(int wide)
     CHECK(icp.wide == ek_wide() && index.wide == ek_wide());
     CHECK(ek_index_build(&index, cloud, TARGETS) == EK_OK);
     fits_are_the_same(wide, &seed);
+    searches_are_the_same(&index, wide, &seed);
+    searches_in_groups_are_the_same(&index, wide, &seed);
+    nothing_is_near_what_is_no_place(wide);
     normals_are_the_same(&index, wide);
     for (size_t k = 0; k < 3u; k++) { /* at last by searches of single places */
         index.table = k == 0u ? &table : NULL;

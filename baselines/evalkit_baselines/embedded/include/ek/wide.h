@@ -2,8 +2,9 @@
  *
  * All give the same bits: the sums of a loop run in EK_LANES lanes (real.h), no operation is reordered, and none is fused.
  * AVX2 has no fused multiply-add; AVX-512 has, and needs -ffp-contract=off, which gcc sets with -std=c99. A loop is an
- * EK_LOOP function; EK_COPIES makes the two other copies of it, and EK_CALL calls the one for ek_wide(). On aarch64 the copy
- * for every processor uses NEON, which all of them have.
+ * EK_LOOP function; EK_COPIES makes the two other copies of it, and EK_CALL calls the one for ek_wide(). Copies that no compiler
+ * makes from the loop are written by hand (src/lanes.h). Where a copy for AVX2 gains nothing, the loop itself has its name
+ * (#define loop_avx2 loop). On aarch64 the copy for every processor uses NEON, which all of them have.
  */
 #ifndef EK_WIDE_H
 #define EK_WIDE_H
@@ -22,7 +23,8 @@
 #define EK_WIDEST __attribute__((target("avx512f,avx512bw,avx512cd,avx512dq,avx512vl,popcnt,prefer-vector-width=512")))
 #endif
 #define EK_HAS(part) (__builtin_cpu_supports(part) ? 1 : 0)
-#define EK_HAS_AVX512 (EK_HAS("avx512f") & EK_HAS("avx512bw") & EK_HAS("avx512cd") & EK_HAS("avx512dq") & EK_HAS("avx512vl"))
+#define EK_HAS_AVX512 /* all that EK_WIDEST names */ \
+    (EK_HAS("avx512f") & EK_HAS("avx512bw") & EK_HAS("avx512cd") & EK_HAS("avx512dq") & EK_HAS("avx512vl") & EK_HAS("popcnt"))
 #define ek_wide() (!EK_HAS("avx2") ? 0 : EK_HAS_AVX512 ? EK_AVX512 : EK_AVX2)
 #define EK_IF_WIDE(wide) (wide) /* at least AVX2 */
 #define EK_COPIES(returned, loop, parameters, body) \
