@@ -195,7 +195,7 @@ def _find_group(only: Collection[str], has_rules: bool) -> Only:
     """The only group of checks, "" for all; single rules (``has_rules``) are of one. Raises BadParameter for others."""
     groups = dict.fromkeys([*only, "rules"] if has_rules else only)
     if unknown := [name for name in groups if name not in CHECK_GROUPS]:
-        raise typer.BadParameter(f"--only {unknown[0]}: expected {', '.join(CHECK_GROUPS)}")
+        raise typer.BadParameter(f"--only: {unknown[0]!r} is not one of {', '.join(map(repr, CHECK_GROUPS))}")
     if len(groups) > 1:
         raise typer.BadParameter(f"--only takes one group of checks, found {' and '.join(groups)}")
     for group in CHECK_GROUPS:
