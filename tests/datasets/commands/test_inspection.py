@@ -22,10 +22,11 @@ from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.errors import BadData
 from evalkit.plugins import registry
 from evalkit_datasets.commands.datasets.example_bag import write_example
-from evalkit_datasets.commands.inspect import findings, odometry_stats
+from evalkit_datasets.commands.inspect import findings, lidar_findings, odometry_findings, odometry_stats
 from evalkit_datasets.commands.inspect.command import inspect
 from evalkit_datasets.commands.inspect.frame_tree import FrameTree, LidarMounting
 from evalkit_datasets.commands.inspect.inspector import field_of_view_deg, inspect_recording
+from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
 from evalkit_datasets.commands.inspect.odometry_stats import TwistComparison, compare_turns, measure_odometry
 from evalkit_datasets.commands.inspect.page import build_document
 from evalkit_datasets.commands.inspect.range_stats import find_no_return_codes, measure_ranges
@@ -538,8 +539,8 @@ def test_the_field_of_view_is_from_the_first_beam_to_the_last_or_a_full_circle(b
     ],
 )
 def test_range_limits_that_are_not_stated_are_not_made_up(low, high, said):
-    given = dict.fromkeys((one.name for one in fields(findings.LidarStats)), 0)
-    assert findings.LidarStats(**{**given, "range_min_m": low, "range_max_m": high}).limits == said
+    given = dict.fromkeys((one.name for one in fields(LidarStats)), 0)
+    assert LidarStats(**{**given, "range_min_m": low, "range_max_m": high}).limits == said
 
 
 def test_map_cells_grow_with_the_distance_of_the_beams(tmp_path):
@@ -834,14 +835,14 @@ def told(found):
 
 def test_clocks_that_drift_and_speeds_that_disagree_are_said():
     drifting = ClockOffset(0.0, 0.0, 0.0, 0.0, 0.0, 800.0)
-    assert told(findings._check_clock(drifting, "/scan", False)) == [
+    assert told(lidar_findings._check_clock(drifting, "/scan", False)) == [
         ("warning", "its clock drifts from the recorder's by 800 ppm")
     ]
     wheels = SimpleNamespace(twist=TwistComparison(False, 2.0, float("nan")))
-    assert told(findings._check_twist(wheels, "/odom")) == [
+    assert told(odometry_findings._check_twist(wheels, "/odom")) == [
         ("warning", "its poses have 2.00 times the speed of its messages")
     ]
-    assert list(findings._check_twist(SimpleNamespace(twist=TwistComparison(False, 1.0, 1.2)), "/odom")) == []
+    assert list(odometry_findings._check_twist(SimpleNamespace(twist=TwistComparison(False, 1.0, 1.2)), "/odom")) == []
 
 
 def test_frames_with_several_parents_and_lidars_that_are_not_level_are_said():

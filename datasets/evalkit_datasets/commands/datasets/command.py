@@ -17,7 +17,7 @@ from evalkit.plugins.parameter_parsing import from_text
 from evalkit.terminal import options
 from evalkit.terminal.console import WordConsole, print_json
 from evalkit.terminal.text_list import print_list
-from evalkit_datasets.commands.inspect.findings import format_count
+from evalkit_datasets.commands.inspect.finding import format_count
 from evalkit_datasets.recordings import catalog, data_sets
 from evalkit_datasets.recordings.fetch import fetch, list_downloads, why_offline
 

@@ -16,7 +16,7 @@ from evalkit.io.output_files import write_texts
 from evalkit.terminal.console import out, print_json
 from evalkit.terminal.options import READER, Json
 from evalkit.terminal.text_list import print_hanging
-from evalkit_datasets.commands.inspect.findings import Level, format_count
+from evalkit_datasets.commands.inspect.finding import Level, format_count
 from evalkit_datasets.commands.inspect.inspector import CARMEN, Inspection, find_reader_name, inspect_recording
 from evalkit_datasets.commands.inspect.layout_proposal import LayoutProposal, propose_layout
 from evalkit_datasets.commands.inspect.log_streams import COLUMNS_KIND

@@ -10,8 +10,9 @@ from pathlib import Path
 from evalkit.config import adhoc_experiment
 from evalkit.plugins.parameters import Value
 from evalkit_datasets.commands.inspect import bag_streams, findings, log_streams
-from evalkit_datasets.commands.inspect.findings import InspectionFinding, LidarStats
+from evalkit_datasets.commands.inspect.finding import InspectionFinding
 from evalkit_datasets.commands.inspect.frame_tree import FrameTree, build_frame_tree, mirror_if_upside_down
+from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
 from evalkit_datasets.commands.inspect.odometry_stats import (
     OdometryStats,
     TurnComparison,

@@ -25,8 +25,9 @@ from evalkit.report.html.blocks import (
 )
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.method_colours import HUES
-from evalkit_datasets.commands.inspect.findings import Level, LidarStats, format_count
+from evalkit_datasets.commands.inspect.finding import Level, format_count
 from evalkit_datasets.commands.inspect.inspector import Inspection
+from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
 from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats
 from evalkit_datasets.commands.inspect.streams import LaserStream
 from evalkit_datasets.commands.inspect.suggested_config import SuggestedConfig

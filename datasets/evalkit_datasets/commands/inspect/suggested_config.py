@@ -19,19 +19,13 @@ from evalkit.core.se2 import wrap
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import Choice
-from evalkit_datasets.commands.inspect.findings import (
-    DIRECTION,
-    SET_BACK,
-    STAMPS,
-    InspectionFinding,
-    LidarStats,
-    check_body,
-    is_apart,
-    is_default_code,
-)
+from evalkit_datasets.commands.inspect.finding import InspectionFinding
 from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
+from evalkit_datasets.commands.inspect.lidar_findings import SET_BACK, check_body, is_default_code
+from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
+from evalkit_datasets.commands.inspect.odometry_findings import DIRECTION, STAMPS, is_apart
 from evalkit_datasets.parsing.range_minimum import RANGE_MIN
 from evalkit_datasets.parsing.robots import count_common_spaces
 from evalkit_datasets.parsing.transforms import own_name, with_prefix_of

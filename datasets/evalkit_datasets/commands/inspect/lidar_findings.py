@@ -1,0 +1,206 @@
+"""Findings on the lidars of a recording: times, clocks, units, ranges, and the robot's own body in view."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from evalkit_datasets.commands.inspect.finding import (
+    FIELDS,
+    MAX_OFFSET_S,
+    InspectionFinding,
+    format_count,
+    note,
+    problem,
+    warning,
+)
+from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
+from evalkit_datasets.commands.inspect.timing import ClockOffset, StreamTiming
+from evalkit_datasets.readers import carmen
+
+MAX_DRIFT_PPM = 500.0
+MAX_OFFSET_RANGE_S = 0.05
+HANDLED = "handled by the reader"
+SET_BACK = "clock set back"
+LOG_LINES = "laser lines"
+
+MAX_MEDIAN_M, MIN_MEDIAN_M = 200.0, 0.02
+"""Median range of a scan beyond which the unit is doubted."""
+
+MAX_VIEW_DEG = 400.0
+"""A wider field of view is doubted: revolutions may overlap a little."""
+
+MAX_BEYOND = 0.5
+"""Share of finite ranges beyond the declared maximum from which the unit is doubted."""
+
+MIN_RATE_HZ, MAX_RATE_HZ, MIN_RATED = 0.02, 500.0, 10
+"""Scans per second beyond which the unit of time is doubted, of at least so many scans."""
+
+MIN_SWEEP_S, MAX_SWEEP_S = 0.04, 0.5
+"""Periods (s) of scans within which a robot moves visibly, and that are a revolution: longer ones leave scans out."""
+
+MAX_SECTORS = 3
+"""Sectors of the robot's own body that are listed."""
+
+
+def check_lidars(lidars: Sequence[LidarStats]) -> Iterator[InspectionFinding]:
+    """Report what is wrong or notable with the scans of each lidar."""
+    for lidar in lidars:
+        yield from _check_units(lidar)
+        yield from _check_times(lidar)
+        yield from _check_ranges(lidar)
+        yield from check_body(lidar)
+    if len(lidars) > 1:
+        names = ", ".join(lidar.topic for lidar in lidars)
+        yield note("lidars", f"{len(lidars)} lidars: {names}; a run uses one of them", "select one with topic")
+
+
+def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
+    found, about = lidar.timing, lidar.topic
+    if not found.usable:
+        advice = "the reader places the scans one second apart in the order of the file: times and speeds are unknown"
+        yield problem(about, f"{found.repeated} of {found.count} scans have the stamp of another scan", advice)
+    elif found.repeated or found.backwards:
+        what = f"stamps decrease {found.backwards} times, {found.repeated} are repeated"
+        yield warning(about, what, "the reader sorts the scans and keeps the first of equal stamps")
+    if lidar.clock is not None and lidar.kind != LOG_LINES:
+        yield from _check_steps_back(found, about)
+    if found.gap_count:
+        longest = found.gaps[0]
+        what = f"{format_count(found.gap_count, 'gap')}, the longest {longest.length_s:.2f} s at {longest.at_s:.1f} s"
+        yield InspectionFinding("warning" if longest.length_s > 1.0 else "note", about, what)
+    if found.period_s and found.jitter_s > 0.2 * found.period_s:
+        yield note(about, f"the period of {found.period_s:.3f} s has a jitter of {found.jitter_s:.3f} s")
+    if lidar.kind.endswith("LaserScan") and lidar.sweep_s == 0.0 and MIN_SWEEP_S <= found.period_s <= MAX_SWEEP_S:
+        what = (
+            f"time_increment is 0 or less: the motion within the scans, {found.period_s:.2g} s apart, is not corrected"
+        )
+        mend = f"set sweep_s = {lidar.revolution_s:.2g} of the reader, and mend its driver"
+        yield warning(about, what, f"if the lidar turns once a scan, {mend}")
+    if lidar.unstamped:
+        yield warning(about, f"{lidar.unstamped} scans have no stamp; the time of recording is used")
+    if lidar.clock is not None:
+        yield from _check_clock(lidar.clock, about, lidar.kind == LOG_LINES)
+
+
+def _check_steps_back(found: StreamTiming, about: str) -> Iterator[InspectionFinding]:
+    """Report a clock that was set back while the recorder's went on: the times of two parts overlap."""
+    step = found.step_back
+    if step is None or not found.usable:
+        return
+    count = "once" if found.steps_back == 1 else f"{found.steps_back} times"
+    where = f"{step.length_s:.2f} s at {step.at_s:.1f} s ({count})"
+    back = f"the stamps of {about} go back by {where} while the recording goes on"
+    before = [f"--set limit={step.before}"] if step.before > 0 else []
+    behind = [f"--set start={step.behind}"] if step.behind < found.count - found.repeated else []
+    part = f"take the part before it or behind it: {' or '.join([*before, *behind])}"
+    advice = part if found.steps_back == 1 and [*before, *behind] else "mend the clock, and record again"
+    yield problem(SET_BACK, f"{back}: in the order of their stamps, scans of different places mix", advice)
+
+
+def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[InspectionFinding]:
+    if log:
+        if found.max_s - found.min_s > MAX_OFFSET_RANGE_S:
+            what = (
+                f"ipc and logger stamps differ by {found.min_s:.2f} to {found.max_s:.2f} s: the offset is not constant"
+            )
+            yield note(about, what, "ground truth must use the ipc stamp, as the reader does")
+        return
+    if abs(found.median_s) > MAX_OFFSET_S:
+        side = "ahead of" if found.median_s > 0 else "behind"
+        what = f"header stamps are {abs(found.median_s):.3f} s {side} the time of recording"
+        advice = "two clocks" if found.median_s > 0 else "latency, or two clocks"
+        yield InspectionFinding(
+            "warning" if found.median_s > 0 else "note",
+            about,
+            what,
+            f"{advice}; do not combine with stamps of another clock",
+        )
+    if found.step_s:
+        what = f"its clock steps by {found.step_s:+.2f} s against the recorder's at {found.step_at_s:.1f} s"
+        yield warning(about, what, "a clock that was set, or a recorder that was held up")
+    elif abs(found.drift_ppm) > MAX_DRIFT_PPM:
+        yield warning(about, f"its clock drifts from the recorder's by {found.drift_ppm:.0f} ppm")
+
+
+def _check_units(lidar: LidarStats) -> Iterator[InspectionFinding]:
+    """Check whether ranges and times have the order of magnitude of a lidar's."""
+    middle, rate, beyond = lidar.returns.median_m, lidar.timing.rate_hz, lidar.returns.beyond_maximum
+    if middle > MAX_MEDIAN_M or beyond > MAX_BEYOND:
+        far = f"{100 * beyond:.0f} % of the ranges lie beyond the maximum of {lidar.range_max_m or 0.0:g} m"
+        what = f"the median range is {middle:.0f} m" if beyond <= MAX_BEYOND else far
+        advice = f"a bag: --set '{FIELDS} range_unit=mm'; a text log: unit = \"mm\" in [scan]"
+        yield problem(lidar.topic, f"{what}: millimetres or centimetres taken for metres?", advice)
+    elif 0.0 < middle < MIN_MEDIAN_M:
+        what = f"the median range is {1e3 * middle:.1f} mm: metres taken for millimetres?"
+        yield problem(lidar.topic, what, 'a bag: record metres; a text log: unit = "m" in [scan]')
+    if abs(lidar.step_deg) * (lidar.beams - 1) > MAX_VIEW_DEG:
+        what = f"{lidar.beams} beams {abs(lidar.step_deg):.3g} deg apart are more than a full turn"
+        yield problem(lidar.topic, f"{what}: degrees taken for radians?", f"a bag: --set '{FIELDS} angle_unit=deg'")
+    if lidar.timing.usable and lidar.timing.count > MIN_RATED and not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
+        what = f"{rate:.3g} scans per second: stamps in another unit than they are read in?"
+        yield problem(lidar.topic, what, "a bag: use the time of recording; a text log: unit in [time] (s, ms, us, ns)")
+
+
+def _check_ranges(lidar: LidarStats) -> Iterator[InspectionFinding]:
+    found, about = lidar.returns, lidar.topic
+    for code in found.codes:
+        value = f"{code.high_m:g}" if code.low_m == code.high_m else f"{code.low_m:g} to {code.high_m:g}"
+        what = f"{value} m means no return: {100 * code.share:.1f} % of the beams ({code.why})"
+        advice = advise_on_code(code.low_m, lidar.range_max_m)
+        yield InspectionFinding("note" if advice == HANDLED else "warning", about, what, advice)
+    if found.zero > 0.005:
+        yield note(about, f"{100 * found.zero:.1f} % of the ranges are 0", "the reader marks them as invalid")
+    if found.nan + found.negative > 0.005:
+        yield note(about, f"{100 * (found.nan + found.negative):.1f} % of the ranges are nan or negative")
+    if found.at_maximum > 0.001:
+        what = f"{100 * found.at_maximum:.1f} % of the ranges are the maximum itself, {lidar.range_max_m:g} m"
+        yield note(about, what, "the reader marks them as no return")
+    if found.beyond_maximum > 0.001:
+        what = f"{100 * found.beyond_maximum:.1f} % of the ranges lie beyond the maximum of {lidar.range_max_m:g} m"
+        yield note(about, what, "the reader marks them as no return")
+    if len(found.beams) > 1:
+        yield warning(about, f"the number of beams changes: {', '.join(map(str, found.beams[:6]))}")
+    if found.hits < 0.5:
+        advice = (
+            "a point cloud: its band of heights may miss the walls, or its unit is not m" if found.nan > 0.5 else ""
+        )
+        yield warning(about, f"only {100 * found.hits:.0f} % of the beams are hits", advice)
+    if found.repeated > 0:
+        yield warning(about, f"{found.repeated} scans are identical to the previous one")
+    if found.still > 0.95:
+        yield note(
+            about, "the robot stands still: scans do not change within a second", "suitable for noise, not for drift"
+        )
+
+
+def check_body(lidar: LidarStats) -> Iterator[InspectionFinding]:
+    """Warn of beams that hit the robot itself."""
+    body = lidar.returns.body
+    if body is None:
+        return
+    listed = [f"{first:.0f} to {last:.0f}" for first, last in body.sectors_deg[:MAX_SECTORS]]
+    sectors = ", ".join([*listed, *(["..."] if len(body.sectors_deg) > MAX_SECTORS else [])])
+    ranges = " to ".join(dict.fromkeys([f"{body.nearest_m:.2f}", f"{body.farthest_m:.2f}"]))
+    beams = f"{100 * body.share:.0f} % of the beams ({sectors} deg)"
+    what = f"{beams} always have the same range, {ranges} m: the robot's own body?"
+    mend = f"set range_min_m = {body.range_min_m:g} (m; of a text log in [scan] of its layout)"
+    yield warning(lidar.topic, what, f"{mend}: all methods then leave them out, with all else that is nearer")
+
+
+def is_default_code(low_m: float) -> bool:
+    """Return whether the CARMEN reader treats this value as no return by default."""
+    return bool(np.isclose(low_m, (*carmen.CODES_M, *carmen.MILLIMETRE_CODES_M), atol=1e-6).any())
+
+
+def advise_on_code(low_m: float, range_max_m: float | None) -> str:
+    """Return what to do about a no-return code."""
+    if range_max_m is not None:
+        return "the driver should send inf; the reader treats it as a hit"
+    return (
+        HANDLED
+        if low_m >= 50.0 or is_default_code(low_m)
+        else f"set range_max_m = {math.floor(low_m * 100) / 100:g} (m)"
+    )
