@@ -103,7 +103,7 @@ def iter_readings_at(path: Path, layout: Layout, numbers: Iterable[int]) -> Iter
         if at == number:
             words = line.split()
             try:
-                yield (_LASERS | _RAW_LASERS)[words[0]](layout, words)
+                yield _ALL_LASERS[words[0]](layout, words)
             except (ValueError, IndexError, KeyError):
                 raise _changed_error(path) from None
             number = next(wanted, None)
@@ -217,6 +217,8 @@ _LASERS: dict[bytes, Callable[[Layout, list[bytes]], Reading]] = {
 
 _RAW_LASERS: dict[bytes, Callable[[Layout, list[bytes]], Reading]] = {b"RAWLASER1": _parse_rawlaser}
 
+_ALL_LASERS = _LASERS | _RAW_LASERS
+
 _LINES: dict[bytes, Callable[[Log, list[bytes]], None]] = {
     b"ODOM": _add_odom,
     b"PARAM": _add_param,
@@ -224,7 +226,7 @@ _LINES: dict[bytes, Callable[[Log, list[bytes]], None]] = {
 }
 
 
-_KNOWN_LINES = frozenset({*_LASERS, *_RAW_LASERS, b"ODOM"})
+_KNOWN_LINES = frozenset({*_ALL_LASERS, b"ODOM"})
 
 
 def _parse_beams(words: list[bytes], at: int, others: int) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,15 @@ MAX_UNUSUAL = 20  # topics with sweeps of unusual types
 MIN_TF_POSES = 2  # transforms needed for odometry from tf
 
 
+NO_OPTIONS = SweepOptions()
+
+
 @dataclass(eq=False)
 class _TopicContent:
     """What is kept of the messages of one topic: times, a sample of the ranges, poses and twists of odometry."""
 
     kind: str
-    fields: MessageFields | None = None
+    options: SweepOptions = NO_OPTIONS
     contents: Contents = field(default_factory=Contents)
     first: Sweep | None = None
     scans: ScanSample = field(default_factory=ScanSample)
@@ -36,11 +39,11 @@ class _TopicContent:
 
 
 def read_bag_streams(
-    path: Path, left_out: frozenset[str] = frozenset(), fields: MessageFields | None = None
+    path: Path, left_out: frozenset[str] = frozenset(), options: SweepOptions = NO_OPTIONS
 ) -> RecordingStreams:
     """Return the streams of a bag without some topics; raises BadData if it cannot be read.
 
-    ``fields``: how the user reads the laser scans; None: as they state.
+    ``options``: how the user reads the scans; its fields are those of LaserScan messages.
     """
     taken: dict[str, _TopicContent] = {}
     tree = Contents()
@@ -61,8 +64,10 @@ def read_bag_streams(
             if connection.msgtype in rosbag_parser.TRANSFORMS:
                 rosbag_parser.add_transforms(tree, message, connection.topic.endswith("tf_static"))
                 continue
-            read_as = fields if connection.msgtype == LASER_SCAN else unusual.get(connection.topic)
-            own = taken.setdefault(connection.topic, _TopicContent(connection.msgtype, read_as))
+            fields = options.fields if connection.msgtype == LASER_SCAN else unusual.get(connection.topic)
+            own = taken.get(connection.topic)
+            if own is None:
+                own = taken[connection.topic] = _TopicContent(connection.msgtype, replace(options, fields=fields))
             _take_message(own, connection.topic, message, int(recorded_ns))
     wheels = [
         _make_odometry_stream(own)
@@ -117,8 +122,7 @@ def _message_rate_hz(count: int, seconds: float) -> float:
 
 def _take_message(own: _TopicContent, topic: str, message: Any, recorded_ns: int) -> None:
     if own.kind != rosbag_parser.ODOMETRY:
-        options = SweepOptions(fields=own.fields)
-        sweep = rosbag_parser.read_sweep(own.contents, message, own.kind, recorded_ns, options)
+        sweep = rosbag_parser.read_sweep(own.contents, message, own.kind, recorded_ns, own.options)
         if sweep is not None:
             own.first = own.first or sweep
             own.scans.append(sweep.ranges)
@@ -144,7 +148,7 @@ def _make_laser_stream(topic: str, own: _TopicContent, first: Sweep) -> LaserStr
         first.time_increment_ns,
         own.contents.damaged,
         own.contents.unstamped,
-        str(own.fields or ""),
+        str(own.options.fields or ""),
     )
 
 

@@ -24,7 +24,7 @@ from evalkit_datasets.commands.inspect.streams import LaserStream, RecordingStre
 from evalkit_datasets.commands.inspect.timing import measure_clock_offset, measure_timing
 from evalkit_datasets.parsing import carmen_parser, rosbag_parser
 from evalkit_datasets.parsing.columns_layout import is_described
-from evalkit_datasets.parsing.sweeps import parse_fields
+from evalkit_datasets.parsing.sweeps import SweepOptions, parse_fields
 
 ROSBAG, CARMEN, COLUMNS = OWN = ("rosbag", "carmen", "columns")
 """Readers with an inspection of their own: of the file instead of the frames (columns: with a proposal)."""
@@ -107,7 +107,9 @@ def _read_streams(
 ) -> RecordingStreams:
     if reader == ROSBAG:
         fields = parse_fields(str(given.get("fields", "")))
-        streams = _correct_times(bag_streams.read_bag_streams(path, left_out, fields), given)
+        sweep_s, shift_s = (_number(given, name, 0.0) for name in ("sweep_s", "stamp_shift_s"))
+        options = SweepOptions(fields=fields, sweep_s=sweep_s, stamp_shift_s=shift_s)
+        streams = bag_streams.read_bag_streams(path, left_out, options)
         return _reverse_angles(streams) if fields is not None and fields.clockwise else streams
     if reader == CARMEN:
         layout = _number(given, "start_deg", carmen_parser.DEFAULT_LAYOUT[0]), _number(given, "step_deg", 0.0)
@@ -126,20 +128,6 @@ def _find_other_robots(
 
 def _number(given: Mapping[str, Value], name: str, default: float) -> float:
     return float(str(given.get(name, default)))
-
-
-def _correct_times(streams: RecordingStreams, given: Mapping[str, Value]) -> RecordingStreams:
-    """Return the streams with the times of the scans as the reader gives them."""
-    shift_ns, sweep_ns = (round(_number(given, name, 0.0) * 1e9) for name in ("stamp_shift_s", "sweep_s"))
-    lasers = [
-        replace(
-            one,
-            stamps_ns=one.stamps_ns + shift_ns,
-            time_increment_ns=one.time_increment_ns or round(sweep_ns / (len(one.angles) - 1)),
-        )
-        for one in streams.lasers
-    ]
-    return replace(streams, lasers=lasers)
 
 
 def _reverse_angles(streams: RecordingStreams) -> RecordingStreams:
