@@ -144,27 +144,42 @@ static void a_motion_is_possible_within_twice_the_gate(void)
     free(arena.memory);
 }
 
-/* Source points on a wall, some beside it: the share on it, and then the certainty of the match, must be enough. */
-static void a_match_passes_with_enough_overlap_and_certainty(void)
+/* As `line_of`, with a match of 40 points on two walls with themselves. */
+static ek_arena two_walls(void)
 {
     ek_arena arena = line_of(2u);
     ek_loop_finder *const finder = &slam.finder;
-    for (size_t k = 0; k < 40u; k++) { /* two walls */
+    for (size_t k = 0; k < 40u; k++) {
         finder->target[2u * k] = EK_R(k < 20u ? 0.2 * (double)k : 4.0);
         finder->target[2u * k + 1u] = EK_R(k < 20u ? 0.0 : 0.2 * (double)(k - 20u));
     }
     memcpy(finder->source, finder->target, 80u * sizeof(ek_real));
+    finder->source_count = 40u;
     CHECK(ek_index_build(&finder->index, finder->target, 40u) == EK_OK);
     CHECK(ek_normals_compute(&finder->index, 8u, EK_FAR, finder->normals) == EK_OK);
     finder->index.normals = finder->normals;
     finder->match = finder->motion = ORIGIN;
     finder->covariance = edge_of(0u, 1u, ORIGIN, 1.0).information;
     finder->match_error = EK_R(0.02);
+    return arena;
+}
+
+/* Put the first `far` source points beside their wall. */
+static void move_beside(ek_loop_finder *finder, size_t far)
+{
+    for (size_t k = 0; k < 40u; k++) {
+        finder->source[2u * k + 1u] = finder->target[2u * k + 1u] + (k < far ? EK_R(-0.2) : EK_R(0.0));
+    }
+}
+
+/* Source points on a wall, some beside it: the share on it, and then the certainty of the match, must be enough. */
+static void a_match_passes_with_enough_overlap_and_certainty(void)
+{
+    ek_arena arena = two_walls();
+    ek_loop_finder *const finder = &slam.finder;
     for (size_t far = 11; far < 14u; far++) { /* of 40, 28 are 70 % */
         finder->source_count = 40u;
-        for (size_t k = 0; k < 40u; k++) {
-            finder->source[2u * k + 1u] = finder->target[2u * k + 1u] + (k < far ? EK_R(-0.2) : EK_R(0.0));
-        }
+        move_beside(finder, far);
         finder->candidate.outcome = EK_LOOP_SCORE;
         ek_loop_judge(finder, &work);
         CHECK((finder->candidate.outcome == EK_LOOP_OVERLAP) == (far == 13u) && finder->phase == EK_FINDER_IDLE);
@@ -215,21 +230,9 @@ static void a_match_in_part_is_looked_at(void)
                  {20u, 0.6, 1, 0, EK_LOOP_OVERLAP, EK_FINDER_IDLE}, {13u, 0.6, 0, 0, EK_LOOP_OVERLAP, EK_FINDER_IDLE},
                  {13u, 0.6, 1, 1, EK_LOOP_OVERLAP, EK_FINDER_IDLE}};
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        ek_arena arena = line_of(2u);
+        ek_arena arena = two_walls();
         ek_loop_finder *const finder = &slam.finder;
-        for (size_t k = 0; k < 40u; k++) { /* two walls */
-            finder->target[2u * k] = EK_R(k < 20u ? 0.2 * (double)k : 4.0);
-            finder->target[2u * k + 1u] = EK_R(k < 20u ? 0.0 : 0.2 * (double)(k - 20u));
-            finder->source[2u * k] = finder->target[2u * k];
-            finder->source[2u * k + 1u] = finder->target[2u * k + 1u] + (k < cases[i].far ? EK_R(-0.2) : EK_R(0.0));
-        }
-        CHECK(ek_index_build(&finder->index, finder->target, 40u) == EK_OK);
-        CHECK(ek_normals_compute(&finder->index, 8u, EK_FAR, finder->normals) == EK_OK);
-        finder->index.normals = finder->normals;
-        finder->match = finder->motion = ORIGIN;
-        finder->covariance = edge_of(0u, 1u, ORIGIN, 1.0).information;
-        finder->match_error = EK_R(0.02);
-        finder->source_count = 40u;
+        move_beside(finder, cases[i].far);
         finder->best_score = EK_R(cases[i].score);
         finder->candidate.known = cases[i].known;
         finder->apart = cases[i].apart;
