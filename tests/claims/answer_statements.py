@@ -11,6 +11,7 @@ from amounts import AMOUNT, NUMBER, check_amount, list_of
 from facts import Facts
 from statements import BROKEN, LOSS, NOT_STARTED, Check, kind, same
 
+LIMIT = r" that counts? for it"
 END = r"\.(?= [A-Z]|$)"
 
 IN_ANSWER: list[tuple[str, Check]] = []
@@ -22,13 +23,15 @@ def standings(facts: Facts) -> dict[str, tuple[int, int]]:
     over = list(facts.content["answer"]["counted"])
     table = {}
     for method in facts.methods:
-        part = [
-            one for one in over
-            if any(run["status"] not in NOT_STARTED for run in facts.runs[one].get(method, ()))
-            and not facts.find(one, facts.deciding(one) or "")[method].tuned
-        ]  # fmt: skip
+        part = [one for one in over if takes_part(facts, one, method)]
         table[method] = sum(method in leaders(facts, one) for one in part), len(part)
     return table
+
+
+def takes_part(facts: Facts, where: str, method: str) -> bool:
+    """Whether a run of a method started on a sequence and its settings were not chosen there."""
+    started = any(run["status"] not in NOT_STARTED for run in facts.runs[where].get(method, ()))
+    return started and not facts.find(where, facts.deciding(where) or "")[method].tuned
 
 
 def leaders(facts: Facts, where: str) -> Sequence[str]:
@@ -41,8 +44,9 @@ def leaders(facts: Facts, where: str) -> Sequence[str]:
 @kind(
     IN_ANSWER,
     r"Take (?P<names>.+?): (?:each )?(?:the best map|best or tied) on (?P<led>\d+) of (?P<of>\d+) "
-    r"(?:data sets?|recordings?)(?: by the fit to the known map)?"
-    r"(?:; next best: (?P<next>.+?), (?P<next_led>\d+) of (?P<next_of>\d+)|(?P<none>; no other method on any))?\.",
+    rf"(?:data sets?|recordings?)(?P<limit>{LIMIT})?(?: by the fit to the known map)?"
+    r"(?:; next best: (?P<next>.+?), (?P<next_led>\d+) of (?P<all>all )?(?P<next_of>\d+)"
+    rf"(?P<next_limit>{LIMIT})?|(?P<none>; no other method on any))?\.",
 )
 def take(facts: Facts, names: str, **said: str | None) -> Iterator[str]:
     table, winners = standings(facts), names.split(" or ")
@@ -52,6 +56,8 @@ def take(facts: Facts, names: str, **said: str | None) -> Iterator[str]:
         yield from same(f"{name} leads", int(said["led"] or 0), table[name][0])
     yield from same("most", int(said["led"] or 0), max(led for led, _ in table.values()))
     yield from same("of", int(said["of"] or 0) in (table[winners[0]][1], len(facts.content["answer"]["counted"])), True)
+    counted = len(facts.content["answer"]["counted"])
+    yield from same("limited", bool(said["limit"]), int(said["of"] or 0) < counted)
     others = {name: (led, part) for name, (led, part) in table.items() if name not in winners and part}
     most = max((led for led, _ in others.values()), default=0)
     yield from same("no other on any", bool(said["none"]), bool(others) and not most)
@@ -59,11 +65,14 @@ def take(facts: Facts, names: str, **said: str | None) -> Iterator[str]:
     if said["next"]:
         yield from same("next best", (int(said["next_led"] or 0), int(said["next_of"] or 0)), others.get(said["next"]))
         yield from same("next best leads", int(said["next_led"] or 0), most)
+        yield from same("next best limited", bool(said["next_limit"]), int(said["next_of"] or 0) < counted)
+        yield from same("all", bool(said["all"]), bool(said["limit"]) and not said["next_limit"])
 
 
 @kind(
     IN_ANSWER,
-    r"(?P<names>[^:]+?) (?:is|are each) best or tied on (?P<led>\d+) of (?P<of>\d+) data sets?, "
+    r"(?P<names>[^:]+?) (?:is|are each) best or tied on (?P<led>\d+) of (?P<of>\d+) data sets?"
+    rf"(?:{LIMIT})?, "
     r"but (?P<rivals>.+?) (?:has|have) smaller errors (?:where both ran|where they ran too)\.",
 )
 def not_recommended(facts: Facts, names: str, rivals: str, **said: str) -> Iterator[str]:
@@ -77,6 +86,33 @@ def not_recommended(facts: Facts, names: str, rivals: str, **said: str) -> Itera
     yield from same("rivals", [f"{len(true)} methods"] if len(true) > 2 else true, list_of(rivals))
     better = {one for winner in winners for one in facts.better(winner)}
     yield from same("not better", [one for one in true if one not in better], [])
+
+
+@kind(
+    IN_ANSWER,
+    r"Not counted for (?P<name>.+?): (?:(?P<tuned>[^.]+?), where its settings were chosen)?"
+    r"(?:(?:, and )?(?P<absent>[^.]+?), where it did not run)?\.(?= [A-Z0-9]|$)",
+)
+def not_counted_for(facts: Facts, name: str, tuned: str | None, absent: str | None) -> Iterator[str]:
+    answer = facts.content["answer"]
+    method = answer["winners"][0] if name == "it" else name
+    without = [one for one in answer["counted"] if not takes_part(facts, one, method)]
+    there = [one for one in without if method in facts.runs[one]]
+    chosen = [one for one in there if facts.find(one, facts.deciding(one) or "")[method].tuned]
+    for listed, true in ((tuned, chosen), (absent, [one for one in without if one not in chosen])):
+        named = true if len(true) <= 3 else [f"{len(true)} data sets"]
+        yield from same("not counted", list_of(listed) if listed else [], named)
+
+
+@kind(IN_ANSWER, r"Where both count: (?P<own>\d+) of (?P<of>\d+) against (?P<its>\d+) of (?P<also>\d+)\.")
+def where_both_count(facts: Facts, own: str, of: str, its: str, also: str) -> Iterator[str]:
+    answer = facts.content["answer"]
+    winner = answer["winners"][0]
+    other = next(one["method"] for one in answer["standings"] if one["counted"] and one["method"] != winner)
+    both = [one for one in answer["counted"] if all(takes_part(facts, one, name) for name in (winner, other))]
+    yield from same("both count", (int(of), int(also)), (len(both), len(both)))
+    led = [sum(method in leaders(facts, one) for one in both) for method in (winner, other)]
+    yield from same("led", [int(own), int(its)], led)
 
 
 @kind(

@@ -135,6 +135,13 @@ def _cases(record, build):
     ]  # fmt: skip
     three, chosen = build(runs), {"a": ("room",), "b": ("hall",), "c": ("room", "hall")}
     yield replace(three, methods={name: replace(card, tuned_on=chosen[name]) for name, card in three.methods.items()})
+    places = {"room": "abc", "hall": "abc", "cave": "abc", "yard": "abc", "lab": "bc"}  # a: two do not count
+    limited = build([
+        record(name, where, {"ate_rmse_m": error * (1.0 + 0.01 * seed)}, seed=seed)
+        for where, own in places.items() for name, error in (("a", 0.1), ("b", 0.2), ("c", 0.3)) if name in own
+        for seed in range(2)
+    ])  # fmt: skip
+    yield replace(limited, methods={**limited.methods, "a": replace(limited.methods["a"], tuned_on=("yard",))})
     twice = 2 * clear[0], 2 * clear[1]  # perturbations of a recording need six runs for a verdict
     yield build(_perturbed([*_seeds(record, "a", twice[0]), *_seeds(record, "b", twice[1])], scans=400))
     yield build(_perturbed([*_seeds(record, "a", clear[0]), *_seeds(record, "b", clear[1])], scans=400))

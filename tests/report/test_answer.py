@@ -162,7 +162,10 @@ def test_a_data_set_on_which_settings_were_chosen_does_not_count_for_that_method
     assert "chosen" not in " ".join(pills(comparison))
     two = {**tuned, "a": replace(tuned["a"], tuned_on=("room",)), "c": replace(tuned["c"], tuned_on=("hall",))}
     assert title(replace(comparison, methods=two)) == (
-        "Take b: best or tied on 2 of 3 data sets; next best: a, 1 of 2."
+        "Take b: best or tied on 2 of 3 data sets; next best: a, 1 of 2 that count for it."
+    )
+    assert subtitle(replace(comparison, methods=two)).startswith(
+        "Not counted for a: room, where its settings were chosen. Where both count: 1 of 2 against 1 of 2. 1.0 ms"
     )
     cheap = {**comparison.methods, "b": replace(comparison.methods["b"], tuned_on=("hall",))}
     told = subtitle(replace(comparison, methods=cheap))  # on room twice and on lab half the error of a
@@ -171,6 +174,26 @@ def test_a_data_set_on_which_settings_were_chosen_does_not_count_for_that_method
     many = {name: replace(card, tuned_on=chosen[name]) for name, card in comparison.methods.items()}
     told = [text for text in pills(replace(comparison, methods=many)) if "chosen" in text]
     assert told == ["settings of 3 methods were chosen on data shown here: not counted there"]
+
+
+def test_the_title_says_that_fewer_data_sets_count_for_the_winner_and_why(build, runs, three, record):
+    """``a`` leads on room, yard and attic; its settings were chosen on hall, and it did not run on lab: ``b`` leads."""
+    absent = {"status": "data-missing", "reason": "no odometry", "answered": 0}
+    gone = [record("a", "lab", {}, seed=seed, **absent) for seed in range(2)]
+    more = [
+        run for where in ("yard", "attic") for name, error in (("a", 0.01), ("b", 0.02), ("c", 0.1))
+        for run in runs(name, where, (error, 1.1 * error))
+    ]  # fmt: skip
+    comparison = build([*(run for run in three if (run.method, run.sequence) != ("a", "lab")), *gone, *more])
+    cards = {**comparison.methods, "a": replace(comparison.methods["a"], tuned_on=("hall",))}
+    comparison = replace(comparison, methods=cards)
+    assert title(comparison) == (
+        "Take a: best or tied on 3 of 3 data sets that count for it; next best: b, 2 of all 5."
+    )
+    assert subtitle(comparison).startswith(
+        "Not counted for it: hall, where its settings were chosen, and lab, where it did not run. "
+        "Where both count: 3 of 3 against 0 of 3. "
+    )
 
 
 def test_degenerate_data_do_not_count_and_are_compared_with_the_baseline(build, runs, three):
@@ -283,7 +306,7 @@ def test_a_method_is_not_recommended_where_the_paired_tests_find_another_one_bet
     (test,) = [one for one in found.significance.comparisons if {one.method, one.reference} == {"a", "b"}]
     assert (test.reference, test.runs, test.verdict) == ("a", 8, "better")
     assert (found.answer.winners, found.answer.rivals, found.answer.emphasis) == (("a",), ("b",), "a")
-    words = "Take a: best or tied on 3 of 3 data sets; next best: b, 1 of 1."
+    words = "Take a: best or tied on 3 of 3 data sets; next best: b, 1 of 1 that counts for it."
     assert title(build(compare(0.005, 5))) == words  # the test needs six runs
     assert title(build(compare(0.0059, 8))) == words  # less than 5 %
     assert not answer(build(compare(0.005, 5))).rivals

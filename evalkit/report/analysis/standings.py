@@ -46,6 +46,11 @@ class Contest:
         """The metric that decides the data set."""
         return self.ranking.metric
 
+    def was_tuned(self, method: str) -> bool:
+        """Whether settings of a method were chosen here."""
+        score = self.ranking.of(method)
+        return score is not None and score.tuned
+
     def find_value(self, method: str) -> float | None:
         """Return the error of a method that takes part and completed every run, whether it kept the track or not."""
         score = self.ranking.of(method) if method in self.part else None
@@ -234,6 +239,11 @@ def find_winners(standings: Sequence[Standing], contests: Sequence[Contest]) -> 
     winners = tuple(one.method for one in standings if one.led == most) if most else ()
     part = {score.method for one in contests for score in one.ranked}
     return winners if len(winners) < len(part) and len(winners) <= MAX_NAMED else ()
+
+
+def find_next(standings: Sequence[Standing], winners: Sequence[str]) -> Standing | None:
+    """Return the best method that is no winner and for which a data set counts."""
+    return next((one for one in standings if one.counted and one.method not in winners), None)
 
 
 def find_cheapest(comparison: Comparison, standings: Sequence[Standing], winners: Sequence[str]) -> Standing | None:

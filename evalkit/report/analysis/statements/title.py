@@ -8,7 +8,7 @@ from statistics import median
 from evalkit.report.analysis.map_agreement import decided_by_fit, decided_by_maps
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.standings import MAX_NAMED, Contest, Loss, Standing, Tally, compare
+from evalkit.report.analysis.standings import MAX_NAMED, Contest, Loss, Standing, Tally, compare, find_next
 from evalkit.report.analysis.statements.outcome import LED
 from evalkit.report.analysis.statements.unranked import explain_unranked
 from evalkit.report.analysis.statements.verdict import SequenceVerdict
@@ -41,9 +41,10 @@ def format_title(
     counted = counted if len(winners) == 1 else len(contests)
     best = f"{'each ' * (len(winners) > 1)}{'the best map' if by_maps else 'best or tied'}"
     kind = f"{'recording' if by_maps else 'data set'}{'s' if counted != 1 else ''}"
-    what = f"{best} on {first.led} of {counted} {kind}{how}"
+    own = _limit(counted) if counted < len(contests) else ""
+    what = f"{best} on {first.led} of {counted} {kind}{own}{how}"
     if not rivals:
-        what += _describe_next(standings, winners)
+        what += _describe_next(standings, winners, len(contests), bool(own))
     return _recommend(winners, what, rivals)
 
 
@@ -57,14 +58,23 @@ def _recommend(winners: Sequence[str], what: str, rivals: Sequence[str]) -> str:
     return f"{names} is {what}, but {name_or_count(rivals, MAX_RIVALS)} {has} smaller errors {where}."
 
 
-def _describe_next(standings: Sequence[Standing], winners: Sequence[str]) -> str:
-    """Return on how many of its data sets the next method leads."""
-    others = [one for one in standings if one.counted and one.method not in winners]
-    if not others:
+def _limit(counted: int) -> str:
+    """Return the words behind a number of data sets that is not that of all which count."""
+    return f" that count{'s' if counted == 1 else ''} for it"
+
+
+def _describe_next(standings: Sequence[Standing], winners: Sequence[str], count: int, limited: bool) -> str:
+    """Return on how many of its data sets the next method leads.
+
+    ``count``: data sets that count; ``limited``: fewer of them count for the winner, and its number says so.
+    """
+    other = find_next(standings, winners)
+    if other is None:
         return ""
-    if not others[0].led:
+    if not other.led:
         return "; no other method on any"
-    return f"; next best: {others[0].method}, {others[0].led} of {others[0].counted}"
+    base = f"{other.counted}{_limit(other.counted)}" if other.counted < count else f"{'all ' * limited}{count}"
+    return f"; next best: {other.method}, {other.led} of {base}"
 
 
 def _describe_single(contest: Contest, how: str) -> str:
@@ -123,18 +133,50 @@ def format_subtitle(
     lost: Sequence[tuple[str, MethodScore]],
     cheapest: Standing | None,
 ) -> str:
-    """Return cost, losses and the cheapest method; "" without a winner. ``lost``: where a winner lost the track.
+    """Return what the counts of the title leave out, cost, losses and the cheapest method; "" without a winner.
 
-    Without a method to take, only where the ones that lead lost the track, and the cheapest.
+    ``lost``: where a winner lost the track. Without a method to take, what the counts leave out, where the ones that
+    lead lost the track, and the cheapest.
     """
     if not winners:
         return ""
     alone = len(winners) == 1 and not rivals
-    sentences = [] if rivals else [_format_costs(tally, winners), _format_errors(tally.contests, winners, losses)]
+    sentences = [_format_bases(tally, winners, rivals)]
+    if not rivals:
+        sentences += [_format_costs(tally, winners), _format_errors(tally.contests, winners, losses)]
     sentences.append(_format_lost(lost, alone))
     if cheapest is not None:
         sentences.append(_format_cheapest(cheapest, winners, tally.contests, alone))
     return " ".join(filter(None, sentences))
+
+
+def _format_bases(tally: Tally, winners: Sequence[str], rivals: Sequence[str]) -> str:
+    """Return why fewer data sets count for a method of the title than for others, and both counts on the same ones."""
+    winner = winners[0] if len(winners) == 1 else ""
+    other = None if rivals else find_next(tally.standings, winners)
+    after = other.method if other is not None and other.led else ""
+    limits = [_format_limit(tally.contests, method, method == winner) for method in (winner, after) if method]
+    if not any(limits):
+        return ""
+    shared = [one for one in tally.contests if {winner, after} <= set(one.part)]
+    if shared:
+        own, its = (sum(method in one.leaders for one in shared) for method in (winner, after))
+        limits.append(f"Where both count: {own} of {len(shared)} against {its} of {len(shared)}.")
+    return " ".join(filter(None, limits))
+
+
+def _format_limit(contests: Sequence[Contest], method: str, alone: bool) -> str:
+    """Return which data sets do not count for a method (``alone``: "it"), and why; "" if all do."""
+    without = [one for one in contests if method not in one.part]
+    tuned = [one.sequence for one in without if one.was_tuned(method)]
+    absent = [one.sequence for one in without if not one.was_tuned(method)]
+    reasons = ((tuned, "where its settings were chosen"), (absent, "where it did not run"))
+    parts = [f"{_name_or_count(where)}, {why}" for where, why in reasons if where]
+    return f"Not counted for {'it' if alone else method}: {', and '.join(parts)}." if parts else ""
+
+
+def _name_or_count(sequences: Sequence[str]) -> str:
+    return join_words(sequences) if len(sequences) <= MAX_NAMED else f"{len(sequences)} data sets"
 
 
 def _format_costs(tally: Tally, winners: Sequence[str]) -> str:
