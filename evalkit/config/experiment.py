@@ -87,6 +87,13 @@ class SequenceSpec:
         return {**parameters, NUISANCE: seed} | ({EXCERPT: self.excerpt_scans} if self.excerpt_scans else {})
 
 
+def name_repetition(seed: int | None, perturbed: bool) -> str:
+    """Return the name of a repetition: "seed 3", or of a recording "perturbation 2"; "" for its data as they are."""
+    if seed is None:
+        return ""
+    return f"perturbation {seed}" if perturbed else f"seed {seed}"
+
+
 @dataclass(frozen=True)
 class MapperChoice:
     """The mapper for the maps of all methods, with its parameters; maps hold at most ``scans`` evenly spaced scans."""
@@ -104,6 +111,11 @@ class RunSpec:
     method: Method
     sequence: SequenceSpec
     seed: int | None
+
+    @property
+    def repetition(self) -> str:
+        """What tells the run from the others of its method and sequence: "seed 3", "perturbation 2"; "" without."""
+        return name_repetition(self.seed, self.sequence.perturbed)
 
     @property
     def dataset_parameters(self) -> dict[str, Value]:

@@ -215,9 +215,9 @@ def print_undescribed(console: WordConsole, backends: Iterable[str]) -> None:
 
 
 def _format_line(spec: RunSpec, result: RunResult, seconds: float) -> str:
-    seed = "" if spec.seed is None else f" seed {spec.seed}"
+    name = f"{spec.sequence.label} {spec.repetition}".rstrip()
     reason = f" ({result.reason})" if result.reason else ""
-    return f"{spec.sequence.label}{seed} / {spec.method.label}: {result.status}{reason}, {seconds:.1f} s"
+    return f"{name} / {spec.method.label}: {result.status}{reason}, {seconds:.1f} s"
 
 
 def _format_clock(seconds: float) -> str:

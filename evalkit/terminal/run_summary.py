@@ -83,7 +83,7 @@ def _print_counts(runs: Sequence[Run], skipped: Sequence[Run]) -> None:
 
 
 def _format_sequence(spec: RunSpec) -> str:
-    return spec.sequence.label if spec.seed is None else f"{spec.sequence.label} seed {spec.seed}"
+    return f"{spec.sequence.label} {spec.repetition}".rstrip()
 
 
 def _list_unavailable(runs: Sequence[Run]) -> list[str]:

@@ -22,7 +22,7 @@ from evalkit.report.html.appendix import _build_metrics
 from evalkit.report.html.maps import MapWindow, compute_greys, find_window, render_map
 from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_page import draw_maps, render_report
-from evalkit.report.html.report_tables import by_rank, headline_table
+from evalkit.report.html.report_tables import by_rank, failure_texts, headline_table
 
 
 def load(sheet):
@@ -135,6 +135,20 @@ def test_links_within_the_page_have_targets(tags):
     assert len(anchors) == len(set(anchors))
     targets = {a["href"][1:].partition("?")[0] for _, a in tags.found if a.get("href", "").startswith("#")}
     assert targets <= set(anchors)
+
+
+def test_runs_of_a_recording_that_did_not_complete_are_named_as_perturbations(record):
+    def make(seed, **how):
+        sequence = SequenceSpec("cave", "cave", {}, (None, 1, 2), perturbed=True)
+        made = record("a", "cave", {}, seed=seed, **how)
+        return replace(made, spec=replace(made.spec, sequence=sequence))
+
+    late = {"status": "timeout", "reason": "900 s passed", "answered": 45}
+    crashed = {"status": "crashed", "reason": "signal 11", "answered": 0}
+    assert failure_texts([make(None, **late), make(1, **late), make(2, **crashed)]) == [
+        "a timed out without perturbation and perturbation 1 after 45 of 60 scans: 900 s passed",
+        "a crashed perturbation 2: signal 11",
+    ]
 
 
 def test_every_run_has_its_command_and_its_files(tags, demo):

@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any
 
 from evalkit.commands.diff.changes import ChangeVerdict
-from evalkit.commands.diff.compared_runs import ComparedRuns, RunSeed, name_seed, pair_runs
+from evalkit.commands.diff.compared_runs import ComparedRuns, RunSeed, pair_runs
 from evalkit.commands.diff.metric_changes import TICK_MS, DiffLimits, MetricChange, compare_metrics
 from evalkit.commands.diff.run_changes import StatusChange, TrackChange, compare_statuses, compare_tracks
 from evalkit.core.errors import StoreError
@@ -88,7 +88,7 @@ def compare_results(
 def _describe_unpaired(runs: ComparedRuns, own: Mapping[RunSeed, StoredRun], other: Mapping[RunSeed, StoredRun]) -> str:
     """Return "method over sequence" if only one folder has runs of it, with the seeds if the other has some of them."""
     alone = [seed for seed in own if seed not in other]
-    seeds = f" ({', '.join(map(name_seed, alone))})" if other else ""
+    seeds = f" ({', '.join(map(runs.name_run, alone))})" if other else ""
     return f"{runs.method} over {runs.sequence}{seeds}" if alone else ""
 
 
@@ -126,7 +126,8 @@ def _reason_not_comparable(runs: ComparedRuns, defaults: Mapping[str, Any]) -> s
     ``defaults``: a parameter that one version did not have yet counts as at its present default.
     """
     if not runs.common:
-        return f"seeds {_list_seeds(runs.old)} against {_list_seeds(runs.new)}"
+        what = "perturbations" if runs.perturbed else "seeds"
+        return f"{what} {_list_seeds(runs.old)} against {_list_seeds(runs.new)}"
     one, other = (run.parameters for run in next(iter(runs.common.values())))
     differing = []
     for name in {**one, **other}:

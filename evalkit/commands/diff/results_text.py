@@ -59,9 +59,9 @@ def _describe_limits(diff: ResultsDiff) -> str:
 
 
 def _status_row(one: StatusChange) -> tuple[str, ...]:
-    seed = "" if one.seed is None else f" seed {one.seed}"
     verdict = format_verdict(one.verdict, one.reason)
-    return (one.method, one.sequence, f"run{seed}", one.old, one.new, "", "", verdict)
+    run = one.run if one.seed is None else f"run {one.run}"
+    return (one.method, one.sequence, run, one.old, one.new, "", "", verdict)
 
 
 def _track_row(one: TrackChange) -> tuple[str, ...]:

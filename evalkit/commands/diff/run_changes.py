@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from evalkit.commands.diff.changes import ChangeVerdict
-from evalkit.commands.diff.compared_runs import ComparedRuns, name_seed
+from evalkit.commands.diff.compared_runs import ComparedRuns
 from evalkit.core.run_result import LostTrack
 from evalkit.report.formatting import format_loss_times
 
@@ -17,11 +17,12 @@ MAX_CHANCE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class StatusChange:
-    """A run whose status changed."""
+    """A run whose status changed. ``run``: its name among those of the method on the sequence."""
 
     method: str
     sequence: str
     seed: int | None
+    run: str
     old: str
     new: str
     reason: str
@@ -30,9 +31,10 @@ class StatusChange:
 
 @dataclass(frozen=True, slots=True)
 class LostRun:
-    """A run that lost the track."""
+    """A run that lost the track. ``run``: its name among those of the method on the sequence."""
 
     seed: int | None
+    run: str
     lost: LostTrack
 
 
@@ -61,14 +63,19 @@ def compare_statuses(runs: ComparedRuns) -> Iterator[StatusChange]:
                 verdict = "improvement"
             elif before.status == "complete":
                 verdict = "regression"
-            yield StatusChange(runs.method, runs.sequence, seed, before.status, after.status, after.reason, verdict)
+            yield StatusChange(
+                runs.method, runs.sequence, seed, runs.name_run(seed), before.status, after.status, after.reason,
+                verdict,
+            )  # fmt: skip
 
 
 def compare_tracks(runs: ComparedRuns) -> TrackChange | None:
     """Compare which runs lost the track, among those that completed on both sides; None if none did."""
     pairs = runs.complete
+    names = {seed: runs.name_run(seed) for seed in pairs}
     before, after = (
-        tuple(LostRun(seed, lost) for seed, pair in pairs.items() if (lost := pair[side].lost)) for side in (0, 1)
+        tuple(LostRun(seed, names[seed], lost) for seed, pair in pairs.items() if (lost := pair[side].lost))
+        for side in (0, 1)
     )
     if not before and not after:
         return None
@@ -82,7 +89,7 @@ def _judge_tracks(old: Sequence[LostRun], new: Sequence[LostRun]) -> tuple[Chang
     if not more and not fewer:
         return "unchanged", "lost in the same runs"
     said = "; ".join(
-        f"{what}: {', '.join(f'{name_seed(one.seed)} {format_loss_times(one.lost)}' for one in runs)}"
+        f"{what}: {', '.join(f'{one.run} {format_loss_times(one.lost)}' for one in runs)}"
         for what, runs in (("newly lost", more), ("no longer lost", fewer)) if runs
     )  # fmt: skip
     changed = len(more) + len(fewer)

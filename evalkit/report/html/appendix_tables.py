@@ -116,8 +116,9 @@ def runs_fold(analysis: Analysis, sequence: SequenceAnalysis, number: int, strok
         anchor = runs_anchor(number, places[run.method])
         anchors.append("" if anchor in anchors else anchor)
         rows.append(_run_row(comparison, strokes, run, places[run.method]))
+    which = "Perturbation" if sequence.all_runs[0].spec.sequence.perturbed else "Seed"
     columns = (
-        Column("Method"), Column("Seed", number=True), Column("Status"), Column("Scans", number=True),
+        Column("Method"), Column(which, number=True), Column("Status"), Column("Scans", number=True),
         Column("Memory", "MiB", number=True), Column("Changed"), Column("Trajectory"), Column("Map"), Column("Command"),
     )  # fmt: skip
     table = Table(columns, rows, anchors=anchors, label=f"Runs of {sequence.label}")

@@ -289,14 +289,23 @@ def failure_texts(records: Sequence[RunRecord]) -> list[str]:
         together.setdefault((record.method, record.result.status, record.result.reason), []).append(record)
     texts = []
     for (method, status, reason), own in together.items():
-        seeds = [str(record.seed) for record in own if record.seed is not None]
         counts = dict.fromkeys(
             f"{len(one.result.steps)} of {one.result.expected} scans" for one in own if len(one.result.steps)
         )
-        where = [f"seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}"] if seeds else []
+        where = list(_name_repetitions(own))
         where += [f"after {' / '.join(counts)}"] if counts else []
         texts.append(f"{method} {STATUS_LABELS[status]} {' '.join(where)}{': ' if where else ''}{reason}")
     return texts
+
+
+def _name_repetitions(records: Sequence[RunRecord]) -> Iterator[str]:
+    """Yield which runs of a method on a sequence these are: "seeds 0, 1"; nothing for a single run of a recording."""
+    perturbed = records[0].spec.sequence.perturbed
+    seeds = [str(record.seed) for record in records if record.seed is not None]
+    if perturbed and len(seeds) < len(records):
+        yield f"without perturbation{' and' * bool(seeds)}"
+    if seeds:
+        yield f"{'perturbation' if perturbed else 'seed'}{'s' * (len(seeds) > 1)} {', '.join(seeds)}"
 
 
 def absent_note(rankings: Sequence[Ranking]) -> list[Block]:

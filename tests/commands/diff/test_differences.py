@@ -120,6 +120,21 @@ def test_a_method_that_newly_loses_the_track_is_a_regression(before, after, said
         assert json.loads(json.dumps(text.content))["tracks"][0]["new"][1]["lost"]["at_s"] == 16.0
 
 
+def test_runs_of_a_recording_are_named_as_perturbations():
+    """The run without perturbation is "run"; the second one crashes, the first one is lost, the third is missing."""
+    old = {("a", "cave", number): replace(_run(), perturbed=number is not None) for number in (None, 1, 2, 3)}
+    new = {name: run for name, run in old.items() if name[2] != 3}
+    new["a", "cave", 1] = replace(old["a", "cave", 1], lost=LostTrack(9.0, "1.5 m away"))
+    new["a", "cave", 2] = replace(old["a", "cave", 2], status="crashed")
+    found = _between(old, new)
+    assert found.only_old == ("a over cave (perturbation 3)",)
+    rows = describe_results_diff(found, METRICS).rows
+    assert [row[2] for row in rows] == ["run perturbation 2", "track"]
+    assert rows[1][-1] == "❌ regression: newly lost: perturbation 1 at 9 s"
+    with pytest.raises(StoreError, match="perturbations 1 against 2"):
+        _between({("a", "cave", 1): old["a", "cave", 1]}, {("a", "cave", 2): old["a", "cave", 2]})
+
+
 def test_a_track_that_is_held_is_no_change():
     assert _between(_seeds([0.02] * 6), _seeds([0.02] * 6)).tracks == ()
 
