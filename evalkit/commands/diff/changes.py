@@ -30,8 +30,8 @@ SAME = "the same to the last digit"
 class ChangeText:
     """A comparison as text: one table (rows as long as ``columns``), remarks, and the conclusion in one sentence.
 
-    ``missing``: how many runs or series of OLD have no counterpart in NEW. ``content``: the same comparison as plain
-    values for JSON.
+    ``missing``: how many runs, metrics or series of OLD have no counterpart in NEW. ``content``: the same comparison as
+    plain values for JSON.
     """
 
     columns: tuple[str, ...]
@@ -69,7 +69,7 @@ def format_verdict(verdict: ChangeVerdict, reason: str) -> str:
 
 
 def describe_missing(count: int, what: str, old: str, new: str) -> str:
-    """Return "2 runs of OLD have no counterpart in NEW. ", "" for a count of 0. ``what``: "run" or "series"."""
+    """Return "2 runs of OLD have no counterpart in NEW. ", "" for 0. ``what``: "run", "metric" or "series"."""
     if not count:
         return ""
     plural = "s" if count > 1 and not what.endswith("s") else ""

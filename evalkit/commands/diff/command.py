@@ -50,7 +50,8 @@ def diff(
         bool, typer.Option("--across-machines", help="Benchmarks: accept different processors.")
     ] = False,
     allow_missing: Annotated[
-        bool, typer.Option("--allow-missing", help="Accept runs or series of OLD without a counterpart in NEW.")
+        bool,
+        typer.Option("--allow-missing", help="Accept runs, metrics or series of OLD without a counterpart in NEW."),
     ] = False,
     everything: Annotated[bool, typer.Option("--all", help="List unchanged values as well.")] = False,
     markdown: options.Markdown = False,

@@ -67,6 +67,34 @@ class MetricChange:
     reason: str
 
 
+@dataclass(frozen=True, slots=True)
+class MissingMetric:
+    """A metric that has a value before and none after, in runs of one method over one sequence that completed in both.
+
+    ``runs``: names of these runs.
+    """
+
+    method: str
+    sequence: str
+    metric: str
+    runs: tuple[str, ...]
+
+
+def find_missing_metrics(runs: ComparedRuns, metrics: Sequence[Metric]) -> Iterator[MissingMetric]:
+    """Yield every metric with a value before and none after, of those that are compared and those without a card here.
+
+    The second are metrics that an earlier version had, or that had another name.
+    """
+    known = {metric.name: metric for metric in metrics}
+    without: dict[str, list[str]] = {}
+    for seed, (before, after) in runs.complete.items():
+        for name in before.scores:
+            if name not in after.scores and (name not in known or _is_compared(known[name])):
+                without.setdefault(name, []).append(runs.name_run(seed))
+    for name, where in without.items():
+        yield MissingMetric(runs.method, runs.sequence, name, tuple(where))
+
+
 def compare_metrics(
     runs: ComparedRuns, metrics: Sequence[Metric], limits: DiffLimits, session: float | None
 ) -> Iterator[MetricChange]:
@@ -76,10 +104,14 @@ def compare_metrics(
     """
     complete = runs.complete
     for metric in metrics:
-        if metric.headline and metric.better and (metric.group in DECIDING or metric.name == COST):
+        if _is_compared(metric):
             pairs = {seed: pair for seed, pair in complete.items() if all(metric.name in run.scores for run in pair)}
             if pairs:
                 yield _compare_metric(runs, metric, pairs, limits, session)
+
+
+def _is_compared(metric: Metric) -> bool:
+    return metric.headline and bool(metric.better) and (metric.group in DECIDING or metric.name == COST)
 
 
 def _compare_metric(

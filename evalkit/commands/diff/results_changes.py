@@ -9,7 +9,14 @@ from typing import Any
 
 from evalkit.commands.diff.changes import ChangeVerdict
 from evalkit.commands.diff.compared_runs import ComparedRuns, RunSeed, pair_runs
-from evalkit.commands.diff.metric_changes import TICK_MS, DiffLimits, MetricChange, compare_metrics
+from evalkit.commands.diff.metric_changes import (
+    TICK_MS,
+    DiffLimits,
+    MetricChange,
+    MissingMetric,
+    compare_metrics,
+    find_missing_metrics,
+)
 from evalkit.commands.diff.run_changes import StatusChange, TrackChange, compare_statuses, compare_tracks
 from evalkit.core.errors import StoreError
 from evalkit.core.run_status import NOT_EXECUTED
@@ -26,6 +33,7 @@ class ResultsDiff:
     """All changes. ``only_old``, ``only_new``: "method over sequence", or seeds of it, that one folder alone has.
 
     ``missing``: how many runs that completed in the old folder have no comparable run in the new one.
+    ``missing_metrics``: metrics with a value in the old folder and none in the new one, of runs that both have.
     ``not_comparable``: pairs with the reason. ``notes``: conditions that limit the comparison.
     """
 
@@ -38,6 +46,7 @@ class ResultsDiff:
     only_old: tuple[str, ...]
     only_new: tuple[str, ...]
     missing: int
+    missing_metrics: tuple[MissingMetric, ...]
     not_comparable: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -80,6 +89,7 @@ def compare_results(
         tuple(text for one in others if (text := _describe_unpaired(one, one.old, one.new))),
         tuple(text for one in others if (text := _describe_unpaired(one, one.new, one.old))),
         sum(_count_missing(one, one in reasons) for one in pairs),
+        tuple(lost for one in comparable for lost in find_missing_metrics(one, metrics)),
         tuple(_group_reasons(reasons)),
         tuple(_notes(old, new, session)),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -33,17 +33,30 @@ def describe_results_diff(diff: ResultsDiff, metrics: Mapping[str, Metric], ever
     head = "No regression" if count == 0 else f"{count} regression{'s' if count > 1 else ''}"
     conclusion = (
         f"{describe_missing(diff.missing, 'run', diff.old, diff.new)}"
+        f"{describe_missing(len(diff.missing_metrics), 'metric', diff.old, diff.new)}"
         f"{head} beyond {_describe_limits(diff)} and the noise; {diff.count('improvement')} improved, "
         f"{sum(map(verdicts.count, COUNTED))} of {len(verdicts)} numbers are unchanged or within the limit."
     )
     remarks = (
         *([f"only in {diff.old}: {', '.join(diff.only_old)}"] if diff.only_old else []),
         *([f"only in {diff.new}: {', '.join(diff.only_new)}"] if diff.only_new else []),
+        *_describe_missing_metrics(diff, metrics),
         *diff.not_comparable,
         *diff.notes,
     )
     content: dict[str, Any] = {"regressions": count, **asdict(diff)}
-    return ChangeText(COLUMNS, tuple(rows), remarks, conclusion, count, diff.missing, content)
+    missing = diff.missing + len(diff.missing_metrics)
+    return ChangeText(COLUMNS, tuple(rows), remarks, conclusion, count, missing, content)
+
+
+def _describe_missing_metrics(diff: ResultsDiff, metrics: Mapping[str, Metric]) -> Iterator[str]:
+    """Yield one line for each sequence and metric that has a value in the old folder alone, with the runs."""
+    together: dict[tuple[str, str], list[str]] = {}
+    for one in diff.missing_metrics:
+        together.setdefault((one.sequence, one.metric), []).append(f"{one.method} ({', '.join(one.runs)})")
+    for (sequence, name), methods in together.items():
+        label = metrics[name].label if name in metrics else name
+        yield f"{sequence}: {label} has a value in {diff.old} and none in {diff.new}: {', '.join(methods)}"
 
 
 def _describe_limits(diff: ResultsDiff) -> str:

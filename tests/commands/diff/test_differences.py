@@ -349,6 +349,42 @@ def test_the_command_exits_with_1_if_a_run_is_missing_unless_it_is_allowed(folde
     assert (accepted.exit_code, json.loads(accepted.stdout)["missing"], accepted.stderr) == (0, 1, "")
 
 
+def test_a_metric_with_a_value_in_old_alone_is_missing():
+    """The second run has no ATE after; a metric that is unknown here counts, a new one does not."""
+    old = _seeds([0.02, 0.03])
+    old["a", "room", 0] = replace(old["a", "room", 0], scores={ATE: 0.02, TIME: 1.0, "former": 2.0})
+    new = _seeds([0.02, 0.03])
+    new["a", "room", 1] = replace(new["a", "room", 1], scores={TIME: 1.0, "later": 1.0})
+    found = _between(old, new)
+    assert [(one.metric, one.runs) for one in found.missing_metrics] == [("former", ("seed 0",)), (ATE, ("seed 1",))]
+    text = describe_results_diff(found, METRICS)
+    assert text.missing == 2
+    assert text.conclusion.startswith("2 metrics of old have no counterpart in new. No regression beyond")
+    assert text.remarks[0] == "room: former has a value in old and none in new: a (seed 0)"
+    assert text.remarks[1] == "room: ATE RMSE has a value in old and none in new: a (seed 1)"
+    crashed = {name: replace(run, status="crashed", scores={}) for name, run in new.items()}
+    assert _between(old, crashed).missing_metrics == ()  # a regression of its own
+    assert _between(new, new).missing_metrics == ()
+
+
+def test_a_metric_that_is_no_headline_may_lose_its_value():
+    name = next(one.name for one in METRICS.values() if not one.headline and one.group == "drift")
+    old = {("a", "room", 0): replace(_run(), scores={ATE: 0.02, TIME: 1.0, name: 1.0})}
+    assert _between(old, _seeds([0.02])).missing_metrics == ()
+
+
+def test_the_command_exits_with_1_if_a_metric_is_missing_unless_it_is_allowed(folder, tmp_path, record, build):
+    old = str(folder("old"))
+    write_report(build([record("a", "room", {TIME: 1.0}, seed=seed) for seed in (0, 1)]), tmp_path / "new")
+    arguments = ["diff", old, str(tmp_path / "new")]
+    shown = CliRunner().invoke(cli.app, arguments)
+    assert (shown.exit_code, "--allow-missing" in shown.stderr) == (1, True)
+    assert "room: ATE RMSE has a value in" in " ".join(shown.stdout.split())
+    accepted = CliRunner().invoke(cli.app, [*arguments, "--allow-missing", "--json"])
+    assert accepted.exit_code == 0
+    assert json.loads(accepted.stdout)["missing_metrics"][0]["runs"] == ["seed 0", "seed 1"]
+
+
 @pytest.mark.parametrize(("width", "lines"), [(60, True), (150, False)])
 def test_a_narrow_terminal_shows_one_line_for_each_change_and_no_broken_word(folder, monkeypatch, width, lines):
     shown = io.StringIO()
