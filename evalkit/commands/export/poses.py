@@ -18,6 +18,8 @@ from evalkit.io.tum import format_tum
 from evalkit.metrics.loop_closures import find_corrections
 from evalkit.results.run_record import RunRecord
 
+NO_INFORMATION = "all edges have the identity as information, because the method reports no uncertainty"
+
 
 def format_tum_files(results: ExportSelection) -> Files:
     """Yield ``<run>.tum``, of a SLAM ``<run>.final.tum`` (start_from_base), and ``<sequence>.truth.tum``."""
@@ -49,12 +51,14 @@ def format_g2o(results: ExportSelection) -> Files:
     """Yield ``<run>.g2o``: one VERTEX_SE2 per scan, one EDGE_SE2 from each to the next, the first vertex fixed.
 
     The vertices are the corrected poses of a SLAM, else the answers. The edges are the increments of the answers and,
-    of a SLAM, the accepted loop closures as measured, all with identity information because their errors are unknown.
+    of a SLAM, the accepted loop closures as measured. All have identity information, because no method reports its
+    uncertainty; the first line, a comment, says so.
     Where an update of a SLAM moved earlier poses, its answer is in another frame than the one before: there the edge is
     the increment of the corrected poses.
     """
     for run in results.runs:
-        yield f"{run.key}.g2o", g2o.format_g2o(_make_graph(run.result)).encode()
+        note = f"# evalkit: {run.method} on {run.sequence}; {NO_INFORMATION}\n"
+        yield f"{run.key}.g2o", (note + g2o.format_g2o(_make_graph(run.result))).encode()
 
 
 def _true_trajectories(results: ExportSelection) -> Iterator[tuple[str, RunRecord, Trajectory]]:

@@ -34,6 +34,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunResult, Score, Scores
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
+from evalkit.io.g2o import read_g2o
 from evalkit.plugins import registry
 from evalkit.plugins.specs import DatasetSpec
 from evalkit.report.formatting import escape_markdown
@@ -229,13 +230,24 @@ def test_the_g2o_file_of_a_slam_has_its_final_poses_and_its_accepted_loops_as_me
     final = Trajectory(stamps, [[0, 0, 0], [1, 0, 0], [0.2, 0, 0]], "start", "base")
     measured = Pose(0.25, 0.0, 0.125)
     loops = (LoopClosure(20, 0, measured, True, "chi2 3"), LoopClosure(20, 10, Pose(), False, "chi2 90"))
-    run = SimpleNamespace(key="slam", result=RunResult(steps, 3, final=final, loop_closures=loops))
+    result = RunResult(steps, 3, final=final, loop_closures=loops)
+    run = SimpleNamespace(key="slam", method="slam", sequence="room", result=result)
     [(name, text)] = poses.format_g2o(SimpleNamespace(runs=[run]))
     rows = text.decode().splitlines()
     assert name == "slam.g2o"
-    assert rows[:4] == ["VERTEX_SE2 0 0 0 0", "VERTEX_SE2 1 1 0 0", "VERTEX_SE2 2 0.2 0 0", "FIX 0"]
+    assert rows[1:5] == ["VERTEX_SE2 0 0 0 0", "VERTEX_SE2 1 1 0 0", "VERTEX_SE2 2 0.2 0 0", "FIX 0"]
     assert rows[-1] == "EDGE_SE2 0 2 0.25 0 0.125 1 0 0 1 0 1"
     assert len([row for row in rows if row.startswith("EDGE_SE2")]) == 3
+
+
+def test_a_g2o_file_says_that_its_information_is_not_that_of_the_method(finished_folder):
+    path = next(path for path in run_export(finished_folder, "g2o") if path.name == "wheel-s0.g2o")
+    first, second = path.read_text(encoding="utf-8").splitlines()[:2]
+    assert first.startswith("# evalkit: wheel on ")
+    assert first.endswith("; all edges have the identity as information, because the method reports no uncertainty")
+    assert second == "VERTEX_SE2 0 0 0 0"
+    graph = read_g2o(path).graph
+    assert (len(graph), len(graph.first)) == (N, N - 1)
 
 
 def test_the_steps_of_a_g2o_file_of_a_slam_are_those_of_its_answers_except_at_a_correction():
@@ -245,7 +257,8 @@ def test_the_steps_of_a_g2o_file_of_a_slam_are_those_of_its_answers_except_at_a_
     steps["stamp_ns"], steps["x"], steps["corrected"] = stamps, [0.0, 1.0, 2.0, 0.0], [0, 0, 0, 1]
     final = Trajectory(stamps, [[0, 0, 0], [0.25, 0, 0], [0.5, 0, 0], [0, 0, 0]], "start", "base")
     loop = LoopClosure(30, 0, Pose(), True, "chi2 3")
-    run = SimpleNamespace(key="slam", result=RunResult(steps, 4, final=final, loop_closures=(loop,)))
+    result = RunResult(steps, 4, final=final, loop_closures=(loop,))
+    run = SimpleNamespace(key="slam", method="slam", sequence="room", result=result)
     [(_, text)] = poses.format_g2o(SimpleNamespace(runs=[run]))
     edges = [list(map(float, row.split()[1:6])) for row in text.decode().splitlines() if row.startswith("EDGE")]
     assert edges == [[0, 1, 1, 0, 0], [1, 2, 1, 0, 0], [2, 3, -0.5, 0, 0], [0, 3, 0, 0, 0]]
