@@ -61,6 +61,18 @@ def test_nothing_is_measured_without_runs(record, build):
     assert analyse_sequence(build([absent]), "room").drive == ()
 
 
+def test_alignments_that_differ_in_their_numbers_of_poses_alone_are_one_line(record):
+    words = ["least squares over 117 poses; 117 equal stamps", "least squares over 1,461 poses; 1461 equal stamps"]
+    rule = "estimate interpolated at {} stamps of the ground truth, gaps up to {} s"
+    words += [f"least squares over {n} poses; {rule.format(n, gap)}" for n, gap in ((119, 1), (117, 1), (117, 2))]
+    made = [(record("a", "room", {}, seed=seed), text) for seed, text in enumerate(words)]
+    assert describe_alignments([replace(run, scores=replace(run.scores, alignment=text)) for run, text in made]) == (
+        "Aligned: least squares over 117 to 1,461 poses; matched: 117 to 1,461 equal stamps (2 runs)",
+        f"Aligned: least squares over 117 to 119 poses; matched: {rule.format('117 to 119', 1)} (2 runs)",
+        f"Aligned: least squares over 117 poses; matched: {rule.format(117, 2)} (1 run)",
+    )
+
+
 def test_each_alignment_is_reported_once_with_its_runs(record):
     words = ["least squares over 60 poses; 60 equal stamps"] * 2 + ["the run has no poses", ""]
     words.append(f"{IN_MAP} over 60 poses; 60 equal stamps")

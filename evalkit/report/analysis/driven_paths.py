@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from statistics import median
 
 import numpy as np
@@ -12,6 +14,9 @@ from evalkit.results.run_record import RunRecord
 
 STEP_M = 0.05
 """A path is summed over poses at least this far apart, so that the noise of a robot at rest adds nothing."""
+
+COUNTED = re.compile(r"\b\d[\d,]*(?= (?:poses|(?:equal )?stamps)\b)")
+"""Numbers of poses and stamps in the description of an alignment."""
 
 
 def describe_drive(runs: Mapping[str, Sequence[RunRecord]], paths: Sequence[str]) -> tuple[tuple[str, str], ...]:
@@ -47,12 +52,21 @@ def path_m(trajectory: Trajectory) -> float:
 
 
 def describe_alignments(runs: Sequence[RunRecord]) -> tuple[str, ...]:
-    """Return each distinct way in which estimates were aligned and matched, with its number of runs."""
-    counts: dict[str, int] = {}
+    """Return each distinct way in which estimates were aligned and matched, with its number of runs.
+
+    Runs that differ in their numbers of poses and stamps alone are one way: "least squares over 117 to 139 poses".
+    """
+    ways: dict[tuple[str, ...], list[list[int]]] = {}
     for run in runs:
-        if run.scores.alignment:
-            counts[run.scores.alignment] = counts.get(run.scores.alignment, 0) + 1
-    return tuple(f"{_format_alignment(text)} ({count} run{'s' if count > 1 else ''})" for text, count in counts.items())
+        if text := run.scores.alignment:
+            counts = [int(count.replace(",", "")) for count in COUNTED.findall(text)]
+            ways.setdefault(tuple(COUNTED.split(text)), []).append(counts)
+    lines = []
+    for words, counted in ways.items():
+        ranges = [_format_range(values, 0) for values in zip(*counted, strict=True)]
+        text = "".join(part for pair in zip_longest(words, ranges, fillvalue="") for part in pair)
+        lines.append(f"{_format_alignment(text)} ({len(counted)} run{'s' if len(counted) > 1 else ''})")
+    return tuple(lines)
 
 
 def _format_alignment(text: str) -> str:
