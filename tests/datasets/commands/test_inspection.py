@@ -22,17 +22,18 @@ from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.errors import BadData
 from evalkit.plugins import registry
 from evalkit_datasets.commands.datasets.example_bag import write_example
-from evalkit_datasets.commands.inspect import findings, lidar_findings, odometry_findings, odometry_stats
+from evalkit_datasets.commands.inspect import findings, lidar_findings, odometry_findings, turn_comparison
 from evalkit_datasets.commands.inspect.command import inspect
 from evalkit_datasets.commands.inspect.frame_tree import FrameTree, LidarMounting
 from evalkit_datasets.commands.inspect.inspector import field_of_view_deg, inspect_recording
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
-from evalkit_datasets.commands.inspect.odometry_stats import TwistComparison, compare_turns, measure_odometry
+from evalkit_datasets.commands.inspect.odometry_stats import TwistComparison, measure_odometry
 from evalkit_datasets.commands.inspect.page import build_document
 from evalkit_datasets.commands.inspect.range_stats import find_no_return_codes, measure_ranges
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
 from evalkit_datasets.commands.inspect.suggested_config import best_lidar, is_named_as_truth, suggest_config
 from evalkit_datasets.commands.inspect.timing import ClockOffset, measure_clock_offset, measure_timing
+from evalkit_datasets.commands.inspect.turn_comparison import compare_turns
 
 DATA = Path(os.environ.get("EVALKIT_DATA") or "absent")
 S = 10**9
@@ -341,7 +342,7 @@ def test_stamps_that_are_not_the_times_of_the_scans_are_found_by_the_turns(late_
 
 def test_turns_are_not_compared_with_too_few_pairs():
     assert compare_turns(arc(count=5, stop=0), laser(walls(5))) is None
-    assert odometry_stats.MIN_PAIRS > 5
+    assert turn_comparison.MIN_PAIRS > 5
 
 
 # --- whole recordings

@@ -12,9 +12,9 @@ from evalkit_datasets.commands.datasets.example_bag import write_example
 from evalkit_datasets.commands.inspect.frame_tree import FrameTree
 from evalkit_datasets.commands.inspect.inspector import inspect_recording
 from evalkit_datasets.commands.inspect.mounting_angle import estimate_motion, estimate_mounting_angle
-from evalkit_datasets.commands.inspect.odometry_stats import compare_turns
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
 from evalkit_datasets.commands.inspect.suggested_config import _choose_mounting, best_lidar, choose_parameters
+from evalkit_datasets.commands.inspect.turn_comparison import compare_turns
 
 ANGLES = np.radians(np.arange(0.0, 360.0, 0.5))
 

@@ -18,8 +18,9 @@ from evalkit_datasets.commands.inspect.odometry_findings import (
     check_shift,
     check_standing,
 )
-from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats, TurnComparison
+from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats
 from evalkit_datasets.commands.inspect.streams import RecordingStreams
+from evalkit_datasets.commands.inspect.turn_comparison import TurnComparison
 from evalkit_datasets.parsing.rosbag_parser import BagDamage
 
 

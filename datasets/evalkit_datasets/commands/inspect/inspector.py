@@ -13,15 +13,11 @@ from evalkit_datasets.commands.inspect import bag_streams, findings, log_streams
 from evalkit_datasets.commands.inspect.finding import InspectionFinding
 from evalkit_datasets.commands.inspect.frame_tree import FrameTree, build_frame_tree, mirror_if_upside_down
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
-from evalkit_datasets.commands.inspect.odometry_stats import (
-    OdometryStats,
-    TurnComparison,
-    compare_turns,
-    measure_odometry,
-)
+from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats, measure_odometry
 from evalkit_datasets.commands.inspect.range_stats import measure_ranges
 from evalkit_datasets.commands.inspect.streams import LaserStream, RecordingStreams, Topic
 from evalkit_datasets.commands.inspect.timing import measure_clock_offset, measure_timing
+from evalkit_datasets.commands.inspect.turn_comparison import TurnComparison, compare_turns
 from evalkit_datasets.parsing import carmen_parser, rosbag_parser
 from evalkit_datasets.parsing.columns_layout import is_described
 from evalkit_datasets.parsing.sweeps import SweepOptions, parse_fields

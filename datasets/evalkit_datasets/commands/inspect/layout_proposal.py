@@ -16,8 +16,8 @@ from evalkit.core.arrays import Bools
 from evalkit.core.errors import EvalkitError
 from evalkit.core.se2 import Floats
 from evalkit.io.text_lines import iter_lines
-from evalkit_datasets.commands.inspect.odometry_stats import compare_turns
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
+from evalkit_datasets.commands.inspect.turn_comparison import compare_turns
 from evalkit_datasets.parsing.columns_layout import LENGTH_UNITS, split_columns
 from evalkit_datasets.readers.columns import EXPECTED, Columns
 

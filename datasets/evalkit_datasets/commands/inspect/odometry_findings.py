@@ -17,8 +17,9 @@ from evalkit_datasets.commands.inspect.finding import (
 from evalkit_datasets.commands.inspect.frame_tree import FrameTree
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
 from evalkit_datasets.commands.inspect.log_streams import SCAN_POSES
-from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats, TurnComparison
+from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats
 from evalkit_datasets.commands.inspect.streams import RecordingStreams
+from evalkit_datasets.commands.inspect.turn_comparison import TurnComparison
 
 MAX_SCAN_STEP_M = 0.4
 DIRECTION = "direction of the angles"
