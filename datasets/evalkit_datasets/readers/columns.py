@@ -88,6 +88,7 @@ class Columns:
             "scans with a repeated stamp dropped": order.repeated,
         }
         which = reader_common.select_scans(start, every, limit)
+        self.recorded_odometry = stamps[keep], poses[keep]  # times (N,) and poses (N, 3) before jumps are taken out
         joined, jumps = reader_common.join_jumps(stamps[keep], poses[keep])
         self._counts |= jumps
         self._stamps, self._lines, self._poses = stamps[keep][which], lines[keep][which], joined[which]

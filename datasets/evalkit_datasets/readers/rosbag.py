@@ -28,6 +28,7 @@ from evalkit.plugins.specs import DatasetSpec
 from evalkit_datasets.parsing import cloud_slice, rosbag_parser, truth_files
 from evalkit_datasets.parsing.buffers import PoseBuffer, sort_by_rank
 from evalkit_datasets.parsing.cloud_slice import CloudSlice
+from evalkit_datasets.parsing.columns_layout import LENGTH_UNITS
 from evalkit_datasets.parsing.range_minimum import RANGE_MIN
 from evalkit_datasets.parsing.rosbag_parser import BagScans, Contents
 from evalkit_datasets.parsing.sweeps import Sweep, SweepOptions, parse_fields
@@ -67,6 +68,7 @@ class RosBag:
         sweep_s: float = 0.0,
         range_min_m: float = 0.0,
         stamp_shift_s: float = 0.0,
+        odometry_unit: str = "m",
     ) -> None:
         self._path = reader_common.check_exists("rosbag", path)
         cloud = CloudSlice(height_min_m, height_max_m, beams).beyond("rosbag", range_min_m)
@@ -78,6 +80,9 @@ class RosBag:
         if not len(self._scans):
             raise BadData(str(path), "", f"start {start} lies beyond its {len(whole)} scans", "start earlier")
         self._odometry, child = self._find_odometry(contents, odometry, base_frame)
+        if self._odometry is not None:
+            metres = self._odometry.poses * np.array([LENGTH_UNITS[odometry_unit]] * 2 + [1.0])
+            self._odometry = replace(self._odometry, poses=metres)
         base = base_frame or child or self._guess_base(contents)
         self._mounting = (
             self._find_mounting(contents, base, bool(base_frame))
@@ -306,6 +311,13 @@ SPEC = DatasetSpec(
         RANGE_MIN,
         Parameter(
             "stamp_shift_s", 0.0, "s", "added to the stamps of the scans, where these are not the times of the odometry"
+        ),
+        Parameter(
+            "odometry_unit",
+            "m",
+            "",
+            "of the positions of the odometry, where it is not the metre",
+            choices=tuple(LENGTH_UNITS),
         ),
         *reader_common.SELECTION,
     ),

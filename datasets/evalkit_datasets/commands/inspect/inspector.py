@@ -14,8 +14,9 @@ from evalkit_datasets.commands.inspect.finding import InspectionFinding
 from evalkit_datasets.commands.inspect.frame_tree import FrameTree, build_frame_tree, mirror_if_upside_down
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
 from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats, measure_odometry
+from evalkit_datasets.commands.inspect.odometry_unit import find_length_unit, scale_lengths
 from evalkit_datasets.commands.inspect.range_stats import measure_ranges
-from evalkit_datasets.commands.inspect.streams import LaserStream, RecordingStreams, Topic
+from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, RecordingStreams, Topic
 from evalkit_datasets.commands.inspect.timing import measure_clock_offset, measure_timing
 from evalkit_datasets.commands.inspect.turn_comparison import TurnComparison, compare_turns
 from evalkit_datasets.parsing import carmen_parser, rosbag_parser
@@ -62,11 +63,12 @@ def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] |
         streams = _read_streams(path, reader, given or {}, others)
         lidars = tuple(one for one in lidars if one.topic not in others)
         best = _select_lidar(lidars, topic)
-    odometries = tuple(measure_odometry(wheels) for wheels in streams.wheels)
     tree = build_frame_tree(streams.tree, streams.lasers)
+    laser = None if best is None else mirror_if_upside_down(streams.lasers[best], tree)
+    odometries = tuple(_measure_odometry(wheels, laser) for wheels in streams.wheels)
     turns = {}
-    for wheels in streams.wheels if best is not None else ():
-        comparison = compare_turns(wheels, mirror_if_upside_down(streams.lasers[best or 0], tree))
+    for wheels in streams.wheels:
+        comparison = None if laser is None else compare_turns(wheels, laser)
         if comparison is not None:
             turns[f"{wheels.topic} {wheels.child}"] = comparison
     inside, turned = _describe_truth_inside(streams), streams.lasers[best or 0].topic if turns else ""
@@ -76,6 +78,11 @@ def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] |
         findings.collect_findings(streams, inside, lidars, odometries, turns, turned, tree),
         streams,
     )  # fmt: skip
+
+
+def _measure_odometry(wheels: OdometryStream, laser: LaserStream | None) -> OdometryStats:
+    found = measure_odometry(wheels)
+    return replace(found, unit=find_length_unit(wheels, laser, found.driving_m_s))
 
 
 def find_reader_name(path: Path) -> str:
@@ -106,6 +113,8 @@ def _read_streams(
         sweep_s, shift_s = (_number(given, name, 0.0) for name in ("sweep_s", "stamp_shift_s"))
         options = SweepOptions(fields=fields, sweep_s=sweep_s, stamp_shift_s=shift_s)
         streams = bag_streams.read_bag_streams(path, left_out, options)
+        unit = str(given.get("odometry_unit", "m"))
+        streams = replace(streams, wheels=[scale_lengths(one, unit) for one in streams.wheels])
         return _reverse_angles(streams) if fields is not None and fields.clockwise else streams
     if reader == CARMEN:
         layout = _number(given, "start_deg", carmen_parser.DEFAULT_LAYOUT[0]), _number(given, "step_deg", 0.0)

@@ -134,7 +134,8 @@ def read_sequence_streams(path: Path, reader: str, given: Mapping[str, Value] = 
         reader, reader, "laser", stamps, None, scans, first.angles,
         first.range_min_m, first.range_max_m, first.time_increment_ns,
     )  # fmt: skip
-    wheels = [OdometryStream(reader, "odom", "base", poses.stamps_ns, poses.poses)] if len(poses) else []
+    recorded = sequence.recorded_odometry if isinstance(sequence, Columns) else (poses.stamps_ns, poses.poses)
+    wheels = [OdometryStream(reader, "odom", "base", *recorded)] if len(poses) else []
     seconds = float(stamps[-1] - stamps[0]) * 1e-9
     rate = (len(stamps) - 1) / seconds if seconds > 0.0 else float("nan")
     kind = COLUMNS_KIND if reader == COLUMNS else f"recording read by '{reader}'"

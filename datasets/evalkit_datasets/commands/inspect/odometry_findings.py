@@ -18,8 +18,10 @@ from evalkit_datasets.commands.inspect.frame_tree import FrameTree
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
 from evalkit_datasets.commands.inspect.log_streams import SCAN_POSES
 from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats
+from evalkit_datasets.commands.inspect.odometry_unit import LengthUnit
 from evalkit_datasets.commands.inspect.streams import RecordingStreams
 from evalkit_datasets.commands.inspect.turn_comparison import TurnComparison
+from evalkit_datasets.parsing.columns_layout import LENGTH_UNITS
 
 MAX_SCAN_STEP_M = 0.4
 DIRECTION = "direction of the angles"
@@ -33,6 +35,12 @@ DIRECTION_REMEDIES = {
     "columns": "write clockwise = true in [scan] of the layout",
 }
 """How the direction of the angles is stated, by reader; other formats define it."""
+
+UNIT_REMEDIES = {
+    "rosbag": "give --set odometry_unit={unit}",
+    "columns": 'write unit = "{unit}" in [pose] of the layout, or check wheel_diameter_m in [ticks]',
+}
+"""How the unit of an odometry is stated, by reader; other formats define it."""
 
 MIN_STANDING, MAX_STILL_OF_MOVING = 0.99, 0.5
 """An odometry that stands for a larger share of the time contradicts scans of which a smaller share does not change."""
@@ -58,7 +66,7 @@ def check_odometry(
         )
     for one in () if streams.poses_from else odometries:
         about = f"odometry {one.topic}" + (f" ({one.child})" if one.topic == "tf" else "")
-        yield from _check_motion(one, about)
+        yield from _check_motion(one, about) if one.unit is None else _check_unit(one.unit, about, streams.reader)
         yield from _check_twist(one, about)
         yield from _check_turning(turns.get(f"{one.topic} {one.child}"), about)
 
@@ -114,6 +122,17 @@ def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]
     if math.hypot(*one.first[:2]) > 0.5:
         x, y, theta = one.first
         yield note(about, f"starts at ({x:.2f}, {y:.2f}) m, {theta:.0f} deg instead of the origin")
+
+
+def _check_unit(found: LengthUnit, about: str, reader: str) -> Iterator[InspectionFinding]:
+    """Report lengths that are not in metres; jumps, slip and gaps are not judged then."""
+    if found.unit:
+        share = round(1.0 / LENGTH_UNITS[found.unit])
+        what = f"its lengths are in {found.unit}, not in m: the scans move {share} times less"
+    else:
+        what = "it drives faster than any vehicle with a 2D lidar: mm or cm taken for m?"
+    mend = UNIT_REMEDIES.get(reader, "convert its poses to m, or use odometry = 'none'")
+    yield problem(about, f"{what} ({found.driving_m_s:.0f} m/s, median)", mend.format(unit=found.unit or "mm"))
 
 
 def _describe_jumps(one: OdometryStats, count: int, taken_out: bool) -> str:

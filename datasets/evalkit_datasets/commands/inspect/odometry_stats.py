@@ -10,6 +10,7 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats, Stamps
+from evalkit_datasets.commands.inspect.odometry_unit import LengthUnit
 from evalkit_datasets.commands.inspect.streams import OdometryStream
 from evalkit_datasets.commands.inspect.timing import (
     ClockOffset,
@@ -78,6 +79,7 @@ class OdometryStats:
 
     ``standing``: share of the time below 5 mm/s and 0.3 deg/s. ``exactly_still``: share of steps between equal poses.
     ``sideways``: median slip perpendicular to the arc of a step, divided by the median step, nan without motion.
+    ``driving_m_s``: median speed while it moves, 0 if it never does. ``unit``: of its lengths if they are not metres.
     ``median_step_m``, ``largest_turn_deg``: between consecutive stamps. ``taken_out``: how many of the ``jump_count``
     jumps the reader takes out; ``jumps``: some of them, first those that it does not, the longest first.
     """
@@ -101,6 +103,8 @@ class OdometryStats:
     taken_out: int
     jumps: tuple[Jump, ...]
     twist: TwistComparison | None
+    driving_m_s: float = 0.0
+    unit: LengthUnit | None = None
 
     @property
     def like_wheels(self) -> bool:
@@ -119,6 +123,7 @@ def measure_odometry(wheels: OdometryStream) -> OdometryStats:
     jumps = _find_jumps(wheels.stamps_ns[order], metres, turns) if timing.usable else []
     stamps, first = np.unique(wheels.stamps_ns, return_index=True)
     _, speeds, rates = _measure_speeds(stamps, wheels.poses[first])
+    driving = np.abs(speeds)[np.abs(speeds) > STANDING[0]]
     net = se2.between(poses[0], poses[-1])
     return OdometryStats(
         wheels.topic,
@@ -140,6 +145,7 @@ def measure_odometry(wheels: OdometryStream) -> OdometryStats:
         sum(jump.taken_out for jump in jumps),
         tuple(sorted(jumps, key=lambda jump: (jump.taken_out, -jump.step_m))[:MAX_LISTED_JUMPS]),
         _compare_twist(wheels),
+        float(np.median(driving)) if len(driving) else 0.0,
     )
 
 
