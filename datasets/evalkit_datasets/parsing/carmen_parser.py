@@ -1,9 +1,10 @@
 """Parse a CARMEN log (plain or gzip) line by line into scans, odometry poses and parameters.
 
 Supported lines: FLASER, ROBOTLASER1, ODOM and PARAM of CARMEN, LASER_READING of GMapping's .gfs. RAWLASER1 lines, which
-contain no pose, are read where no other line has a scan: CARMEN repeats them with poses as one of the others. NEFF and
-VERTEX lines only show where the poses in the file come from. Lines that cannot be parsed are counted and skipped, never
-guessed.
+contain no pose, are read where no other line has a scan: CARMEN repeats them with poses as one of the others. Where
+these are missing too, the lines of one lidar are read in what CARMEN calls an old format: LASER3, else LASER4, else
+LASER5. LASER without a number is no message of CARMEN: its fields and units are not known. NEFF and VERTEX lines only
+show where the poses in the file come from. Lines that cannot be parsed are counted and skipped, never guessed.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Log:
     """Content of a log other than its scans; complete after the last line has been read.
 
     ``poses_from``: "gmapping" or "graph" if the poses in the log are corrected ones, "" if they are wheel odometry.
-    ``is_raw``: whether its scans are RAWLASER1 lines.
+    ``raw``: the kind of lines with its scans if these lines have no poses, else "".
     ``damaged``: number of lines skipped; ``damage``: line number of the first one and the reason.
     """
 
@@ -66,14 +67,15 @@ class Log:
     damage: tuple[int, str] = (0, "")
     rear: int = 0
     poses_from: str = ""
-    is_raw: bool = False
+    raw: str = ""
 
 
 def iter_readings(path: Path, log: Log) -> Iterator[tuple[int, Reading]]:
     """Yield line number and scan of every laser line in file order; the other lines are added to ``log``."""
     markers: set[bytes] = set()
-    log.is_raw = not _has_scans_with_pose(path)
-    lasers = _RAW_LASERS if log.is_raw else _LASERS
+    raw = _find_raw_lines(path)
+    log.raw = raw.decode()
+    lasers = {raw: _RAW_LASERS[raw]} if raw else _LASERS
     for number, line in enumerate(iter_log_lines(path), start=1):
         words = line.split()
         if not words:
@@ -120,9 +122,15 @@ def is_carmen(path: Path) -> bool:
         return False
 
 
-def _has_scans_with_pose(path: Path) -> bool:
-    kinds = (line.split(maxsplit=1)[:1] for line in iter_log_lines(path))
-    return any(kind[0] in _LASERS for kind in kinds if kind)
+def _find_raw_lines(path: Path) -> bytes:
+    """Return the kind of lines without poses that are read, b"" where a line with a scan has poses."""
+    found: set[bytes] = set()
+    for line in iter_log_lines(path):
+        kind = line.split(maxsplit=1)[:1]
+        if kind and kind[0] in _LASERS:
+            return b""
+        found.update(_RAW_LASERS.keys() & kind)
+    return next((kind for kind in _RAW_LASERS if kind in found), b"RAWLASER1")
 
 
 def iter_log_lines(path: Path) -> Iterator[bytes]:
@@ -160,6 +168,13 @@ def _parse_robotlaser(_layout: Layout, words: list[bytes]) -> Reading:
 def _parse_rawlaser(_layout: Layout, words: list[bytes]) -> Reading:
     """``RAWLASER1 type start fov res max acc mode n r.. m [rem..] ipc_t host log_t``."""
     return Reading(_parse_stamp(words[-3]), *_parse_stated_scan(words, 3), NO_POSE, NO_POSE)
+
+
+def _parse_old_laser(layout: Layout, words: list[bytes]) -> Reading:
+    """``LASER3 n r1..rn ipc_t host logger_t``, by the parser of CARMEN (readlog.c)."""
+    beams = _parse_beams(words, 1, 5)
+    angles = _make_angles(beams, *_layout_by_beams(beams, layout))
+    return Reading(_parse_stamp(words[-3]), parse_columns(words, 2, 2 + beams), angles, NO_POSE, NO_POSE)
 
 
 def _parse_stated_scan(words: list[bytes], others: int) -> tuple[Floats, Floats]:
@@ -215,7 +230,13 @@ _LASERS: dict[bytes, Callable[[Layout, list[bytes]], Reading]] = {
     b"LASER_READING": _parse_laser_reading,
 }
 
-_RAW_LASERS: dict[bytes, Callable[[Layout, list[bytes]], Reading]] = {b"RAWLASER1": _parse_rawlaser}
+_RAW_LASERS: dict[bytes, Callable[[Layout, list[bytes]], Reading]] = {
+    b"RAWLASER1": _parse_rawlaser,
+    b"LASER3": _parse_old_laser,
+    b"LASER4": _parse_old_laser,
+    b"LASER5": _parse_old_laser,
+}
+"""The first kind that a log has is read: others are of other lidars."""
 
 _ALL_LASERS = _LASERS | _RAW_LASERS
 

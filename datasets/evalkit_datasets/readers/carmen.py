@@ -183,7 +183,7 @@ class Carmen:
         return BadData(
             str(self._path),
             "",
-            "no scan: no line begins with FLASER, ROBOTLASER1 or RAWLASER1",
+            "no scan: no line begins with FLASER, ROBOTLASER1, RAWLASER1 or LASER3 to LASER5",
             "give a CARMEN log (plain or gzip)",
         )
 
@@ -284,8 +284,8 @@ def _describe_truth(paths: TruthPaths, poses_from: str) -> str:
 
 SPEC = DatasetSpec(
     make=Carmen,
-    summary="A CARMEN log (.log, .clf, also gzip) with FLASER, ROBOTLASER1 or RAWLASER1 scans",
-    sensor="as recorded; FLASER lines: 180 or 181 beams 1 deg apart, 360 or 361 beams 0.5 deg apart, from -90 deg",
+    summary="A CARMEN log (.log, .clf, also gzip) with FLASER, ROBOTLASER1, RAWLASER1 or LASER3 to LASER5 scans",
+    sensor="as recorded; FLASER, LASER3: 180 or 181 beams 1 deg apart, 360 or 361 beams 0.5 deg apart, from -90 deg",
     truth="files given as parameters; the poses of a corrected log",
     citation="CARMEN, the Carnegie Mellon Robot Navigation Toolkit (Montemerlo, Roy, Thrun, IROS 2003)",
     licence="that of the recording",

@@ -110,6 +110,37 @@ def test_raw_scans_beside_the_same_ones_with_poses_are_not_read_twice(tmp_path):
     assert Carmen(path).notes() == {}
 
 
+def old_laser(kind, stamp, ranges):
+    return " ".join(map(str, [kind, len(ranges), *ranges, stamp, "robot", "0.5"]))
+
+
+def test_lines_of_the_old_format_are_read_where_no_other_line_has_a_scan(tmp_path):
+    """``LASER3 n r1..rn ipc_t host logger_t``, 181 beams from -90 deg on (readlog.c); LASER4 is another lidar."""
+    lines = [
+        old_laser("LASER4", 1.0, [3.0] * 181), odom(1.0, 0.5), old_laser("LASER3", 1.5, [*[2.0] * 180, 4.0]),
+        old_laser("LASER", 1.6, [9.0] * 181), odom(2.0, 1.5),
+    ]  # fmt: skip
+    path = log(tmp_path, *lines)
+    (frame,) = Carmen(path).frames()
+    assert frame.scan.stamp_ns == 1_500_000_000
+    assert (frame.scan.ranges[0], frame.scan.ranges[-1]) == (2.0, 4.0)
+    assert np.degrees(frame.scan.angles[[0, -1]]) == pytest.approx([-90.0, 90.0])
+    assert frame.odom_from_base.x == pytest.approx(1.0)
+    found = inspect_recording(Path(path))
+    assert (found.lidars[0].topic, found.lidars[0].beams) == ("LASER3", 181)
+    assert "LASER3 lines do not contain angles" in " ".join(one.what for one in found.findings)
+    (raw,) = Carmen(log(tmp_path, *lines, rawlaser(3.0, [5.0] * 3))).frames()
+    assert raw.scan.ranges[0] == 5.0
+
+
+def test_a_laser_line_without_a_number_is_no_line_of_a_carmen_log(tmp_path):
+    path = log(tmp_path, old_laser("LASER", 1.0, [200.0] * 180))
+    with pytest.raises(BadData, match="no line begins with FLASER, ROBOTLASER1, RAWLASER1 or LASER3 to LASER5"):
+        Carmen(path)
+    with pytest.raises(BadData, match="no line begins with FLASER"):
+        inspect_recording(Path(path))
+
+
 def test_a_damaged_line_of_a_raw_scan_is_counted(tmp_path):
     path = log(tmp_path, rawlaser(1.0, [2.0] * 3), rawlaser(2.0, [2.0] * 3)[:-12])
     assert Carmen(path).notes() == {"damaged lines dropped": 1}

@@ -9,6 +9,7 @@ from evalkit_datasets.commands.inspect.finding import InspectionFinding, Level, 
 from evalkit_datasets.commands.inspect.frame_tree import FrameTree
 from evalkit_datasets.commands.inspect.lidar_findings import check_lidars
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
+from evalkit_datasets.commands.inspect.log_streams import OLD_LASERS
 from evalkit_datasets.commands.inspect.odometry_findings import (
     check_clocks,
     check_direction,
@@ -52,10 +53,11 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
         what = f"by the namespaces of its topics, it is of several robots, and {streams.lasers[0].topic} of one of them"
         advice = "choose another robot by the topic of its lidar, or an odometry by its topic"
         yield note("file", f"{what}; left out: {', '.join(streams.left_out)}", advice)
-    if any(topic.name == "FLASER" for topic in streams.topics) and streams.lasers:
+    without_angles = [name for name in ("FLASER", *OLD_LASERS) if any(topic.name == name for topic in streams.topics)]
+    if without_angles and streams.lasers:
         angles = streams.lasers[0].angles
         first = f"{len(angles)} beams are assumed to begin at {math.degrees(angles[0]):.6g} deg"
-        what = f"FLASER lines do not contain angles: {first}"
+        what = f"{without_angles[0]} lines do not contain angles: {first}"
         yield note("lidar", what, "half a beam rotates all scans alike; parameters start_deg, step_deg")
     if any(topic.name == "RLASER" for topic in streams.topics):
         yield note("lidar", "the log also contains a rear laser (RLASER), which is ignored")

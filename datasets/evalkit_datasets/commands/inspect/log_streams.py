@@ -27,7 +27,10 @@ COLUMNS, COLUMNS_KIND = "columns", "log in columns"
 MAX_FRAMES = 100_000
 NOTHING: Mapping[str, Value] = {}
 
-LASER_LINES, RAW_LINES = (b"FLASER", b"ROBOTLASER1"), (b"RAWLASER1",)
+LASER_LINES = b"FLASER", b"ROBOTLASER1"
+OLD_LASERS = "LASER3", "LASER4", "LASER5"
+"""Lines with a scan of CARMEN's old format that state neither pose nor angles."""
+
 MAX_REMARKS = 5
 MAX_KINDS = 1000  # kinds of lines that are counted
 SCAN_POSES = "robot pose of each scan"
@@ -97,7 +100,7 @@ def read_log_streams(path: Path, layout: Layout = carmen_parser.DEFAULT_LAYOUT) 
         scans.take(reading)
     if not (len(scans.scans) or len(log.odometry) or log.damaged):
         raise BadData(str(path), "", *describe_other_file(path))
-    others = _OtherLines(RAW_LINES if log.is_raw else LASER_LINES)
+    others = _OtherLines((log.raw.encode(),) if log.raw else LASER_LINES)
     for line in carmen_parser.iter_log_lines(path):
         others.take(line)
     stamps = scans.robot.stamps_ns
@@ -151,7 +154,7 @@ def _make_laser_streams(log: Log, scans: _LogScans, logger_ns: array[int] | None
     if scans.first is None:
         return []
     recorded = np.asarray(logger_ns) if logger_ns is not None and len(logger_ns) == len(scans.scans) else None
-    lines = "RAWLASER1" if log.is_raw else "FLASER / ROBOTLASER1"
+    lines = log.raw or "FLASER / ROBOTLASER1"
     return [
         LaserStream(lines, "laser lines", "laser", scans.robot.stamps_ns, recorded, scans.scans,
                     scans.first.angles, float("nan"), float("nan"))
@@ -176,6 +179,7 @@ def _describe_line(kind: str) -> str:
     return {
         "FLASER": "front laser with two poses", "ROBOTLASER1": "laser with geometry", "ODOM": "wheel odometry or poses",
         "RAWLASER1": "laser without poses, read if no other line has scans",
+        **dict.fromkeys(OLD_LASERS, "another laser without poses, read if no other line has scans"),
         "RLASER": "rear laser, ignored", "PARAM": "robot parameter", "NEFF": "written by GMapping",
         "VERTEX2": "pose of an optimised graph", "VERTEX_SE2": "pose of an optimised graph",
     }.get(kind, "ignored")  # fmt: skip

@@ -74,7 +74,7 @@ def _describe_text(path: Path) -> tuple[str, str]:
             f"{layout}; poses alone are a ground truth, as TUM: evalkit compare RECORDING --ground-truth FILE.tum",
         )
     return (
-        "text in which no line begins with FLASER, ROBOTLASER1, RAWLASER1, LASER_READING or ODOM",
+        "text in which no line begins with FLASER, ROBOTLASER1, RAWLASER1, LASER3 to LASER5, LASER_READING or ODOM",
         f"{layout}, or {READERS}",
     )
 
