@@ -299,6 +299,40 @@ def test_the_time_of_a_revolution_a_scan_is_suggested(tmp_path):
     assert "set sweep_s = 0.2 of the reader" in found.advice
 
 
+def drive_straight(folder, speed_m_s, **scan):
+    """Write a full turn of beams, five scans a second, of a robot that drives ahead without turning."""
+    bag, angles = Bag("mcap").tf(T0, "base_link", "laser"), np.radians(np.arange(-180.0, 180.0))
+    stated = {"angle_min": -math.pi, "angle_increment": math.radians(1.0), "time_increment": 0.0, **scan}
+    for k in range(40):
+        x = 0.2 * speed_m_s * k
+        room = 3.0 + np.cos(2.0 * angles) + 0.01 * x
+        bag.odom(T0 + 2 * k * PERIOD, x).scan(T0 + 2 * k * PERIOD, room, **stated)
+    return bag.write(folder)
+
+
+def tell_skew(path, **given):
+    return [one.reason for one in choose_parameters("rosbag", {"path": str(path), **given}) if "fired" in one.reason]
+
+
+def test_a_comparison_says_that_scans_may_be_skewed_where_no_turn_shows_it_and_the_motion_is_large(tmp_path):
+    """0.8 m/s for 0.2 s are 0.16 m."""
+    path = drive_straight(tmp_path, 0.8)
+    (said,) = tell_skew(path)
+    assert said.startswith("warning: /scan: its time_increment is 0 or less, and no turn shows")
+    assert "the robot moves by up to 0.16 m and 0 deg within a scan" in said
+    assert said.endswith("; then use --set sweep_s=0.2")
+    assert tell_skew(path, sweep_s=0.2) == tell_skew(path, odometry="none") == []
+
+
+@pytest.mark.parametrize(("speed_m_s", "time_increment"), [(0.3, 0.0), (0.8, 1 / 1800)])
+def test_a_slow_robot_or_a_lidar_that_states_its_time_has_no_skew_to_tell(tmp_path, speed_m_s, time_increment):
+    assert tell_skew(drive_straight(tmp_path, speed_m_s, time_increment=time_increment)) == []
+
+
+def test_turns_that_show_scans_taken_at_their_stamps_leave_no_doubt(tmp_path):
+    assert tell_skew(turn_to_and_fro(tmp_path, 0.0, time_increment=0.0)) == []
+
+
 # --- the robot's own body
 
 

@@ -38,9 +38,6 @@ MAX_BEYOND = 0.5
 MIN_RATE_HZ, MAX_RATE_HZ, MIN_RATED = 0.02, 500.0, 10
 """Scans per second beyond which the unit of time is doubted, of at least so many scans."""
 
-MIN_SWEEP_S, MAX_SWEEP_S = 0.04, 0.5
-"""Periods (s) of scans within which a robot moves visibly, and that are a revolution: longer ones leave scans out."""
-
 MAX_SECTORS = 3
 """Sectors of the robot's own body that are listed."""
 
@@ -73,7 +70,7 @@ def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
         yield InspectionFinding("warning" if longest.length_s > 1.0 else "note", about, what)
     if found.period_s and found.jitter_s > 0.2 * found.period_s:
         yield note(about, f"the period of {found.period_s:.3f} s has a jitter of {found.jitter_s:.3f} s")
-    if lidar.kind.endswith("LaserScan") and lidar.sweep_s == 0.0 and MIN_SWEEP_S <= found.period_s <= MAX_SWEEP_S:
+    if lidar.may_be_swept:
         what = (
             f"time_increment is 0 or less: the motion within the scans, {found.period_s:.2g} s apart, is not corrected"
         )

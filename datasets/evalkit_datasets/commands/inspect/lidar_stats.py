@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from evalkit_datasets.commands.inspect.range_stats import RangeStats
 from evalkit_datasets.commands.inspect.timing import ClockOffset, StreamTiming
 
+MIN_SWEEP_S, MAX_SWEEP_S = 0.04, 0.5
+"""Periods (s) of scans within which a robot moves visibly, and that are a revolution: longer ones leave scans out."""
+
 
 @dataclass(frozen=True, slots=True)
 class LidarStats:
@@ -32,6 +35,12 @@ class LidarStats:
     def revolution_s(self) -> float:
         """The time from the first beam to the last (s) if the lidar turns once a scan."""
         return self.timing.period_s * self.field_of_view_deg / 360.0
+
+    @property
+    def may_be_swept(self) -> bool:
+        """Whether its messages state no time between beams, and its scans may each be a revolution."""
+        stated = self.sweep_s != 0.0 or not self.kind.endswith("LaserScan")
+        return not stated and MIN_SWEEP_S <= self.timing.period_s <= MAX_SWEEP_S
 
     @property
     def limits(self) -> str:

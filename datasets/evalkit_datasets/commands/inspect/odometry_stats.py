@@ -79,6 +79,7 @@ class OdometryStats:
 
     ``standing``: share of the time below 5 mm/s and 0.3 deg/s. ``exactly_still``: share of steps between equal poses.
     ``sideways``: median slip perpendicular to the arc of a step, divided by the median step, nan without motion.
+    ``fastest_m_s``, ``fastest_deg_s``: 99th percentile of the speeds and of the yaw rates.
     ``driving_m_s``: median speed while it moves, 0 if it never does. ``unit``: of its lengths if they are not metres.
     ``median_step_m``, ``largest_turn_deg``: between consecutive stamps. ``taken_out``: how many of the ``jump_count``
     jumps the reader takes out; ``jumps``: some of them, first those that it does not, the longest first.
@@ -103,6 +104,7 @@ class OdometryStats:
     taken_out: int
     jumps: tuple[Jump, ...]
     twist: TwistComparison | None
+    fastest_deg_s: float = 0.0
     driving_m_s: float = 0.0
     unit: LengthUnit | None = None
 
@@ -145,6 +147,7 @@ def measure_odometry(wheels: OdometryStream) -> OdometryStats:
         sum(jump.taken_out for jump in jumps),
         tuple(sorted(jumps, key=lambda jump: (jump.taken_out, -jump.step_m))[:MAX_LISTED_JUMPS]),
         _compare_twist(wheels),
+        math.degrees(float(np.percentile(np.abs(rates), 99))) if len(rates) else 0.0,
         float(np.median(driving)) if len(driving) else 0.0,
     )
 

@@ -26,6 +26,7 @@ from evalkit_datasets.commands.inspect.lidar_findings import SET_BACK, check_bod
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
 from evalkit_datasets.commands.inspect.odometry_findings import DIRECTION, STAMPS, is_apart
+from evalkit_datasets.commands.inspect.turn_comparison import SHIFT_STEP_S
 from evalkit_datasets.parsing.range_minimum import RANGE_MIN
 from evalkit_datasets.parsing.robots import count_common_spaces
 from evalkit_datasets.parsing.transforms import own_name, with_prefix_of
@@ -46,6 +47,9 @@ MIN_MOUNTING_DEG, MAX_SQUARE_DEG = 5.0, 2.0
 """A smaller heading is not applied; a heading this close to a multiple of 90 deg is taken as that."""
 
 USUAL_CELL_M, LARGE_CELL_M = 0.05, 0.1
+
+MIN_SKEW_M = 0.1
+"""Motion within a scan that moves points by less, at the median range, is not told: two usual cells."""
 
 TRUTH_NAMES = ("truth", "ground[-_]?truth", "gt", "reference", "mocap", "vicon", "optitrack")
 """Words (regular expressions) that the name of a file with a true trajectory begins with."""
@@ -118,7 +122,7 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     }
     choose = choosers.get(_find_reader(recording), _choose_for_columns)
     choices = [*_repeat_problems(recording, given), *choose(recording), *_find_truth_files(recording, given)]
-    choices += [*_repeat_body(lidar, given), *_choose_cells(lidar)]
+    choices += [*_repeat_body(lidar, given), *_repeat_sweep(recording, lidar, given), *_choose_cells(lidar)]
     choices = [one for one in choices if one.name not in given]
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
     tried = _try_reader(_find_reader(recording), {"path": str(recording.path), **values, **given})
@@ -242,6 +246,30 @@ def _repeat_body(lidar: LidarStats, given: Mapping[str, Value]) -> Iterator[Choi
     body = lidar.returns.body
     if body is not None and float(str(given.get(RANGE_MIN.name, 0.0))) < body.range_min_m:
         yield from map(_repeat, check_body(lidar))
+
+
+def _repeat_sweep(recording: Inspection, lidar: LidarStats, given: Mapping[str, Value]) -> Iterator[Choice]:
+    """Say before a comparison that scans may be skewed by the motion within them, where that is large and not known.
+
+    If the turns of the odometry show that scans are taken at their stamps, they are not; if they show the middle of a
+    revolution, a finding on the stamps says so.
+    """
+    if "sweep_s" in given or given.get("odometry") == "none" or not lidar.may_be_swept:
+        return
+    sweep_s, known_s = lidar.revolution_s, 0.5 * lidar.revolution_s - SHIFT_STEP_S
+    turns = recording.turns.values()
+    if any(turn.is_shifted or turn.shift_interval[1] < known_s for turn in turns):
+        return
+    wheels = [one for one in recording.odometries if one.like_wheels and one.unit is None and not is_apart(lidar, one)]
+    turned_deg = sweep_s * max((one.fastest_deg_s for one in wheels), default=0.0)
+    moved_m = sweep_s * max((one.fastest_m_s for one in wheels), default=0.0)
+    if max(moved_m, math.radians(turned_deg) * lidar.returns.median_m) < MIN_SKEW_M:
+        return
+    what = (
+        f"{lidar.topic}: its time_increment is 0 or less, and no turn shows whether all beams are fired at once: if it "
+        f"turns once a scan, the robot moves by up to {moved_m:.2f} m and {turned_deg:.0f} deg within a scan"
+    )
+    yield Choice(PROBLEM, None, f"warning: {what}; then use --set sweep_s={sweep_s:.2g}", warns=True)
 
 
 def _repeat(finding: InspectionFinding) -> Choice:

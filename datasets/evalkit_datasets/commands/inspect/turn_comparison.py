@@ -19,7 +19,8 @@ from evalkit_datasets.commands.inspect.timing import seconds_since_first
 MIN_SHIFT_S = 0.08
 """A smaller difference of times is that of half a sweep, or no visible distance."""
 
-SHIFTS_S = np.arange(-1.0, 1.005, 0.01)
+SHIFT_STEP_S = 0.01
+SHIFTS_S = np.arange(-1.0, 1.005, SHIFT_STEP_S)
 RESAMPLES = 200
 MAX_PAIR_S = 3.0
 MAX_SHIFT = 0.25
