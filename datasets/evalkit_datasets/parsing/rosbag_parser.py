@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.core.arrays import Ints
-from evalkit.core.errors import BadData, EvalkitError, suggest
+from evalkit.core.errors import BadData, suggest
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.io.timestamps import order_stamps
 from evalkit_datasets.parsing import sweeps
-from evalkit_datasets.parsing.bag_limits import check_topics
+from evalkit_datasets.parsing.bag_file import BagDamage, find_damage, iter_messages, open_bag
 from evalkit_datasets.parsing.buffers import PoseBuffer
 from evalkit_datasets.parsing.robots import find_foreign_topics
 from evalkit_datasets.parsing.sweeps import Sweep, SweepOptions, normalise_frame, parse_stamp_ns
@@ -28,15 +26,10 @@ from evalkit_datasets.parsing.transforms import (
     matrix_from_quaternion,
     planar_pose_from_matrix,
 )
-from evalkit_datasets.parsing.unpacking import UnpackedTooMuch, bounded_unpacking
 
 LASER = (sweeps.LASER_SCAN, sweeps.ECHOES)
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-FETCH_AGAIN = "record or fetch the bag again"
-
-SUFFIXES = (".bag", ".db3", ".mcap")
-
 ODOMETRY_FRAME = "odom"
 
 MAX_LISTED = 40
@@ -49,30 +42,6 @@ NO_LASER = (
 
 COLUMNS = {"stamps_ns": "q", "durations_ns": "q", "messages": "i", "invalid": "i", "frames": "i"}
 """Values kept of every scan and their array type codes: 28 bytes."""
-
-
-@dataclass(frozen=True, slots=True)
-class BagDamage:
-    """What is lost of a bag whose index is damaged or missing: bytes behind the damage and of chunks, of all bytes.
-
-    ``is_size_stated``: whether the bag states its size; if not, all that was cut off is lost as well.
-    """
-
-    lost_bytes: int
-    whole_bytes: int
-    is_size_stated: bool = False
-
-    @property
-    def lost_percent(self) -> int:
-        """The share that is lost, rounded up."""
-        return math.ceil(100 * self.lost_bytes / max(self.whole_bytes, 1))
-
-    def count(self) -> dict[str, int]:
-        """Return the damage as a count by the name of the defect."""
-        if self.lost_bytes:
-            also = "as it is cut short or damaged" if self.is_size_stated else "besides all that was cut off"
-            return {f"percent of the bag lost, {also}": self.lost_percent}
-        return {"bags without an index, read to the last whole record": 1}
 
 
 @dataclass(eq=False)
@@ -215,106 +184,8 @@ def _iter_laser_messages(reader: Any, topic: str, options: SweepOptions) -> Iter
     yield from reader.messages(connections=wanted)
 
 
-def find_damage(reader: Any) -> BagDamage | None:
-    """Return what is lost of a bag where its index is damaged; None where it is not."""
-    from evalkit_datasets.parsing import unindexed_bag  # noqa: PLC0415 - loads rosbags
-
-    return unindexed_bag.find_damage(reader)
-
-
 def _holds_sweeps(kind: str, options: SweepOptions) -> bool:
     return kind in (*LASER, sweeps.CLOUD) or options.fields is not None
-
-
-def iter_messages(
-    reader: Any, kinds: tuple[str, ...], left_out: frozenset[str] = frozenset()
-) -> Iterator[tuple[Any, Any, int]]:
-    """Yield connection, message and time of recording of all messages of given types, without some topics."""
-    wanted = [one for one in reader.connections if one.msgtype in kinds and one.topic not in left_out]
-    if wanted:  # the reader treats an empty list as all
-        for connection, recorded_ns, raw in reader.messages(connections=wanted):
-            yield connection, reader.deserialize(raw, connection.msgtype), int(recorded_ns)
-
-
-def _find_bag(path: Path) -> Path:
-    """Return the path to open: the folder, for a .db3 or .mcap file of a ROS 2 bag with metadata."""
-    if path.is_file() and path.suffix in {".db3", ".mcap"} and (path.parent / "metadata.yaml").is_file():
-        return path.parent
-    return path
-
-
-@contextmanager
-def open_bag(path: Path) -> Iterator[Any]:
-    """Open a bag for reading; raises BadData for every error of the reader, also inside the ``with`` block.
-
-    A ROS 1 bag or MCAP file with a damaged index is read by its records, up to the damage.
-    """
-    _check_path(path)
-    bag = _find_bag(path)
-    check_topics(bag)
-    files = [bag] if bag.is_file() else [file for file in bag.iterdir() if file.is_file()]
-    try:
-        with bounded_unpacking(sum(file.stat().st_size for file in files)), closing(_open_reader(bag)) as reader:
-            yield reader
-    except EvalkitError:
-        raise
-    except UnpackedTooMuch as error:
-        raise BadData(str(path), "", str(error), "write it again without compression if you trust its origin") from None
-    except Exception as error:  # a damaged binary file can raise any exception
-        cause = " ".join(str(error).split()) or type(error).__name__
-        raise BadData(str(path), "", f"not a readable bag ({cause[:160]})", _suggest_repair(path)) from error
-
-
-def _open_reader(bag: Path) -> Any:
-    """Return an open reader of a bag; one that needs no index if the index is damaged."""
-    from rosbags.highlevel import AnyReader  # noqa: PLC0415 - heavy, and used for bags only
-
-    from evalkit_datasets.parsing.bag_types import NeededTypes  # noqa: PLC0415 - as above
-    from evalkit_datasets.parsing.unindexed_bag import has_magic, open_unindexed  # noqa: PLC0415
-
-    types: Any = NeededTypes()
-    try:
-        reader = types.reader = AnyReader([bag], default_typestore=types)
-        reader.open()
-        if reader.connections or bag.is_dir():
-            return reader
-        reader.close()  # a ROS 1 bag without any chunk in its index
-    except UnpackedTooMuch:
-        raise
-    except Exception as error:
-        try:
-            if (unindexed := open_unindexed(bag)) is not None:
-                return unindexed
-        except UnpackedTooMuch:
-            raise
-        except Exception:  # noqa: BLE001 - the first error says what is wrong
-            pass
-        if has_magic(bag):
-            cause = str(error).rstrip(".") or type(error).__name__
-            raise ValueError(f"{cause[:100]}; no whole chunk of messages lies before the damage") from error
-        raise error from None
-    return open_unindexed(bag) or _reopen(reader)
-
-
-def _reopen(reader: Any) -> Any:
-    reader.open()
-    return reader
-
-
-def _check_path(path: Path) -> None:
-    """Raise BadData for a path that cannot be a bag, with a clearer message than the library's."""
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
-        files = sorted(str(file) for file in path.iterdir() if file.suffix in SUFFIXES)
-        remedy = f"give one of {', '.join(files)}" if files else "give the folder of a ROS 2 bag, or its file"
-        raise BadData(str(path), "", "a folder without metadata.yaml", remedy)
-    if path.is_file() and path.suffix not in SUFFIXES:
-        raise BadData(str(path), "", f"'{path.suffix}' is not the suffix of a bag", "give a .bag, .db3 or .mcap file")
-    if path.is_file() and path.stat().st_size == 0:
-        raise BadData(str(path), "", "the file is empty", FETCH_AGAIN)
-
-
-def _suggest_repair(path: Path) -> str:
-    return f"{FETCH_AGAIN}, or try 'rosbag reindex'" if path.suffix == ".bag" else FETCH_AGAIN
 
 
 def _select_laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: str, options: SweepOptions) -> str:

@@ -18,8 +18,8 @@ from rosbags.rosbag1.reader import ChunkInfo, Header, IndexData, RecordType
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2 import storage_mcap as mcap
 
+from evalkit_datasets.parsing.bag_file import BagDamage
 from evalkit_datasets.parsing.bag_types import NeededTypes
-from evalkit_datasets.parsing.rosbag_parser import BagDamage
 from evalkit_datasets.parsing.unpacking import UnpackedTooMuch
 
 MAGIC_1, MAGIC_MCAP = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"

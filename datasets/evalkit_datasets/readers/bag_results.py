@@ -20,7 +20,7 @@ from evalkit.io.map_server import MAX_PIXELS, log_odds_of_percent
 from evalkit.io.timestamps import order_stamps
 from evalkit.io.tum import TumFile
 from evalkit.plugins.result_files import ResultReader
-from evalkit_datasets.parsing import rosbag_parser, sweeps
+from evalkit_datasets.parsing import bag_file, rosbag_parser, sweeps
 from evalkit_datasets.parsing.transforms import matrix_from_quaternion, planar_pose_from_matrix
 
 POSES = {
@@ -51,7 +51,7 @@ def read_trajectory(path: Path, query: Mapping[str, str]) -> TumFile:
     A topic holds PoseStamped, PoseWithCovarianceStamped, TransformStamped, Odometry or Path messages; of Path messages
     the last is taken, which holds the corrected poses. Raises BadData with what the bag holds.
     """
-    with rosbag_parser.open_bag(path) as reader:
+    with bag_file.open_bag(path) as reader:
         if "tf" in query:
             return _read_chain(path, reader, query["tf"])
         topic, kind = _select_topic(path, reader, query.get("topic", ""), TRAJECTORIES, "topic")
@@ -63,7 +63,7 @@ def read_grid(path: Path, topic: str) -> tuple[OccupancyGrid, Pose]:
 
     Cells of -1 are not observed; 0 to 100 is the probability in percent, limited to that of map_server's walls.
     """
-    with rosbag_parser.open_bag(path) as reader:
+    with bag_file.open_bag(path) as reader:
         name, _ = _select_topic(path, reader, topic, (GRID,), "map")
         last = None
         for _, _, raw in _messages(reader, name, (GRID,)):
@@ -73,7 +73,7 @@ def read_grid(path: Path, topic: str) -> tuple[OccupancyGrid, Pose]:
         return _parse_grid(path, name, reader.deserialize(last, GRID))
 
 
-READER = ResultReader(rosbag_parser.SUFFIXES, read_trajectory, read_grid)
+READER = ResultReader(bag_file.SUFFIXES, read_trajectory, read_grid)
 
 
 @dataclass(eq=False)
@@ -262,7 +262,7 @@ def _messages(reader: Any, topic: str, kinds: tuple[str, ...]) -> Iterator[tuple
 
 def _transforms(reader: Any) -> Iterator[tuple[str, Any]]:
     """Yield every transform with its topic."""
-    for connection, message, _ in rosbag_parser.iter_messages(reader, rosbag_parser.TRANSFORMS):
+    for connection, message, _ in bag_file.iter_messages(reader, rosbag_parser.TRANSFORMS):
         for stamped in message.transforms:
             yield connection.topic, stamped
 

@@ -26,6 +26,7 @@ from evalkit.io.timestamps import order_stamps
 from evalkit.plugins.parameters import Parameter
 from evalkit.plugins.specs import DatasetSpec
 from evalkit_datasets.parsing import cloud_slice, rosbag_parser, truth_files
+from evalkit_datasets.parsing.bag_file import FETCH_AGAIN
 from evalkit_datasets.parsing.buffers import PoseBuffer, sort_by_rank
 from evalkit_datasets.parsing.cloud_slice import CloudSlice
 from evalkit_datasets.parsing.columns_layout import LENGTH_UNITS
@@ -142,7 +143,7 @@ class RosBag:
                 str(self._path),
                 "",
                 f"all {contents.damaged} laser messages are implausible (angles, limits or number of beams)",
-                rosbag_parser.FETCH_AGAIN,
+                FETCH_AGAIN,
             )
         return {
             "scans out of order": whole.backwards,

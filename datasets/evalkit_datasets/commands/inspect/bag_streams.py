@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, RecordingStreams, ScanSample, Topic
-from evalkit_datasets.parsing import rosbag_parser
+from evalkit_datasets.parsing import bag_file, rosbag_parser
 from evalkit_datasets.parsing.robots import find_foreign_topics
 from evalkit_datasets.parsing.rosbag_parser import ODOMETRY_FRAME, Contents
 from evalkit_datasets.parsing.sweeps import CLOUD, LASER_SCAN, MessageFields, Sweep, SweepOptions, guess_fields
@@ -47,14 +47,14 @@ def read_bag_streams(
     """
     taken: dict[str, _TopicContent] = {}
     tree = Contents()
-    with rosbag_parser.open_bag(path) as reader:
+    with bag_file.open_bag(path) as reader:
         tree.tree.near_ns, tree.tree.odometry_parents = int(reader.start_time), frozenset({ODOMETRY_FRAME})
         seconds = max((reader.end_time - reader.start_time) * 1e-9, 0.0)
         topics = [
             Topic(name, str(about.msgtype), int(about.msgcount), _message_rate_hz(int(about.msgcount), seconds))
             for name, about in sorted(reader.topics.items())
         ]
-        unusual, damage = _find_unusual_sweeps(reader), rosbag_parser.find_damage(reader)
+        unusual, damage = _find_unusual_sweeps(reader), bag_file.find_damage(reader)
         has_laser = any(one.msgtype in rosbag_parser.LASER and one.msgcount for one in reader.connections)
         kinds = WANTED - {CLOUD} if has_laser else WANTED
         wanted = [one for one in reader.connections if one.msgtype in kinds or one.topic in unusual]

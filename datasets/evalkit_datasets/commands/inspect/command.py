@@ -21,7 +21,7 @@ from evalkit_datasets.commands.inspect.inspector import CARMEN, Inspection, find
 from evalkit_datasets.commands.inspect.layout_proposal import LayoutProposal, propose_layout
 from evalkit_datasets.commands.inspect.log_streams import COLUMNS_KIND
 from evalkit_datasets.commands.inspect.suggested_config import SuggestedConfig, suggest_config
-from evalkit_datasets.parsing import rosbag_parser
+from evalkit_datasets.parsing import bag_file
 from evalkit_datasets.parsing.carmen_parser import is_carmen
 
 STYLES: Mapping[Level, str] = {"problem": "red", "warning": "yellow", "note": ""}
@@ -66,7 +66,7 @@ def inspect(
 
 def _propose(file: Path) -> LayoutProposal | None:
     """Return a layout for a text log in columns that has none beside it."""
-    if file.is_dir() or file.suffix in rosbag_parser.SUFFIXES or find_reader_name(file) != CARMEN or is_carmen(file):
+    if file.is_dir() or file.suffix in bag_file.SUFFIXES or find_reader_name(file) != CARMEN or is_carmen(file):
         return None
     try:
         return propose_layout(file)

@@ -22,7 +22,7 @@ from evalkit_datasets.commands.inspect.odometry_findings import (
 from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats
 from evalkit_datasets.commands.inspect.streams import RecordingStreams
 from evalkit_datasets.commands.inspect.turn_comparison import TurnComparison
-from evalkit_datasets.parsing.rosbag_parser import BagDamage
+from evalkit_datasets.parsing.bag_file import BagDamage
 
 
 def collect_findings(

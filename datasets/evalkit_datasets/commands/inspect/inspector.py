@@ -19,7 +19,7 @@ from evalkit_datasets.commands.inspect.range_stats import measure_ranges
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, RecordingStreams, Topic
 from evalkit_datasets.commands.inspect.timing import measure_clock_offset, measure_timing
 from evalkit_datasets.commands.inspect.turn_comparison import TurnComparison, compare_turns
-from evalkit_datasets.parsing import carmen_parser, rosbag_parser
+from evalkit_datasets.parsing import bag_file, carmen_parser
 from evalkit_datasets.parsing.columns_layout import is_described
 from evalkit_datasets.parsing.sweeps import SweepOptions, parse_fields
 
@@ -87,7 +87,7 @@ def _measure_odometry(wheels: OdometryStream, laser: LaserStream | None) -> Odom
 
 def find_reader_name(path: Path) -> str:
     """Return the name of the reader of a recording: plug-ins are asked by content first; a CARMEN log is the rest."""
-    if path.is_dir() or path.suffix in rosbag_parser.SUFFIXES:
+    if path.is_dir() or path.suffix in bag_file.SUFFIXES:
         found = adhoc_experiment.find_reader(path)
         return found[0] if found is not None else ROSBAG
     found = adhoc_experiment.find_reader(path)

@@ -12,7 +12,7 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.se2 import Floats, Stamps
-from evalkit_datasets.parsing.rosbag_parser import BagDamage
+from evalkit_datasets.parsing.bag_file import BagDamage
 from evalkit_datasets.parsing.transforms import TransformTree
 
 
