@@ -31,8 +31,9 @@ from evalkit_datasets.commands.inspect.odometry_stats import TwistComparison, me
 from evalkit_datasets.commands.inspect.page import build_document
 from evalkit_datasets.commands.inspect.range_stats import find_no_return_codes, measure_ranges
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
-from evalkit_datasets.commands.inspect.suggested_config import best_lidar, is_named_as_truth, suggest_config
+from evalkit_datasets.commands.inspect.suggested_config import best_lidar, suggest_config
 from evalkit_datasets.commands.inspect.timing import ClockOffset, measure_clock_offset, measure_timing
+from evalkit_datasets.commands.inspect.truth_choices import is_named_as_truth
 from evalkit_datasets.commands.inspect.turn_comparison import compare_turns
 
 DATA = Path(os.environ.get("EVALKIT_DATA") or "absent")
