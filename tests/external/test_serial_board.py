@@ -47,7 +47,7 @@ TRAPS = ["-fsanitize=float-cast-overflow", "-fsanitize-undefined-trap-on-error"]
 def make_firmware(tmp_path_factory):
     """Return what links the example firmware, with compiler options, as a program that traps undefined conversions."""
     folder = tmp_path_factory.mktemp("firmware")
-    sources = [*(CORE / "src").glob("*.c"), CORE / "board" / "link.c"]
+    sources = [*(CORE / "src").glob("*.c"), CORE / "board" / "link.c", CORE / "board" / "message.c"]
     subprocess.run([CC, *FLAGS, "-c", *map(str, sources)], cwd=folder, check=True)
 
     def make(name, *options, port=CORE / "board" / "host.c"):
