@@ -19,12 +19,14 @@ def seeds() -> list[bytes]:
         for k in range(3)
     )
     raw = "".join(f"RAWLASER1 0 -1.5 3.0 1.5 30 0.01 0 3 1.0 2.0 81.91 0 {k}.5 host {k}.5\n" for k in range(3))
+    old = "".join(f"LASER3 180 {beams} {k}.5 host {k}.5\n" for k in range(3))
     odometry = "".join(f"ODOM {k} 0 0 0 0 0 {k}.0 host {k}.0\n" for k in range(5))
     gmapping = f"LASER_READING 180 {beams} 0 0 0 1.0\nLASER_READING 180 {beams} 0 0 0 2.0\nNEFF 3\n"
     logs = [
         flaser,
         robot,
         raw,
+        old,
         odometry + robot,
         gmapping,
         "PARAM robot_frontlaser_offset 0.1\nVERTEX2 1 0 0 0\n" + robot,
