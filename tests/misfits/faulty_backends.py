@@ -190,6 +190,20 @@ class Leaks(Sound):
         return super().register(target, source, guess)
 
 
+class Remembers(Sound):
+    """Keeps a number of each question in a list, and looks at all of them many times in each call."""
+
+    def __init__(self):
+        super().__init__()
+        self.kept = []
+
+    def register(self, target, source, guess):
+        self.kept.append(len(source))
+        for number in 20 * self.kept:
+            abs(number)
+        return super().register(target, source, guess)
+
+
 class Segfault(Sound):
     """Dereferences a null pointer if the source is empty."""
 
