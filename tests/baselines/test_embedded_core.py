@@ -55,7 +55,7 @@ def build_core(folder, options, targets=()):
 
 
 def run_tool(*command):
-    answer = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=1200, check=False)
     assert answer.returncode == 0, f"{' '.join(command)}\n{answer.stdout[-4000:]}\n{answer.stderr[-4000:]}"
     return answer.stdout
 
@@ -436,7 +436,7 @@ def test_another_project_finds_the_installed_core_and_uses_the_memory_stated_in_
         ["cmake", "-S", str(tmp_path), "-B", robot, f"-DCMAKE_PREFIX_PATH={there}", *debug],
         ["cmake", "--build", robot],
     ):
-        answer = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=1200, check=False)
         assert answer.returncode == 0, f"{' '.join(command)}\n{answer.stdout[-4000:]}\n{answer.stderr[-4000:]}"
     told = [subprocess.check_output([f"{robot}/robot{bits}"], text=True).split() for bits in (64, 32)]
     table = (FOLDER / "README.md").read_text(encoding="utf-8").partition("## Memory")[2].splitlines()[4:10]

@@ -253,7 +253,7 @@ def defaults(dataset):
 
 def test_a_library_that_hangs_when_loaded_fails(build_variant, run_backend, monkeypatch):
     monkeypatch.setattr(library, "LOADING_S", 0.5)
-    begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(60); }"
+    begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(3600); }"
     outcome, _ = run_backend(build_variant("#include <math.h>", begin))
     assert (outcome.status, "was not loaded within 0.5 s" in outcome.reason) == ("failed", True)
 

@@ -235,14 +235,6 @@ class Hangs(Sound):
         return super().register(target, source, guess)
 
 
-class Slow(Sound):
-    """Needs 0.4 s for a large cloud."""
-
-    def register(self, target, source, guess):
-        time.sleep(0.4 * (max(len(target), len(source)) > 60_000))
-        return super().register(target, source, guess)
-
-
 class Hogs(Sound):
     """Allocates memory in proportion to its input."""
 
@@ -427,7 +419,7 @@ def parameterised(stop: int) -> Sound:
 
 
 SOUND = spec(Sound)
-SEGFAULT, ALWAYS_SEGFAULT, EXITS, HANGS, SLOW, HOGS = map(spec, (Segfault, AlwaysSegfault, Exits, Hangs, Slow, Hogs))
+SEGFAULT, ALWAYS_SEGFAULT, EXITS, HANGS, HOGS = map(spec, (Segfault, AlwaysSegfault, Exits, Hangs, Hogs))
 LEAKS, ABSENT, RAISES, MATRIX = map(spec, (Leaks, Absent, Raises, Matrix))
 PARAMETERISED = spec(parameterised, parameters=(Parameter("stop", 1, "", "13 ends badly", low=1),))
 MISSING = spec(Sound, missing=lambda: "not installed: pip install nothing")

@@ -176,7 +176,7 @@ def test_a_point_of_a_slam_scores_its_corrected_poses_and_a_wrong_end_is_a_failu
 
 @pytest.mark.slow
 @pytest.mark.thorough
-def test_a_killed_study_resumes_without_repeating_finished_points(file, tmp_path):
+def test_a_killed_study_resumes_without_repeating_finished_points(file, tmp_path, wait_for):
     kept = tmp_path / "out" / "results"
     command = [
         sys.executable,
@@ -190,9 +190,7 @@ def test_a_killed_study_resumes_without_repeating_finished_points(file, tmp_path
         "1",
     ]
     first = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-    deadline = time.monotonic() + 120
-    while len(list(kept.glob("*.npz"))) < 3 and first.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.01)
+    assert wait_for(lambda: len(list(kept.glob("*.npz"))) >= 3 or first.poll() is not None)
     os.killpg(first.pid, signal.SIGKILL)
     first.wait()
     before = {path: path.stat().st_mtime_ns for path in kept.glob("*.npz")}
