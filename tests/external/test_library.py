@@ -253,7 +253,7 @@ def defaults(dataset):
 
 def test_a_library_that_hangs_when_loaded_fails(build_variant, run_backend, monkeypatch):
     monkeypatch.setattr(library, "LOADING_S", 0.5)
-    begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(3600); }"
+    begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(120); }"
     outcome, _ = run_backend(build_variant("#include <math.h>", begin))
     assert (outcome.status, "was not loaded within 0.5 s" in outcome.reason) == ("failed", True)
 
@@ -278,7 +278,7 @@ def test_nothing_is_left_of_a_process_that_a_library_starts_when_it_is_described
         fprintf(file, "%d", getpid());
         fclose(file);
         close(ends[1]);
-        sleep(3600);
+        sleep(900);
     }}"""
     spec = registry.backend(build_variant("#include <math.h>", begin + "\n#include <math.h>"))
     assert spec.broken == ""

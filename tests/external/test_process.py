@@ -110,7 +110,7 @@ def test_a_back_end_that_reports_no_device_time_has_none(program, run_backend):
         ("sys.stderr.write('no such device: /dev/lidar'); sys.exit(3)", "ended with code 3 instead of answering"),
         ("sys.stderr.write('no such device: /dev/lidar'); sys.exit(3)", "last message: no such device: /dev/lidar"),
         ("import os; os.kill(os.getpid(), 11)", "ended with SIGSEGV"),
-        ("sys.stdout.close(); import os; os.close(1); time.sleep(3600)", "closed its output without an answer"),
+        ("sys.stdout.close(); import os; os.close(1); time.sleep(120)", "closed its output without an answer"),
         ("say(pose=[x, float('nan'), 0.0])", "expected finite numbers"),
         ("say(pose=[x, 0.0])", "expected three numbers"),
         ("say(pose=[x, 0.0, 0.0], elapsed_ns='long')", "'elapsed_ns': 'long', expected a number"),
@@ -139,7 +139,7 @@ def test_a_program_with_an_invalid_answer_fails_with_a_reason(
     if "hang()" in answer:
         clock = SimpleNamespace(monotonic=seconds_since_it_hangs, clock_gettime_ns=time.clock_gettime_ns)
         monkeypatch.setattr(program_module, "time", clock)
-        answer = answer.replace("hang()", f"open({str(hangs)!r}, 'w').close(); time.sleep(3600)")
+        answer = answer.replace("hang()", f"open({str(hangs)!r}, 'w').close(); time.sleep(120)")
     if "closed" in said:
         monkeypatch.setattr(program_module, "EXIT_WAIT_S", 0.5)
     outcome, steps = run_backend(program(answer), answer_timeout_s=0.5 if "sleep" in answer else 300.0)
@@ -180,7 +180,7 @@ def test_a_program_may_flood_its_standard_error_and_still_answer(program, run_ba
 def test_a_program_ends_with_what_it_has_started(tmp_path, has_ended):
     """The shell starts another program and waits for it: killing the shell alone would leave it."""
     script = tmp_path / "program.sh"
-    script.write_text('sleep 3600 & echo "{\\"pid\\": $!}"; read question; wait\n')
+    script.write_text('sleep 900 & echo "{\\"pid\\": $!}"; read question; wait\n')
     session = Program("mine", ["sh", str(script)], 300.0)
     pid = json.loads(session._stdout.readline())["pid"]
     assert psutil.pid_exists(pid)
@@ -217,7 +217,7 @@ def test_answers_before_the_end_are_kept(program, run_backend):
         ("say(protocol=1, kind='odometry', parameters=[{'name': 'a', 'default': 1}] * 2)", "unique names"),
         ("say(protocol=1, kind='odometry', parameters=[{'name': f'p{i}'} for i in range(9999)])", "at most 1000"),
         ("print('hello!', flush=True)", "not one line of JSON: hello!"),
-        ("time.sleep(3600)", "no answer within 0.3 s"),
+        ("time.sleep(120)", "no answer within 0.3 s"),
     ],
 )
 def test_a_program_without_a_valid_description_has_failed(program, run_backend, monkeypatch, hello, said):

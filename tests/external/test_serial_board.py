@@ -328,7 +328,7 @@ def test_a_timeout_that_is_none_and_no_tries_are_refused(monkeypatch, capsys, wo
 def test_a_program_behind_the_line_ends_with_a_killed_bridge(has_ended):
     script = (
         "import time; from evalkit.external.serial_line import open_command\n"
-        "print(open_command(['sleep', '3600']).process.pid, flush=True); time.sleep(3600)"
+        "print(open_command(['sleep', '900']).process.pid, flush=True); time.sleep(900)"
     )
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as bridge:
         assert bridge.stdout is not None

@@ -142,7 +142,7 @@ def test_a_plug_in_whose_import_crashes_or_hangs_is_reported_as_missing(stranger
 
 def test_the_trial_import_of_a_plug_in_ends_what_it_leaves_behind(tmp_path, monkeypatch, has_ended):
     left = tmp_path / "left"
-    starts = "subprocess.Popen(['sleep', '3600']).pid"
+    starts = "subprocess.Popen(['sleep', '900']).pid"
     (tmp_path / "leaves_a_process.py").write_text(
         f"import subprocess\nfrom pathlib import Path\nPath({str(left)!r}).write_text(str({starts}))\n"
     )
