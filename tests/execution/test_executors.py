@@ -49,7 +49,7 @@ def plan(*faults, timed=True, **sequence):
         "method": [{"use": "faulty", "label": f"{k} {fault}", "fault": fault} for k, fault in enumerate(faults)],
         "sequence": [{"use": "straight", **sequence}],
         "mapper": {"resolution_m": 0.25},
-        "limits": {"run_s": 60.0, "scan_s": 30.0},
+        "limits": {"run_s": 600.0, "scan_s": 300.0},
     }
     return experiment_from_tables(content, "t.toml", "t", "compare t.toml")
 

@@ -51,7 +51,7 @@ class LimitsFromScan:
 
 
 def request(fault="none", at=AT, **dataset):
-    sequence = {"scans": SCANS, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0, **dataset}
+    sequence = {"scans": SCANS, "backwards": 0, "file": "", "breaks": False, "reads_until": "", **dataset}
     return Request("faulty", {"fault": fault, "at": at}, "straight", sequence)
 
 
@@ -286,6 +286,15 @@ def test_a_folder_that_cannot_be_written_is_a_store_error(tmp_path):
         run_process.run(request(), tmp_path / "absent", HASTE, lambda _: None, threading.Event())
 
 
-def test_indexing_a_long_recording_does_not_count_as_a_missing_answer(tmp_path):
-    run = execute_run(tmp_path / "run", request(reads_s=5.0), replace(HASTE, scan_s=2.5))
+def test_indexing_a_long_recording_does_not_count_as_a_missing_answer(strangers, tmp_path, monkeypatch):
+    """It ends once the time without an answer, which a limit is compared with, has been seen to begin again."""
+    begun_again = tmp_path / "begun again"
+
+    def watch(_limits, used, last_answer, _peak_bytes, answered):
+        if answered == 0 and last_answer.wall_s == used.wall_s > 0.0:
+            begun_again.touch()
+
+    monkeypatch.setattr(run_process, "_broken_limit", watch)
+    run = execute_run(tmp_path / "run", request(reads_until=str(begun_again)))
     assert (run.status, run.reason) == ("complete", "")
+    assert begun_again.exists()

@@ -242,7 +242,7 @@ def test_a_library_that_crashes_ends_only_its_own_run(build_variant, tmp_path):
         "*answer = *frame->odom_from_base;", "(void)frame; *(volatile int *)answer = 0; __builtin_trap();"
     )
     request = Request(name, {}, "room", {**defaults("room"), "laps": 0.02})
-    run = run_process.run(request, tmp_path, Limits(60, 30, 2048), lambda _: None, threading.Event())
+    run = run_process.run(request, tmp_path, Limits(600, 300, 2048), lambda _: None, threading.Event())
     assert run.status == "crashed"
     assert "SIGILL" in run.reason or "SIGTRAP" in run.reason
 

@@ -160,7 +160,7 @@ def test_a_design_without_effects_is_named_with_the_reason(strangers):
 
 def test_a_point_of_a_slam_scores_its_corrected_poses_and_a_wrong_end_is_a_failure(strangers):
     mapper = resolve_parameters("log-odds", registry.mapper("log-odds").parameters, {})
-    drive = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0}
+    drive = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_until": ""}
     point = {"backend": "faulty-slam", "dataset": "straight", "sequence": drive, "mapper": "log-odds", "code": "",
              "mapper_parameters": mapper, "scans": 3,
              "metrics": ("ate_rmse_m", "final_ate_rmse_m", "final_pair_error", "closures_accepted")}  # fmt: skip
