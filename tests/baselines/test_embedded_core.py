@@ -186,7 +186,7 @@ ANY_POINTS = st.integers(0, 30).flatmap(
 
 @needs_core
 @pytest.mark.parametrize("precision", PRECISIONS)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     ANY_POINTS,
     ANY_POINTS,
@@ -220,7 +220,7 @@ def test_for_any_input_a_registration_is_valid_or_raises(precision, target, sour
 
 @needs_core
 @pytest.mark.parametrize("precision", PRECISIONS)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(ANY_POINTS, ANY_POINTS, st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER))
 def test_for_any_input_a_map_is_updated_or_stays_unchanged(precision, hits, misses, pose):
     core = compiled.load_core(precision)
@@ -241,7 +241,7 @@ def test_for_any_input_a_map_is_updated_or_stays_unchanged(precision, hits, miss
 
 @needs_core
 @pytest.mark.parametrize("precision", PRECISIONS)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     arrays.arrays(np.float64, st.integers(0, 40), elements=ANY_NUMBER | st.floats(0.2, 10.0)),
     st.integers(-(2**63), 2**63 - 3),

@@ -143,7 +143,7 @@ def _measure(
         work_ns = _quick(np.array([_cpu_ns(_work) for _ in range(100)]))
         heap, taken, slowest_ns = _run_batches(call, size, work_ns)
     again = np.zeros(0)
-    if _leak_bytes(heap, size, kept_bytes) > 0.0 or _is_slower(taken):  # caches fill: a fault shows a second time
+    if _leak_bytes(heap, size, kept_bytes) > 0.0 or _rises(taken):  # caches fill: a fault shows a second time
         # twice as many: a table that doubles its size does so again
         heap, again, slowest_again_ns = _run_batches(call, 2 * size, work_ns)
         slowest_ns = max(slowest_ns, slowest_again_ns)
@@ -204,20 +204,20 @@ def _quick(times_ns: Floats) -> float:
     return float(np.quantile(times_ns, 0.25))
 
 
-def _is_slower(taken_ns: Floats) -> bool:
+def _rises(taken_ns: Floats) -> bool:
     """Whether the times (B,) of calls end higher than they begin, by more than a clock's noise."""
     begin, end = _ends(taken_ns)
     return end > SLOWER * begin and end - begin > SLOWER_NS
 
 
-def _is_ever_slower(taken_ns: Floats, again_ns: Floats) -> bool:
+def _rises_twice(taken_ns: Floats, again_ns: Floats) -> bool:
     """Whether calls become slower in a measurement, and again in the next one, of twice as many calls.
 
     What happens once is no fault: another program begins and slows the machine down, or a cache fills. Where each call
     costs more than the one before, the second rise is twice the first one. With the square root of the number of calls
     it is as large. Where it is half the first one, as with the logarithm of the number, the calls count as steady.
     """
-    if not len(again_ns) or not _is_slower(taken_ns):
+    if not len(again_ns) or not _rises(taken_ns):
         return False
     (begin, end), (begin_again, end_again) = _ends(taken_ns), _ends(again_ns)
     rises_again = end_again - begin_again > AGAIN * (end - begin)
@@ -265,7 +265,7 @@ def check_slowdown(fixture: Endurance) -> str:
     first, last = found.call_ns[0], [*found.call_ns, *found.call_again_ns][-1]
     observed = f"a call takes {1e-3 * first:.3g} us at first, {1e-3 * last:.3g} us after {found.calls} calls"
     observed += f"; the slowest took {1e-6 * found.slowest_ns:.3g} ms, waiting included" if found.slowest_ns else ""
-    if _is_ever_slower(found.call_ns, found.call_again_ns):
+    if _rises_twice(found.call_ns, found.call_again_ns):
         raise RuleBroken(f"{observed}: every call costs more than the one before")
     return observed
 
