@@ -9,6 +9,7 @@ import platform
 import shutil
 import signal
 import struct
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +19,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
+import hypothesis
 import numpy as np
 import psutil
 import pytest
@@ -46,6 +48,15 @@ pytest_plugins = ["pytester"]
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in a background job; processes started by tests inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+hypothesis.settings.register_profile(  # a busy machine is no finding
+    "evalkit", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("evalkit")
+
+PATIENCE_S = 300.0
+"""How long a test waits for what comes at once on an idle machine: it ends a test that would wait for ever."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -193,9 +204,30 @@ def browser() -> Iterator[Any]:
     if program is None:
         pytest.skip(f"no browser found, none of: {', '.join(BROWSERS)}")
     with playwright.sync_playwright() as running:
-        started = running.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
-        yield started
+        started = running.chromium.launch(
+            executable_path=program, args=["--no-sandbox", "--disable-gpu"], timeout=1e3 * PATIENCE_S
+        )
+        yield _PatientBrowser(started)
         started.close()
+
+
+class _PatientBrowser:
+    """A browser whose pages wait long enough for a busy machine."""
+
+    def __init__(self, browser: Any) -> None:
+        self._browser = browser
+
+    def new_context(self, **options: Any) -> Any:
+        """Open a context."""
+        context = self._browser.new_context(**options)
+        context.set_default_timeout(1e3 * PATIENCE_S)
+        return context
+
+    def new_page(self, **options: Any) -> Any:
+        """Open a page in a context of its own."""
+        page = self._browser.new_page(**options)
+        page.set_default_timeout(1e3 * PATIENCE_S)
+        return page
 
 
 @pytest.fixture(scope="session")
@@ -365,19 +397,57 @@ def run_backend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.fixture(scope="session")
-def has_ended() -> Callable[[int], bool]:
-    """Return a function that waits up to 10 s for the end of a process, which may be a stranger's zombie then."""
+def wait_for() -> Callable[[Callable[[], Any]], bool]:
+    """Return a function that waits until a condition is true; False after ``PATIENCE_S``."""
 
-    def wait(pid: int) -> bool:
-        until = time.monotonic() + 10.0
-        with contextlib.suppress(psutil.NoSuchProcess):
-            while psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
-                if time.monotonic() > until:
-                    return False
-                time.sleep(0.01)
+    def wait(is_true: Callable[[], Any]) -> bool:
+        until = time.monotonic() + PATIENCE_S
+        while not is_true():
+            if time.monotonic() > until:
+                return False
+            time.sleep(0.01)
         return True
 
     return wait
+
+
+@pytest.fixture(scope="session")
+def has_ended(wait_for: Callable[[Callable[[], Any]], bool]) -> Callable[[int], bool]:
+    """Return a function that waits for the end of a process, which may be a stranger's zombie then."""
+
+    def is_over(pid: int) -> bool:
+        try:
+            return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+        except psutil.NoSuchProcess:
+            return True
+
+    return lambda pid: wait_for(lambda: is_over(pid))
+
+
+class CallCount:
+    """Counts the functions that this thread calls, in Python and in C: a cost that no other program changes."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def _count(self, _frame: object, event: str, _argument: object) -> None:
+        self.calls += event.endswith("call")
+
+    @contextlib.contextmanager
+    def counting(self) -> Iterator[None]:
+        """Count from here on."""
+        before = sys.getprofile()
+        sys.setprofile(self._count)
+        try:
+            yield
+        finally:
+            sys.setprofile(before)
+
+
+@pytest.fixture
+def call_count() -> CallCount:
+    """A count of calls, from 0 on."""
+    return CallCount()
 
 
 @pytest.fixture

@@ -236,7 +236,7 @@ def test_a_module_that_compares_a_class_of_its_own_on_import_is_refused(tmp_path
     for given in ("Keep", "'own:Keep'"):
         (tmp_path / "own.py").write_text(f"import evalkit\n{KEEP}\nevalkit.compare('drive.log', [{given}], limit=8)\n")
         ended = subprocess.run(
-            [sys.executable, "-c", "import own"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=100
+            [sys.executable, "-c", "import own"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=600
         )
         assert "the module own is being imported" in ended.stderr
         assert "move the comparison to another file" in ended.stderr

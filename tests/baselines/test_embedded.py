@@ -125,7 +125,7 @@ CLOUDS = st.lists(st.tuples(COORDINATES, COORDINATES), max_size=40).map(lambda r
 
 
 @needs_core
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(CLOUDS, CLOUDS, st.tuples(*[st.floats(-0.4, 0.4)] * 3))
 def test_for_any_clouds_the_result_is_finite_repeatable_and_within_the_tolerance(target, source, guess):
     icp = make_plugin(embedded.SPEC, one_to_one=False, max_correspondence_m=0.0, epsilon=1e-6)

@@ -294,7 +294,7 @@ def test_the_search_of_a_site_opened_from_disk_finds_a_metric_without_a_network(
     page.goto((built / "index.html").as_uri())
     page.click("[data-md-component=search-query]")
     page.keyboard.type("wall_thickness")
-    page.wait_for_selector(".md-search-result__item a[href*='reference/metrics.html']", timeout=20_000)
+    page.wait_for_selector(".md-search-result__item a[href*='reference/metrics.html']")
     page.close()
     assert [url for url in asked_for if not url.startswith(("file:", "data:", "about:"))] == []
 

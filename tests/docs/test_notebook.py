@@ -22,7 +22,7 @@ def test_the_notebook_runs_and_shows_tables_figures_and_the_refusal_of_a_class_i
     monkeypatch.delenv("MPLBACKEND", raising=False)  # which a command run in this process sets
     notebook = nbformat.read(NOTEBOOK, 4)
     assert not any(cell.get("outputs") for cell in notebook.cells)  # none are stored: this test makes them
-    nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    nbclient.NotebookClient(notebook, timeout=1200, resources={"metadata": {"path": str(tmp_path)}}).execute()
     shown = [out for cell in notebook.cells for out in cell.get("outputs", ())]
     data = [out["data"] for out in shown if "data" in out]
     assert sum("image/png" in one for one in data) == 3

@@ -37,7 +37,7 @@ ROOM = {"laps": 0.02, "seed": 3}
 
 def execute_request(folder, backend="wheel-odometry", parameters=None, dataset="straight", sequence=None):
     if dataset == "straight":
-        sequence = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0, **(sequence or {})}
+        sequence = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_until": "", **(sequence or {})}
     request = Request(backend, parameters or {}, dataset, sequence or {})
     result, steps = one_run.execute_request(request, folder), folder / "steps.bin"
     return result, whole_records(steps.read_bytes() if steps.exists() else b"")
@@ -249,7 +249,7 @@ class FullDisk(io.RawIOBase):
 
 @pytest.mark.parametrize("space", [3 * STEP.itemsize, 3 * STEP.itemsize + 7])
 def test_a_full_disk_is_a_fault_of_the_machine_and_no_record_begins_inside_another(space):
-    parameters = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0}
+    parameters = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_until": ""}
     sequence = registry.dataset("straight").make(**parameters)
     odometry = registry.backend("faulty").make(fault="none", at=0)
     disk = FullDisk(space)

@@ -104,7 +104,7 @@ def scoring():
 
 def test_a_file_is_written_for_the_first_run_and_deleted_after_the_last(tmp_path, scoring):
     specs = list(plan("a", "b").runs())
-    with SharedFrames(tmp_path, specs, scoring, 60.0) as shared:
+    with SharedFrames(tmp_path, specs, scoring, 600.0) as shared:
         with shared.of_run(specs[0], None) as first:
             assert len(list(StoredFrames(first).frames())) == 12
         with shared.of_run(specs[1], None) as second:
@@ -115,16 +115,16 @@ def test_a_file_is_written_for_the_first_run_and_deleted_after_the_last(tmp_path
 
 def test_files_of_a_killed_process_are_deleted_and_nothing_else(tmp_path, scoring):
     spec, *_ = plan("a").runs()
-    killed = SharedFrames(tmp_path, [spec], scoring, 60.0)
+    killed = SharedFrames(tmp_path, [spec], scoring, 600.0)
     with killed.of_run(spec, None) as file:
         Path(f"{file.path}.0123.part").touch()
         kept = Path(file.path).read_bytes()
-        with SharedFrames(tmp_path, [], scoring, 60.0):
+        with SharedFrames(tmp_path, [], scoring, 600.0):
             assert not (tmp_path / FOLDER).exists()
     (tmp_path / FOLDER).mkdir()
     Path(file.path).write_bytes(kept)
     (tmp_path / FOLDER / "of the user.txt").touch()
-    with SharedFrames(tmp_path, [], scoring, 60.0):
+    with SharedFrames(tmp_path, [], scoring, 600.0):
         assert [path.name for path in (tmp_path / FOLDER).iterdir()] == ["of the user.txt"]
 
 
@@ -135,12 +135,12 @@ def test_a_link_in_place_of_the_folder_is_not_followed(tmp_path, scoring):
     (elsewhere / "a.frames").touch()
     (results / FOLDER).symlink_to(elsewhere)
     spec, *_ = plan("a").runs()
-    with SharedFrames(results, [spec], scoring, 60.0) as shared, shared.of_run(spec, None) as file:
+    with SharedFrames(results, [spec], scoring, 600.0) as shared, shared.of_run(spec, None) as file:
         assert file is None  # nothing is written through the link either
     assert [path.name for path in elsewhere.iterdir()] == ["a.frames"]
 
 
-@pytest.mark.parametrize("sequence", [{"file": __file__ + " is gone"}, {"reads_s": 5.0}])
+@pytest.mark.parametrize("sequence", [{"file": __file__ + " is gone"}, {"reads_until": __file__ + " never"}])
 def test_a_run_reads_data_itself_that_cannot_be_read_in_time(tmp_path, scoring, sequence):
     """The run then tells why: the file is gone, or the limit of a run is over."""
     spec, *_ = plan("a", **{**sequence, "file": ""}).runs()
@@ -152,5 +152,5 @@ def test_a_run_reads_data_itself_that_cannot_be_read_in_time(tmp_path, scoring, 
 def test_a_run_in_a_known_map_reads_the_data_itself(tmp_path, scoring):
     """Its start is searched with the ground truth, which the file does not hold."""
     spec, *_ = plan("a", map="truth").runs()
-    with SharedFrames(tmp_path, [spec], scoring, 60.0) as shared, shared.of_run(spec, None) as file:
+    with SharedFrames(tmp_path, [spec], scoring, 600.0) as shared, shared.of_run(spec, None) as file:
         assert file is None

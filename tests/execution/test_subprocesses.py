@@ -25,7 +25,7 @@ def test_time_that_a_run_waits_for_a_core_does_not_count_up_to_three_times_its_l
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts the time without a core")
-def test_time_without_a_core_is_read_of_another_process():
+def test_time_without_a_core_is_read_of_another_process(wait_for):
     """Two processes share one core: each waits while the other works; one that sleeps does not wait."""
     core = min(os.sched_getaffinity(0))
     spin = f"import os\nos.sched_setaffinity(0, {{{core}}})\nwhile True: pass"
@@ -37,12 +37,9 @@ def test_time_without_a_core_is_read_of_another_process():
     sleeping = "import time; print(flush=True); time.sleep(600)"
     sleeper = subprocess.Popen([sys.executable, "-c", sleeping], stdout=subprocess.PIPE)
     try:
-        deadline = time.monotonic() + 20.0
-        while min(waited_s(one) for one in children) < 0.1 and time.monotonic() < deadline:
-            time.sleep(0.02)
-        assert min(waited_s(one) for one in children) >= 0.1
+        assert wait_for(lambda: min(waited_s(one) for one in children) >= 0.1)
         sleeper.stdout.readline()  # it has started, which may have taken a while
-        time.sleep(0.1)
+        assert wait_for(lambda: psutil.Process(sleeper.pid).status() == psutil.STATUS_SLEEPING)
         before = waited_s(sleeper)
         time.sleep(0.1)
         assert waited_s(sleeper) - before < 0.05
@@ -76,7 +73,7 @@ def test_a_child_that_waits_for_a_core_without_any_cpu_time_has_three_times_its_
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts the processes it has started")
-def test_descendants_are_searched_only_after_the_system_has_started_a_process(tmp_path, monkeypatch):
+def test_descendants_are_searched_only_after_the_system_has_started_a_process(tmp_path, monkeypatch, wait_for):
     """Each search lists all processes; one process more is found by the next."""
     (tmp_path / "sleeping.py").write_text(
         "import pathlib, subprocess, sys, time\n"
@@ -93,18 +90,19 @@ def test_descendants_are_searched_only_after_the_system_has_started_a_process(tm
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with subprocesses.ChildProcess("sleeping", tmp_path) as child:
         used = child.watch()
-        until = time.monotonic() + 20.0
-        while len(child._members) < 1 and time.monotonic() < until:
-            next(used)
+        assert wait_for(lambda: next(used) and len(child._members) >= 1)
         listed = []
         monkeypatch.setattr(psutil.Process, "children", _counting(psutil.Process.children, listed))
         next(used), next(used)
         assert (len(child._members), listed) == (1, [])
         (tmp_path / "go").touch()
-        while len(child._members) < 2 and time.monotonic() < until:
+
+        def finds_another():
             planted[0] += 1
             next(used)
-        assert len(child._members) == 2
+            return len(child._members) == 2
+
+        assert wait_for(finds_another)
         assert listed
         planted[0] = None  # a system that does not count
         searches = len(listed)
@@ -148,17 +146,14 @@ if __name__ == "__main__":
 """
 
 
-def test_a_process_that_polls_only_after_its_parent_was_killed_terminates_too(tmp_path):
+def test_a_process_that_polls_only_after_its_parent_was_killed_terminates_too(tmp_path, has_ended):
     (tmp_path / "orphan.py").write_text(ORPHAN)
     said = tmp_path / "said"
     with said.open("wb") as out:  # no pipe, which the orphan would keep open
         subprocess.run([sys.executable, tmp_path / "orphan.py"], stdout=out, check=False)
     orphan = int(said.read_text())
     try:
-        until = time.monotonic() + 30.0
-        while _lives(orphan) and time.monotonic() < until:
-            time.sleep(0.05)
-        assert not _lives(orphan)
+        assert has_ended(orphan)
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.kill(orphan, signal.SIGKILL)
@@ -175,33 +170,31 @@ if os.fork() == 0:
         os.execve("/bin/sleep", ["sleep", "600"], {})
     os._exit(0)
 os.wait()
-time.sleep(2.0)  # several searches for descendants
+for _ in range(30_000):  # at most five minutes
+    if Path(sys.argv[1], "found").exists():
+        break
+    time.sleep(0.01)
 os.kill(supervisor, signal.SIGKILL)
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere orphans are found by their environment only")
-def test_a_process_that_left_everything_terminates_although_its_supervisor_was_killed(tmp_path, monkeypatch):
-    """It has another session, another parent and no environment, and evalkit's own process above it is gone."""
+def test_a_process_that_left_everything_terminates_although_its_supervisor_was_killed(tmp_path, monkeypatch, has_ended):
+    """It has another session, another parent and no environment, and evalkit's own process above it is gone.
+
+    Its supervisor is killed once a search for descendants has found it.
+    """
+    left = tmp_path / "escaped"
     (tmp_path / "escape.py").write_text(ESCAPE)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with subprocesses.ChildProcess("escape", tmp_path) as child:
         for _ in child.watch():
-            pass
+            if left.exists() and left.read_text() in {str(one.pid) for one in child._members}:
+                (tmp_path / "found").touch()
     assert child.returncode == -signal.SIGKILL
-    escaped = int((tmp_path / "escaped").read_text())
+    escaped = int(left.read_text())
     try:
-        until = time.monotonic() + 10.0
-        while _lives(escaped) and time.monotonic() < until:
-            time.sleep(0.02)
-        assert not _lives(escaped)
+        assert has_ended(escaped)
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.kill(escaped, signal.SIGKILL)
-
-
-def _lives(number):
-    try:
-        return psutil.Process(number).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False

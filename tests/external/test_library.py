@@ -242,7 +242,7 @@ def test_a_library_that_crashes_ends_only_its_own_run(build_variant, tmp_path):
         "*answer = *frame->odom_from_base;", "(void)frame; *(volatile int *)answer = 0; __builtin_trap();"
     )
     request = Request(name, {}, "room", {**defaults("room"), "laps": 0.02})
-    run = run_process.run(request, tmp_path, Limits(60, 30, 2048), lambda _: None, threading.Event())
+    run = run_process.run(request, tmp_path, Limits(600, 300, 2048), lambda _: None, threading.Event())
     assert run.status == "crashed"
     assert "SIGILL" in run.reason or "SIGTRAP" in run.reason
 
@@ -253,7 +253,7 @@ def defaults(dataset):
 
 def test_a_library_that_hangs_when_loaded_fails(build_variant, run_backend, monkeypatch):
     monkeypatch.setattr(library, "LOADING_S", 0.5)
-    begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(60); }"
+    begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(120); }"
     outcome, _ = run_backend(build_variant("#include <math.h>", begin))
     assert (outcome.status, "was not loaded within 0.5 s" in outcome.reason) == ("failed", True)
 
@@ -264,12 +264,21 @@ def test_nothing_is_left_of_a_process_that_a_library_starts_when_it_is_described
     #include <stdio.h>
     #include <unistd.h>
     __attribute__((constructor)) static void begin(void) {{
-        if (fork()) return;
+        int ends[2];
+        char said;
+        if (pipe(ends)) return;
+        if (fork()) {{
+            close(ends[1]);
+            if (read(ends[0], &said, 1) < 0) return;  /* until the child has written its number, or has ended */
+            close(ends[0]);
+            return;
+        }}
         setsid();
         FILE *file = fopen("{left}", "w");
         fprintf(file, "%d", getpid());
         fclose(file);
-        sleep(60);
+        close(ends[1]);
+        sleep(900);
     }}"""
     spec = registry.backend(build_variant("#include <math.h>", begin + "\n#include <math.h>"))
     assert spec.broken == ""

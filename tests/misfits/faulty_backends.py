@@ -190,6 +190,20 @@ class Leaks(Sound):
         return super().register(target, source, guess)
 
 
+class Remembers(Sound):
+    """Keeps a number of each question in a list, and looks at all of them many times in each call."""
+
+    def __init__(self):
+        super().__init__()
+        self.kept = []
+
+    def register(self, target, source, guess):
+        self.kept.append(len(source))
+        for number in 20 * self.kept:
+            abs(number)
+        return super().register(target, source, guess)
+
+
 class Segfault(Sound):
     """Dereferences a null pointer if the source is empty."""
 
@@ -218,14 +232,6 @@ class Hangs(Sound):
     def register(self, target, source, guess):
         while len(target) and np.ptp(target.points[:, 1]) < 1e-6:
             time.sleep(0.01)
-        return super().register(target, source, guess)
-
-
-class Slow(Sound):
-    """Needs 0.4 s for a large cloud."""
-
-    def register(self, target, source, guess):
-        time.sleep(0.4 * (max(len(target), len(source)) > 60_000))
         return super().register(target, source, guess)
 
 
@@ -413,7 +419,7 @@ def parameterised(stop: int) -> Sound:
 
 
 SOUND = spec(Sound)
-SEGFAULT, ALWAYS_SEGFAULT, EXITS, HANGS, SLOW, HOGS = map(spec, (Segfault, AlwaysSegfault, Exits, Hangs, Slow, Hogs))
+SEGFAULT, ALWAYS_SEGFAULT, EXITS, HANGS, HOGS = map(spec, (Segfault, AlwaysSegfault, Exits, Hangs, Hogs))
 LEAKS, ABSENT, RAISES, MATRIX = map(spec, (Leaks, Absent, Raises, Matrix))
 PARAMETERISED = spec(parameterised, parameters=(Parameter("stop", 1, "", "13 ends badly", low=1),))
 MISSING = spec(Sound, missing=lambda: "not installed: pip install nothing")

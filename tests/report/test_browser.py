@@ -60,7 +60,6 @@ def open_page(browser, page_file):
 
     def open_(hash_="", width=1300, **options):
         context = browser.new_context(viewport={"width": width, "height": 900}, **options)
-        context.set_default_timeout(30_000)
         contexts.append(context)
         page = context.new_page()
         page.on("console", lambda message: complaints.append(message.text))
@@ -100,7 +99,7 @@ def player_page(page):
 
 def wait_until(page, true):
     """Wait for a condition without eval, which the page forbids."""
-    for _ in range(100):
+    for _ in range(6000):
         if page.evaluate(true):
             return
         page.wait_for_timeout(50)

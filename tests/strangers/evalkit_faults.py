@@ -272,11 +272,13 @@ class Straight:
     """Scans of a box of 8 x 4 m from a base that moves 0.1 m per scan along x.
 
     ``backwards``: the number of a scan with a stamp before that of the previous one; 0: none. ``file``: must exist.
-    ``reads_s``: the duration of indexing the recording.
+    ``reads_until``: a file; indexing the recording ends once it exists, or after two minutes.
     """
 
-    def __init__(self, scans: int, backwards: int, file: str, breaks: bool, reads_s: float = 0.0) -> None:
-        time.sleep(reads_s)
+    def __init__(self, scans: int, backwards: int, file: str, breaks: bool, reads_until: str = "") -> None:
+        end_s = time.monotonic() + 120.0
+        while reads_until and not Path(reads_until).exists() and time.monotonic() < end_s:
+            time.sleep(0.01)
         if gone := _gone(file):
             raise DataMissing("straight", gone, "bring it back")
         self._stamps = np.arange(scans) * STEP_NS
@@ -377,7 +379,7 @@ STRAIGHT = DatasetSpec(
         Parameter("backwards", 0, "", "which scan has a stamp before the others; 0: none", low=0),
         Parameter("file", "", "", "a file that must be there"),
         Parameter("breaks", False, "", "whether the truth cannot be read"),
-        Parameter("reads_s", 0.0, "s", "how long it takes to look through"),
+        Parameter("reads_until", "", "", "a file: it has been looked through once this exists"),
     ),
     missing=_gone,
 )

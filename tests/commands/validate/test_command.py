@@ -32,7 +32,7 @@ EXAMPLES = INCLUDE / "examples"
 SCHEMA = json.loads((Path(plan.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
 MARGINS = [EXACT, FLOAT32]
 ROOM = {"label": "room, seed 0", "dataset": "room", "parameters": {"laps": 0.04, "seed": 0}}
-TINY = plan.Effort(pairs=4, scans=6, mapper_scans=3, timed=8, limit_s=60.0, map_scans=8)
+TINY = plan.Effort(pairs=4, scans=6, mapper_scans=3, timed=8, limit_s=600.0, map_scans=8)
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ import math
 import re
 import sqlite3
 import sys
-import time
 from contextlib import closing
 from pathlib import Path
 
@@ -576,14 +575,16 @@ def million_in_metadata(folder):
      (many_of_sqlite, "it has 200,000 topics, and at most 100,000 are read"),
      (million_in_metadata, "its metadata.yaml has 9 MiB: more topics than the 8 MiB that are read")],
 )  # fmt: skip
-def test_a_bag_with_too_many_topics_is_refused_at_once_with_what_to_do(tmp_path, write, said):
-    """An MCAP file numbers its topics with two bytes."""
+def test_a_bag_with_too_many_topics_is_refused_at_once_with_what_to_do(tmp_path, call_count, write, said):
+    """An MCAP file numbers its topics with two bytes. Each topic that is read takes several calls."""
     path = write(tmp_path)
-    began = time.process_time()
     for read in (RosBag, lambda place: inspect_recording(Path(place))):
-        with pytest.raises(BadData, match=f"{said}.*; copy the topics you need: rosbags-convert"):
+        with (
+            call_count.counting(),
+            pytest.raises(BadData, match=f"{said}.*; copy the topics you need: rosbags-convert"),
+        ):
             read(str(path))
-    assert time.process_time() - began < 1.0
+    assert call_count.calls < 100_000
 
 
 def two_robots(folder):

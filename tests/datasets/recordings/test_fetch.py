@@ -182,7 +182,8 @@ def test_the_path_of_a_catalogued_file_is_relative_to_the_data_folder(path):
     assert {entry.path for entry in catalog.load_catalog().values()}
 
 
-def test_a_server_that_answers_is_online_whatever_it_answers(register_file, server):
+def test_a_server_that_answers_is_online_whatever_it_answers(register_file, server, monkeypatch):
+    monkeypatch.setattr(fetching, "ANSWER_S", 300.0)
     register_file()
     assert why_offline(f"http://127.0.0.1:{server.server_port}/file") == ""
 

@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -41,8 +41,14 @@ NOISE_BYTES, CHILD_NOISE_BYTES = 8192, 262_144
 FILED_NOISE = 256
 """Bytes that a process may write in the meantime without a call: the interpreter's own."""
 
-SLOWER = 1.3
-"""Ratio of the time of a call in the last batch to that in the first one from which calls become slower."""
+SLOWER, SLOWER_NS = 1.2, 2000.0
+"""Ratio and difference of the times of a call in the last and the first batches above which calls become slower."""
+
+AGAIN = 0.75
+"""Share of this difference by which the times of a second measurement must rise again."""
+
+RISING = 0.8
+"""Share of all pairs of batches in which the later one must have the slower calls; in any order it is a half."""
 
 
 class Endurance(Protocol):
@@ -58,6 +64,7 @@ class Endurance(Protocol):
 class ResourceUse:
     """Growth over batches of ``size`` calls: heap (B + 1,) in bytes, and the CPU time (B,) of a call in ns.
 
+    ``call_again_ns``: the same time in a second measurement, of batches of twice as many calls; () where none was made.
     ``instances``: bytes that each instance leaves behind. ``before``, ``after``: the state of the process by name.
     ``kept_bytes``: bytes from which steady growth per call is a leak. ``question``: what a call is asked.
     ``slowest_ns``: elapsed time of the slowest call, 0 where it is not known. ``filed``: bytes written to files; nan
@@ -74,6 +81,12 @@ class ResourceUse:
     filed: float = math.nan
     question: str = "question"
     slowest_ns: float = 0.0
+    call_again_ns: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def calls(self) -> int:
+        """Number of calls of all measurements."""
+        return (1 + 2 * bool(len(self.call_again_ns))) * self.size * BATCHES
 
 
 class _HeapInfo(ctypes.Structure):
@@ -129,14 +142,14 @@ def _measure(
     with _counted_output() as output:
         work_ns = _quick(np.array([_cpu_ns(_work) for _ in range(100)]))
         heap, taken, slowest_ns = _run_batches(call, size, work_ns)
-    leaks = _leak_bytes(heap, size, kept_bytes) > 0.0
-    if leaks or _is_slower(taken):  # caches fill: a fault shows a second time
+    again = np.zeros(0)
+    if _leak_bytes(heap, size, kept_bytes) > 0.0 or _rises(taken):  # caches fill: a fault shows a second time
         # twice as many: a table that doubles its size does so again
         heap, again, slowest_again_ns = _run_batches(call, 2 * size, work_ns)
         slowest_ns = max(slowest_ns, slowest_again_ns)
-        taken, heap = np.concatenate([taken[:1], again]), heap[0] + 0.5 * (heap - heap[0])
+        heap = heap[0] + 0.5 * (heap - heap[0])
     use = ResourceUse(size, heap, taken, instances, before, process_state(), kept_bytes, output.filed)
-    return replace(use, slowest_ns=slowest_ns)
+    return replace(use, slowest_ns=slowest_ns, call_again_ns=again)
 
 
 class _Output:
@@ -191,10 +204,35 @@ def _quick(times_ns: Floats) -> float:
     return float(np.quantile(times_ns, 0.25))
 
 
-def _is_slower(taken_ns: Floats) -> bool:
-    """Whether the CPU times (B,) of calls rise steadily, by more than a clock's noise."""
-    first, last = taken_ns[0], taken_ns[-1]
-    return bool(last > SLOWER * first and last - first > 2000.0 and (np.diff(taken_ns) > 0).mean() > 0.6)
+def _rises(taken_ns: Floats) -> bool:
+    """Whether the times (B,) of calls end higher than they begin, by more than a clock's noise."""
+    begin, end = _ends(taken_ns)
+    return end > SLOWER * begin and end - begin > SLOWER_NS
+
+
+def _rises_twice(taken_ns: Floats, again_ns: Floats) -> bool:
+    """Whether calls become slower in a measurement, and again in the next one, of twice as many calls.
+
+    What happens once is no fault: another program begins and slows the machine down, or a cache fills. Where each call
+    costs more than the one before, the second rise is twice the first one. With the square root of the number of calls
+    it is as large. Where it is half the first one, as with the logarithm of the number, the calls count as steady.
+    """
+    if not len(again_ns) or not _rises(taken_ns):
+        return False
+    (begin, end), (begin_again, end_again) = _ends(taken_ns), _ends(again_ns)
+    rises_again = end_again - begin_again > AGAIN * (end - begin)
+    return rises_again and _rising_share(np.concatenate([taken_ns, again_ns])) > RISING
+
+
+def _ends(taken_ns: Floats) -> tuple[float, float]:
+    """The medians of the first and of the last three times (B,): one slow moment is neither of them."""
+    return float(np.median(taken_ns[:3])), float(np.median(taken_ns[-3:]))
+
+
+def _rising_share(values: Floats) -> float:
+    """The share of the pairs of values (N,) in which the later one is larger."""
+    earlier, later = np.triu_indices(len(values), 1)
+    return float((values[later] > values[earlier]).mean())
 
 
 def _leak_bytes(heap: Floats, size: int, kept_bytes: float) -> float:
@@ -224,10 +262,10 @@ def check_memory(fixture: Endurance) -> str:
 def check_slowdown(fixture: Endurance) -> str:
     """Calls do not become slower the more there were."""
     found = fixture.endurance
-    first, last = found.call_ns[0], found.call_ns[-1]
-    observed = f"a call takes {1e-3 * first:.3g} us at first, {1e-3 * last:.3g} us after {found.size * BATCHES} calls"
+    first, last = found.call_ns[0], [*found.call_ns, *found.call_again_ns][-1]
+    observed = f"a call takes {1e-3 * first:.3g} us at first, {1e-3 * last:.3g} us after {found.calls} calls"
     observed += f"; the slowest took {1e-6 * found.slowest_ns:.3g} ms, waiting included" if found.slowest_ns else ""
-    if _is_slower(found.call_ns):
+    if _rises_twice(found.call_ns, found.call_again_ns):
         raise RuleBroken(f"{observed}: every call costs more than the one before")
     return observed
 

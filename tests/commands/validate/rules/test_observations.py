@@ -11,6 +11,7 @@ import pytest
 from evalkit.commands.validate.rules import (
     dataset_rules,
     odometry_rules,
+    process_state,
     range_rules,
     registration_rules,
     resource_rules,
@@ -41,9 +42,12 @@ def test_resources_that_grow_are_named_with_their_amount():
         resource_rules.check_memory(measured(heap=growing))
     with pytest.raises(RuleBroken, match=f"each instance leaves {2 * LEAK_BYTES:.0f} bytes behind"):
         resource_rules.check_memory(measured(instances=2.0 * LEAK_BYTES))
-    rising = np.linspace(5e3, 50e3, resource_rules.BATCHES)
-    with pytest.raises(RuleBroken, match=f"5 us at first, 50 us after {calls} calls: every call costs more"):
-        resource_rules.check_slowdown(measured(call_ns=rising))
+    rising, rising_again = (
+        np.linspace(5e3, 50e3, resource_rules.BATCHES),
+        np.linspace(60e3, 150e3, resource_rules.BATCHES),
+    )
+    with pytest.raises(RuleBroken, match=f"5 us at first, 150 us after {3 * calls} calls: every call costs more"):
+        resource_rules.check_slowdown(measured(call_ns=rising, call_again_ns=rising_again))
     with pytest.raises(RuleBroken, match="threads: 1 before, 2 after the calls"):
         resource_rules.check_threads(measured(after=STATE | {"threads": 2}))
     with pytest.raises(RuleBroken, match=f"{calls} calls write 1000000 bytes to files"):
@@ -52,6 +56,80 @@ def test_resources_that_grow_are_named_with_their_amount():
         resource_rules.check_memory(measured()) == f"{calls} calls and {resource_rules.INSTANCES} instances leave "
         "nothing behind"
     )
+
+
+def growing_with(cost, rest_us=0.0):
+    """Times (ns) of batches of 50 calls, and of 100 in a second measurement: a rest, and what grows with the calls."""
+    first, again = 75.0 + 50.0 * np.arange(resource_rules.BATCHES), 600.0 + 100.0 * np.arange(resource_rules.BATCHES)
+    noise = 1.0 + 0.02 * np.random.default_rng(1).uniform(-1.0, 1.0, (2, resource_rules.BATCHES))
+    return 1e3 * (rest_us + cost(np.stack([first, again]))) * noise
+
+
+@pytest.mark.parametrize(
+    ("cost", "rest_us"),
+    [
+        (lambda calls: 0.1 * calls, 5.0),  # a list is searched
+        (lambda calls: 0.1 * calls, 100.0),
+        (np.sqrt, 0.0),
+        (lambda calls: 10.0 * 2.0 ** np.floor(np.log2(calls)) / 64.0, 1.0),  # a table that doubles its size is cleared
+        (lambda calls: 20.0 * np.floor(calls / 200.0), 20.0),  # a file of a log is full
+    ],
+    ids=["linear", "linear-beside-much-else", "root", "doubling", "steps"],
+)
+def test_calls_that_become_slower_in_both_measurements_are_found(cost, rest_us):
+    taken_ns, again_ns = growing_with(cost, rest_us)
+    with pytest.raises(RuleBroken, match="every call costs more than the one before"):
+        resource_rules.check_slowdown(measured(call_ns=taken_ns, call_again_ns=again_ns))
+
+
+RAMP = np.linspace(67e3, 103e3, resource_rules.BATCHES)
+"""Times (ns) of calls while other programs slow the machine down."""
+
+
+@pytest.mark.parametrize(
+    "again_ns",
+    [
+        np.full(resource_rules.BATCHES, 103e3), RAMP[::-1], RAMP, np.full(resource_rules.BATCHES, 67e3),
+        103e3 + 8e3 * np.sin(np.arange(resource_rules.BATCHES)),
+        np.append(np.full(resource_rules.BATCHES - 1, 103e3), 180e3), np.zeros(0),
+    ],
+    ids=["stays slow", "recovers", "becomes slow again", "is quick again", "varies", "one slow moment", "not measured"],
+)  # fmt: skip
+def test_a_machine_that_becomes_slow_once_is_no_fault_of_the_calls(again_ns):
+    observed = resource_rules.check_slowdown(measured(call_ns=RAMP, call_again_ns=again_ns))
+    assert observed.startswith("a call takes 67 us at first, ")
+    steady_ns = np.linspace(67e3, 68e3, resource_rules.BATCHES)  # measured again because of its memory
+    observed = resource_rules.check_slowdown(measured(call_ns=steady_ns, call_again_ns=again_ns))
+    assert observed.startswith("a call takes 67 us at first, ")
+
+
+def test_calls_are_measured_a_second_time_only_where_they_seem_to_become_slower(monkeypatch):
+    """A clock that counts: a steady call takes 100 us, one that searches a list 10 us more than the one before."""
+    now_ns = length = 0
+
+    def steady():
+        nonlocal now_ns
+        now_ns += 100_000
+
+    def growing():
+        nonlocal now_ns, length
+        length += 1
+        now_ns += 100_000 + 10_000 * length
+
+    monkeypatch.setattr(resource_rules, "INSTANCES", 20)
+    monkeypatch.setattr(resource_rules, "BUDGET_S", 0.0)  # the fewest calls
+    monkeypatch.setattr(resource_rules, "_work", steady)
+    clock = SimpleNamespace(
+        thread_time_ns=lambda: now_ns, perf_counter_ns=time.perf_counter_ns, process_time=time.process_time
+    )
+    monkeypatch.setattr(resource_rules, "time", clock)
+    use = resource_rules.measure(object, lambda _: steady, process_state.StateWatch())
+    assert (use.calls, use.call_again_ns.tolist()) == (40, [])
+    assert set(use.call_ns) == {1e5}
+    use = resource_rules.measure(object, lambda _: growing, process_state.StateWatch())
+    assert (use.calls, len(use.call_again_ns)) == (120, resource_rules.BATCHES)
+    with pytest.raises(RuleBroken, match="every call costs more than the one before"):
+        resource_rules.check_slowdown(SimpleNamespace(endurance=use))
 
 
 def test_resources_that_are_not_known_here_are_not_judged():
