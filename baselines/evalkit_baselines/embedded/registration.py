@@ -46,6 +46,7 @@ class CompiledIcp:
         self._min_pairs = parameters["min_pairs"]
         self._squared = parameters["error"] == "mean-squared"
         self._trace = parameters["trace"]
+        self._shares = parameters["share_noise"]
         self._neighbours = parameters["line_neighbours"] if parameters["metric"] == "line" else 0
         self._recent: CloudCache[Any] = CloudCache()
 
@@ -69,7 +70,7 @@ class CompiledIcp:
     def _index(self, target: Cloud, conversion: Stopwatch) -> Any:
         with conversion:
             points = to_real(target.points, self._core)
-            support = target.support
+            support = target.support if self._shares else None
             if support is not None:  # the core has 32 bits, and counts no more than this
                 support = np.minimum(support, icp.MAX_SUPPORT).astype(np.uint32)
             seen_from = None if target.seen_from is None else to_real(target.seen_from, self._core)

@@ -177,7 +177,7 @@ static ek_status take_map(ek_slam *slam, ek_pose near, ek_work *work)
     slam->centre_y = near.y;
     slam->map_changed = 0;
     const ek_status status = index_lines(&slam->map_index, slam->map_normals, slam->map_points, count);
-    slam->map_index.support = slam->map_support;
+    slam->map_index.support = slam->parameters.matcher.share_noise ? slam->map_support : NULL;
     slam->map_index.seen_from = slam->map_seen_from;
     return status;
 }
