@@ -246,13 +246,14 @@ def test_a_mean_counts_in_a_line_as_the_points_it_is_the_mean_of():
     assert line_normals(cKDTree(points), 4, np.full(4, 5)) == pytest.approx(line_normals(cKDTree(points), 4), abs=1e-12)
 
 
-def test_lines_of_means_count_their_points_only_where_pairs_share_noise():
-    target = Cloud([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 0.9]], support=np.array([20, 20, 20, 1]))
+def test_lines_of_means_count_their_points_only_in_a_noisy_cloud():
+    points, support = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 0.9]], np.array([20, 20, 20, 1])
     source = Cloud([[0.0, 0.1], [1.0, 0.1], [2.0, 0.1]])
-    settings = {"metric": "line", "line_neighbours": 4, "max_iterations": 1}
-    for share, support in ((True, target.support), (False, None)):
-        moved = Icp(share_noise=share, **settings).register(target, source, Pose()).target_from_source
-        normal = line_normals(cKDTree(target.points), 4, support)[0]  # of all, and all points are 0.1 m off
+    matcher = Icp(metric="line", line_neighbours=4, max_iterations=1)
+    for noisy, counts in ((True, support), (False, None)):
+        target = Cloud(points, support=support, noisy=noisy)
+        moved = matcher.register(target, source, Pose()).target_from_source
+        normal = line_normals(cKDTree(target.points), 4, counts)[0]  # of all, and all points are 0.1 m off
         assert [moved.x, moved.y] == pytest.approx(-0.1 * normal[1] * normal, abs=1e-9)
 
 

@@ -46,7 +46,6 @@ class CompiledIcp:
         self._min_pairs = parameters["min_pairs"]
         self._squared = parameters["error"] == "mean-squared"
         self._trace = parameters["trace"]
-        self._shares = parameters["share_noise"]
         self._neighbours = parameters["line_neighbours"] if parameters["metric"] == "line" else 0
         self._recent: CloudCache[Any] = CloudCache()
 
@@ -70,11 +69,11 @@ class CompiledIcp:
     def _index(self, target: Cloud, conversion: Stopwatch) -> Any:
         with conversion:
             points = to_real(target.points, self._core)
-            support = target.support if self._shares else None
+            support = target.support
             if support is not None:  # the core has 32 bits, and counts no more than this
                 support = np.minimum(support, icp.MAX_SUPPORT).astype(np.uint32)
             seen_from = None if target.seen_from is None else to_real(target.seen_from, self._core)
-        return self._core.Index(points, self._neighbours, support=support, seen_from=seen_from)
+        return self._core.Index(points, self._neighbours, support=support, seen_from=seen_from, noisy=target.noisy)
 
     def _iteration(self, error: float, inliers: int, row: tuple[float, float, float], pairs: Any) -> Iteration:
         return Iteration(math.sqrt(error) if self._squared else error, inliers, Pose(*row), pairs)

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 MAX_SUPPORT = 20
-"""Points of a mean that count, for ``share_noise``: the points of one scan share the error of its pose."""
+"""Points of a mean that count: the points of one scan share the error of its pose."""
 
 CLEAR_VIEW = 0.1
 """Share across its line of the directions that a target point was seen from: a smaller one is of no side."""
@@ -83,10 +83,7 @@ class Icp:
     line_neighbours: int = parameter(8, "", "target points that define a line (metric 'line')", low=2)
     cauchy_m: float = parameter(0.0, "m", "scale of the Cauchy weight of metric 'line'; 0: equal weights", low=0.0)
     share_noise: bool = parameter(
-        False,
-        "",
-        "metric 'line': pairs with the same target point share its noise, and weigh less the more they are; for the "
-        "direction of a line, the mean of n points counts as n",
+        False, "", "metric 'line': pairs with the same target point share its noise, and weigh less the more they are"
     )
     trace: bool = parameter(False, "", "keep the pairs of every iteration")
     _recent: CloudCache[Target] = field(default_factory=CloudCache, init=False, repr=False, compare=False)
@@ -127,7 +124,7 @@ class Icp:
         from scipy.spatial import cKDTree  # noqa: PLC0415 - the spec of a back end is listed without SciPy
 
         tree = cKDTree(target.points, leafsize=16, balanced_tree=False)  # fastest to build, and queries are not slower
-        support = target.support if self.share_noise else None
+        support = target.support if target.noisy else None
         return tree, line_normals(tree, self.line_neighbours, support) if self.metric == "line" else None
 
     def _pairs(

@@ -36,7 +36,7 @@ from evalkit_baselines.slam.match_doubt import MatchDoubt
 from evalkit_baselines.slam.observability import AS_MANY, ObservableIcp
 from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
-from evalkit_baselines.slam.range_noise import smooth_ranges
+from evalkit_baselines.slam.range_noise import RangeNoise
 from evalkit_baselines.slam.second_try import (
     DIRECT_EPSILON_M,
     FINE_CORRESPONDENCE_M,
@@ -126,6 +126,7 @@ class PaperSlam:
         self._scale = OdometryScale()
         self._doubt = MatchDoubt()
         self._turns = UnevenTurns()
+        self._noise = RangeNoise()
         self._speckles = Speckles()
         self._sweeps = SweepTimes()
         self._companions = Companions()
@@ -196,7 +197,8 @@ class PaperSlam:
     def _prepare(self, frame: Frame) -> Frame:
         """Return a frame with what is known of the wheels, of the lidar and of what moves along corrected."""
         took_ns = self._sweeps.take(frame)
-        frame = self._scale.correct(replace(frame, scan=self._speckles.drop(smooth_ranges(frame.scan))))
+        self._map.noisy = self._noise.is_noisy  # by the scans before this one
+        frame = self._scale.correct(replace(frame, scan=self._speckles.drop(self._noise.smooth(frame.scan))))
         odom = frame.odom_from_base if self._settings.prior == "odometry" else None
         odom_from_sensor = None if odom is None else odom @ frame.base_from_sensor
         frame = replace(frame, scan=self._companions.drop(frame.scan, odom_from_sensor))

@@ -109,7 +109,6 @@ ek_status ek_frontend_init(ek_frontend *frontend, ek_arena *arena, const ek_fron
     if (is_lasting(frontend)) {
         status = ek_lasting_map_init(&frontend->lasting, arena, parameters->voxels, parameters->map_voxel,
                                      parameters->map_radius, points, neighbours);
-        frontend->lasting.shares = parameters->scan_to_map.share_noise;
         targets = points > frontend->lasting.capacity ? points : frontend->lasting.capacity;
     } else {
         status = init_keyframes(frontend, arena, all);

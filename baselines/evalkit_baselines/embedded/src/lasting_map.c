@@ -70,7 +70,7 @@ static ek_status take_around(ek_lasting_map *map, ek_real x, ek_real y)
     map->centre_y = y;
     map->changed = 0;
     const ek_status status = ek_index_build(&map->around, map->means, count);
-    map->around.support = map->shares ? map->support : NULL;
+    map->around.support = map->support;
     return status == EK_OK && map->neighbours ? ek_normals_defer(&map->around, map->neighbours, map->normals) : status;
 }
 

@@ -225,7 +225,13 @@ static ek_real find_nearest(const ek_index *index, ek_real x, ek_real y, ek_real
     }
 }
 
-/* Normal of the line through the points found, from their covariance about their mean; a mean of n points counts as n. */
+/* As how many points a point counts in a line. */
+static inline ek_real weight_of(const ek_index *index, uint32_t slot)
+{
+    return index->noisy ? ek_index_support(index, slot) : EK_R(1.0);
+}
+
+/* Normal of the line through the points found, from their covariance about their mean. */
 static void normal_of(const ek_index *index, const nearest_points *found, ek_real x, ek_real y, ek_real normal[2])
 {
     const ek_real *const xy = index->xy;
@@ -233,7 +239,7 @@ static void normal_of(const ek_index *index, const nearest_points *found, ek_rea
     EK_COUNT(EK_NORMALS, 1u);
     EK_COUNT(EK_RANKED, found->count);
     for (size_t k = 0; k < found->count; k++) {
-        const ek_real weight = ek_index_support(index, found->slot[k]);
+        const ek_real weight = weight_of(index, found->slot[k]);
         count += weight;
         mean_x += weight * (xy[2u * found->slot[k]] - x);
         mean_y += weight * (xy[2u * found->slot[k] + 1u] - y);
@@ -242,7 +248,7 @@ static void normal_of(const ek_index *index, const nearest_points *found, ek_rea
     mean_y /= count;
     for (size_t k = 0; k < found->count; k++) {
         const ek_real u = xy[2u * found->slot[k]] - x - mean_x, v = xy[2u * found->slot[k] + 1u] - y - mean_y;
-        const ek_real weight = ek_index_support(index, found->slot[k]);
+        const ek_real weight = weight_of(index, found->slot[k]);
         difference += weight * (u - v) * (u + v);
         product += weight * EK_R(2.0) * u * v;
     }

@@ -66,6 +66,7 @@ ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_noted *noted)
     ek_sweep prepared = *sweep;
     *wheels = slam->wheels;
     noted->dirt = slam->dirt;
+    noted->noise = slam->noise;
     noted->company = slam->company;
     wheels->has_last = sweep->has_odometry;
     wheels->now = sweep->odom_from_base;
@@ -81,6 +82,7 @@ ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_noted *noted)
         const ek_scan_parameters *const limits = &slam->parameters.scan;
         EK_COUNT(EK_PREPARED, sweep->beams);
         const int smoothed = ek_smooth_ranges(sweep->ranges, sweep->angles, sweep->beams, slam->cleaned);
+        ek_range_noise_observe(&noted->noise, smoothed);
         ek_drop_speckles(smoothed ? slam->cleaned : sweep->ranges, sweep->angles, sweep->beams, limits->range_min,
                          limits->range_max, &noted->dirt, slam->cleaned);
         prepared.ranges = slam->cleaned;

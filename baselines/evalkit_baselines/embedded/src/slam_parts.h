@@ -45,6 +45,7 @@ void ek_slam_start_wheels(ek_slam *slam);
 typedef struct {
     ek_wheels wheels;
     ek_dirt dirt;
+    ek_range_noise noise;
     ek_company company;
 } ek_noted;
 

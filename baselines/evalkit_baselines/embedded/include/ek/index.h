@@ -40,8 +40,9 @@ typedef struct {
     ek_real *deferred;      /* NULL, or `normals` that are computed when first needed (ek_normals_defer) */
     uint32_t neighbours;    /* that define a deferred normal */
     const uint32_t *support; /* NULL: 1 each; or how many points each point is the mean of, 1 or more, in the order of the
-                                cloud, of which EK_MAX_SUPPORT count; set after each change of the points (for normals.h and
-                                `share_noise` of icp.h, and only where it is used) */
+                                cloud, of which EK_MAX_SUPPORT count; set after each change of the points (for `share_noise` of
+                                icp.h, and for normals.h if `noisy`) */
+    int32_t noisy;          /* 1: a mean of n points counts as n in the line that defines a normal; set like `support` */
     const ek_real *seen_from; /* NULL: unknown; or for each point the mean of unit vectors x y to where it was seen from, in
                                  the order of the cloud; set after each change of the points (for EK_METRIC_LINE of icp.h) */
     ek_table *table;      /* NULL, or the table of its neighbours (table.h) */

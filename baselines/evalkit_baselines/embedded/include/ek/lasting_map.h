@@ -25,8 +25,7 @@ typedef struct {
     uint32_t neighbours; /* that define a normal; 0: no normals */
     ek_real *means, *normals, *moved;
     int32_t *cells;
-    uint32_t *support;   /* points of each mean, for lines; `around` has it */
-    int32_t shares;      /* 1: where the matcher shares noise, set by the caller after ek_lasting_map_init */
+    uint32_t *support;   /* points of each mean, for lines */
 } ek_lasting_map;
 
 #define ek_lasting_map_init EK_NAME(lasting_map_init)

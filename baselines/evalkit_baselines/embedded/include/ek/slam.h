@@ -12,6 +12,7 @@
 #include "ek/continuity.h"
 #include "ek/loop_finder.h"
 #include "ek/motion.h"
+#include "ek/smooth.h"
 #include "ek/speckles.h"
 #include "ek/sweep_times.h"
 #include "ek/voxel_map.h"
@@ -144,6 +145,7 @@ typedef struct {
     ek_slam_task task;
     ek_wheels wheels;
     ek_dirt dirt;
+    ek_range_noise noise;
     ek_sweep_times sweeps;   /* of scans without times of beams */
     ek_view views[3];
     ek_company company;      /* which of the views are kept */
