@@ -110,8 +110,8 @@ class Cloud:
 
     ``support`` (N,): of how many measured points each is the mean, 1 or more, as in a map of voxels; None: of one
     each, or unknown. ``seen_from`` (N, 2): the mean of the unit vectors from these to where they were seen from; None:
-    unknown. ``origin`` (2,): where the points of a scan were seen from (m); None: unknown. ``noisy``: the noise of single
-    points is the largest error, so that the mean of n points is better than one point.
+    unknown. ``origin`` (2,): where the points of a scan were seen from (m); None: unknown. ``noisy``: the noise of
+    single points is the largest error, so that a mean of n points is better than one point.
     """
 
     points: Floats

@@ -50,6 +50,7 @@ from evalkit_baselines.slam.settings import SharedSettings
 from evalkit_baselines.slam.speckles import Speckles
 from evalkit_baselines.slam.sweep_times import SweepTimes, deskew
 from evalkit_baselines.slam.uneven_turns import UnevenTurns
+from evalkit_baselines.slam.wide_search import WideSearch
 
 DCS_PHI = 10.0
 _STORED_VOXEL_M = 0.03
@@ -108,6 +109,7 @@ class PaperSlam:
             CoarseToFine(of_scan_again, fine),
             brief,
             scan_to_scan=(of_scan, of_scan_again),
+            search=WideSearch(),
         )
         self._gate = OdometryGate()
         observable = ObservableIcp(self._tries, FINE_CORRESPONDENCE_M)
