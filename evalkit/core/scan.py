@@ -110,7 +110,8 @@ class Cloud:
 
     ``support`` (N,): of how many measured points each is the mean, 1 or more, as in a map of voxels; None: of one
     each, or unknown. ``seen_from`` (N, 2): the mean of the unit vectors from these to where they were seen from; None:
-    unknown. ``origin`` (2,): where the points of a scan were seen from (m); None: unknown.
+    unknown. ``origin`` (2,): where the points of a scan were seen from (m); None: unknown. ``noisy``: the noise of
+    single points is the largest error, so that a mean of n points is better than one point.
     """
 
     points: Floats
@@ -118,6 +119,7 @@ class Cloud:
     support: Ints | None = None
     seen_from: Floats | None = None
     origin: Floats | None = None
+    noisy: bool = False
 
     def __post_init__(self) -> None:
         freeze(self, "points", np.reshape(self.points, (0, 2)) if np.size(self.points) == 0 else self.points, (None, 2))

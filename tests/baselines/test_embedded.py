@@ -66,9 +66,8 @@ def scans(seed):
     inwards *= np.random.default_rng(seed + 100).choice([1.0, -1.0], (3000, 1), p=[0.8, 0.2]) / np.linalg.norm(
         inwards, axis=1, keepdims=True
     )
-    target = Cloud(
-        points, support=rng.integers(1, 40, 3000), seen_from=inwards
-    )  # support counts with share_noise alone
+    support = rng.integers(1, 40, 3000)  # counts with share_noise, and in the lines of a noisy cloud
+    target = Cloud(points, support=support, seen_from=inwards, noisy=bool(seed % 2))
     return target, Cloud(source, origin=origin), truth @ Pose(*rng.normal(0.0, [0.08, 0.08, 0.04]))
 
 

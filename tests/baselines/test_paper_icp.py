@@ -16,7 +16,7 @@ from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import paper
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.association import Association, CloudCache
-from evalkit_baselines.paper.icp import Icp, fit_to_lines, share_noise
+from evalkit_baselines.paper.icp import MAX_SUPPORT, Icp, fit_to_lines, line_normals, share_noise
 
 MOTION = Pose(0.12, -0.08, math.radians(5.0))
 
@@ -233,6 +233,28 @@ def test_pairs_with_the_same_target_point_share_its_noise():
     assert share_noise(onto, Cloud([[0.0, 0.0], [1.0, 0.0]])) == pytest.approx([0.25, 0.5, 0.25, 0.25])
     means = Cloud([[0.0, 0.0], [1.0, 0.0]], support=[3, 40])  # at most 20 points count
     assert share_noise(onto, means) == pytest.approx([0.5, 20 / 21, 0.5, 0.5])
+
+
+def test_a_mean_counts_in_a_line_as_the_points_it_is_the_mean_of():
+    points = np.array([[0.0, 0.0], [1.0, 0.1], [2.0, -0.1], [2.0, 0.9]])  # a wall and a stray point
+    support = np.array([3, MAX_SUPPORT, 7, 1])
+    _, across = np.linalg.eigh(np.cov(np.repeat(points, support, axis=0).T))
+    for counts in (support, np.array([3, 1000, 7, 1])):
+        normals = line_normals(cKDTree(points), 4, counts)
+        assert np.abs(normals @ across[:, 0]) == pytest.approx(np.ones(4), abs=1e-12)
+    assert np.abs(line_normals(cKDTree(points), 4) @ across[:, 0]).max() < 0.99
+    assert line_normals(cKDTree(points), 4, np.full(4, 5)) == pytest.approx(line_normals(cKDTree(points), 4), abs=1e-12)
+
+
+def test_lines_of_means_count_their_points_only_in_a_noisy_cloud():
+    points, support = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 0.9]], np.array([20, 20, 20, 1])
+    source = Cloud([[0.0, 0.1], [1.0, 0.1], [2.0, 0.1]])
+    matcher = Icp(metric="line", line_neighbours=4, max_iterations=1)
+    for noisy, counts in ((True, support), (False, None)):
+        target = Cloud(points, support=support, noisy=noisy)
+        moved = matcher.register(target, source, Pose()).target_from_source
+        normal = line_normals(cKDTree(target.points), 4, counts)[0]  # of all, and all points are 0.1 m off
+        assert [moved.x, moved.y] == pytest.approx(-0.1 * normal[1] * normal, abs=1e-9)
 
 
 def test_points_beyond_the_end_of_a_wall_pull_less_where_pairs_share_noise():

@@ -31,7 +31,7 @@ class Index:
 
     For ``lines``, with normals from the given number of neighbours, computed when needed; for many registrations, with
     a table of so many tiles; ``support`` (N,): of how many points each is the mean, 1 or more; ``seen_from`` (N, 2):
-    the mean of the unit vectors from these to where they were seen from.
+    the mean of the unit vectors from these to where they were seen from; ``noisy``: support counts in lines, too.
     """
 
     def __init__(
@@ -42,6 +42,7 @@ class Index:
         table: int = 0,
         support: NDArray[np.uint32] | None = None,
         seen_from: Array | None = None,
+        noisy: bool = False,
     ) -> None: ...
     def __len__(self) -> int: ...
 

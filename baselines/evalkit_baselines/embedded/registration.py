@@ -73,7 +73,7 @@ class CompiledIcp:
             if support is not None:  # the core has 32 bits, and counts no more than this
                 support = np.minimum(support, icp.MAX_SUPPORT).astype(np.uint32)
             seen_from = None if target.seen_from is None else to_real(target.seen_from, self._core)
-        return self._core.Index(points, self._neighbours, support=support, seen_from=seen_from)
+        return self._core.Index(points, self._neighbours, support=support, seen_from=seen_from, noisy=target.noisy)
 
     def _iteration(self, error: float, inliers: int, row: tuple[float, float, float], pairs: Any) -> Iteration:
         return Iteration(math.sqrt(error) if self._squared else error, inliers, Pose(*row), pairs)

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 MAX_SUPPORT = 20
-"""Points of a mean that count in ``share_noise``: the points of one scan share the error of its pose."""
+"""Points of a mean that count: the points of one scan share the error of its pose."""
 
 CLEAR_VIEW = 0.1
 """Share across its line of the directions that a target point was seen from: a smaller one is of no side."""
@@ -124,7 +124,8 @@ class Icp:
         from scipy.spatial import cKDTree  # noqa: PLC0415 - the spec of a back end is listed without SciPy
 
         tree = cKDTree(target.points, leafsize=16, balanced_tree=False)  # fastest to build, and queries are not slower
-        return tree, line_normals(tree, self.line_neighbours) if self.metric == "line" else None
+        support = target.support if target.noisy else None
+        return tree, line_normals(tree, self.line_neighbours, support) if self.metric == "line" else None
 
     def _pairs(
         self, association: Association, moved: Floats, target: Cloud, normals: Floats | None, viewer: Floats | None
@@ -201,8 +202,12 @@ def share_noise(onto: Ints, target: Cloud) -> Floats:
     each weighs 1 / (1 + c / n) (generalised least squares). At the end of a wall many points have the same pair.
     """
     pairs = np.bincount(onto, minlength=len(target))
-    points = np.ones(len(target)) if target.support is None else np.minimum(target.support, MAX_SUPPORT)
-    return np.asarray(1.0 / (1.0 + pairs / points))[onto]
+    return np.asarray(1.0 / (1.0 + pairs / _count_points(len(target), target.support)))[onto]
+
+
+def _count_points(means: int, support: Ints | None) -> Floats:
+    """Return of how many points each of some means (M,) is one, as far as they count; None: of one each."""
+    return np.ones(means) if support is None else np.asarray(np.minimum(support, MAX_SUPPORT), dtype=np.float64)
 
 
 def _seen_from_behind(onto: Ints, target: Cloud, normals: Floats, viewer: Floats) -> Bools:
@@ -214,12 +219,17 @@ def _seen_from_behind(onto: Ints, target: Cloud, normals: Floats, viewer: Floats
     return np.asarray(clear & ((seen < 0.0) != (across < 0.0)))
 
 
-def line_normals(tree: cKDTree, neighbours: int) -> Floats:
-    """Return the unit normals (M, 2) of the lines through each point of the tree and its neighbours (PCA)."""
+def line_normals(tree: cKDTree, neighbours: int, support: Ints | None = None) -> Floats:
+    """Return the unit normals (M, 2) of the lines through each point of the tree and its neighbours (PCA).
+
+    ``support`` (M,): of how many points each is the mean; it counts as so many, and at most as ``MAX_SUPPORT``.
+    """
     _, near = tree.query(tree.data, k=min(neighbours, tree.n))
-    arms = tree.data[near.reshape(tree.n, -1)]
-    x, y = np.moveaxis(arms - arms.mean(axis=1, keepdims=True), -1, 0)
-    along = 0.5 * np.arctan2(2.0 * np.sum(x * y, axis=1), np.sum(x * x - y * y, axis=1))
+    near = near.reshape(tree.n, -1)
+    arms, weight = tree.data[near], _count_points(tree.n, support)[near]
+    mean = (arms * weight[..., None]).sum(axis=1) / weight.sum(axis=1)[:, None]
+    x, y = np.moveaxis(arms - mean[:, None], -1, 0)
+    along = 0.5 * np.arctan2(2.0 * np.sum(weight * x * y, axis=1), np.sum(weight * (x * x - y * y), axis=1))
     return np.stack([-np.sin(along), np.cos(along)], axis=1)
 
 

@@ -46,6 +46,8 @@ class LastingMap:
         self._around: tuple[Cloud, Cloud] | None = None  # the last cloud of the voxels, and the same in ``odom``
         self._waiting: NewKeyframe | None = None
         self.odom_from_start = Pose()
+        self.noisy = False
+        """That of the clouds taken from now on."""
 
     def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
         """Hold a keyframe until ``take`` returns it; the front end's start frame is ``odom`` here."""
@@ -71,7 +73,7 @@ class LastingMap:
             odom_from_grid = _GRID_FROM_ODOM.inverse()  # a turn: for directions too
             seen_from = None if cloud.seen_from is None else odom_from_grid.transform(cloud.seen_from)
             means = odom_from_grid.transform(cloud.points)
-            self._around = cloud, Cloud(means, cloud.frame, cloud.support, seen_from)
+            self._around = cloud, Cloud(means, cloud.frame, cloud.support, seen_from, noisy=self.noisy)
         return self._around[1]
 
     def extend(self) -> None:

@@ -31,11 +31,11 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
 from evalkit.odometry.correlative import (
-    Prior,
     ScoreGrid,
     Window,
     bounded_search,
     branch_and_bound,
+    mild_prior,
     other_headings,
     windows_around,
 )
@@ -300,7 +300,7 @@ class LoopFinder:
         grid = ScoreGrid.from_points(target, cell_m, cell_m, 5)
         thinned = source[:: max(len(source) // _SOURCE_POINTS, 1)]
         window = Window(motion, float(half[0]), float(half[1]), half_rad)
-        weight = _weight(half / _SIGMAS, half_rad / _SIGMAS)
+        weight = mild_prior(half / _SIGMAS, half_rad / _SIGMAS)
         least = predicted.part * settings.loop_score
         best, bound = bounded_search(grid, thinned, window, least, weight)
         is_local = bool(half.max() <= 0.75)
@@ -405,13 +405,3 @@ def _open_covariance(openness: Openness) -> Floats:
     sigma_m = 0.15 * max(1.0 - openness.ratio / _CLEAR_RATIO, 0.0)
     covariance[:2, :2] = sigma_m**2 * np.outer(openness.direction, openness.direction)
     return np.asarray(covariance)
-
-
-def _weight(sigma_m: Floats, sigma_rad: float) -> Prior:
-    """Return a mild preference for the predicted motion: 0.85 at three sigma in one direction."""
-
-    def weigh(x: Floats, y: Floats, theta: Floats) -> Floats:
-        squares = (x / sigma_m[0]) ** 2 + (y / sigma_m[1]) ** 2 + (theta / sigma_rad) ** 2
-        return np.asarray(1.0 / (1.0 + 0.02 * squares))
-
-    return weigh

@@ -36,7 +36,7 @@ from evalkit_baselines.slam.match_doubt import MatchDoubt
 from evalkit_baselines.slam.observability import AS_MANY, ObservableIcp
 from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate
 from evalkit_baselines.slam.odometry_scale import OdometryScale
-from evalkit_baselines.slam.range_noise import smooth_ranges
+from evalkit_baselines.slam.range_noise import RangeNoise
 from evalkit_baselines.slam.second_try import (
     DIRECT_EPSILON_M,
     FINE_CORRESPONDENCE_M,
@@ -50,6 +50,7 @@ from evalkit_baselines.slam.settings import SharedSettings
 from evalkit_baselines.slam.speckles import Speckles
 from evalkit_baselines.slam.sweep_times import SweepTimes, deskew
 from evalkit_baselines.slam.uneven_turns import UnevenTurns
+from evalkit_baselines.slam.wide_search import WideSearch
 
 DCS_PHI = 10.0
 _STORED_VOXEL_M = 0.03
@@ -108,6 +109,7 @@ class PaperSlam:
             CoarseToFine(of_scan_again, fine),
             brief,
             scan_to_scan=(of_scan, of_scan_again),
+            search=WideSearch(),
         )
         self._gate = OdometryGate()
         observable = ObservableIcp(self._tries, FINE_CORRESPONDENCE_M)
@@ -126,6 +128,7 @@ class PaperSlam:
         self._scale = OdometryScale()
         self._doubt = MatchDoubt()
         self._turns = UnevenTurns()
+        self._noise = RangeNoise()
         self._speckles = Speckles()
         self._sweeps = SweepTimes()
         self._companions = Companions()
@@ -196,7 +199,8 @@ class PaperSlam:
     def _prepare(self, frame: Frame) -> Frame:
         """Return a frame with what is known of the wheels, of the lidar and of what moves along corrected."""
         took_ns = self._sweeps.take(frame)
-        frame = self._scale.correct(replace(frame, scan=self._speckles.drop(smooth_ranges(frame.scan))))
+        self._map.noisy = self._noise.is_noisy  # by the scans before this one
+        frame = self._scale.correct(replace(frame, scan=self._speckles.drop(self._noise.smooth(frame.scan))))
         odom = frame.odom_from_base if self._settings.prior == "odometry" else None
         odom_from_sensor = None if odom is None else odom @ frame.base_from_sensor
         frame = replace(frame, scan=self._companions.drop(frame.scan, odom_from_sensor))

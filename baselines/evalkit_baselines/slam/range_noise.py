@@ -9,7 +9,7 @@ would remove what is narrow, and where the noise is small nothing is to be gaine
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,8 +27,31 @@ whatever is rounded."""
 MIN_NOISE_M = 0.02
 """Ranges with less noise are not changed."""
 
+MEMORY = 200
+"""Scans at most of the mean that says whether a lidar is noisy."""
+
 _SIGMA_OF_SECOND_DIFFERENCE = 0.6745 * math.sqrt(6.0)
 """Median of the absolute second difference of three ranges, for normal noise of 1 sigma."""
+
+
+@dataclass
+class RangeNoise:
+    """Smooths scans, and tells whether a lidar is noisy: whether most of its scans were smoothed."""
+
+    share: float = 0.0
+    scans: int = 0
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether most of the last scans were smoothed."""
+        return self.share > 0.5
+
+    def smooth(self, scan: Scan) -> Scan:
+        """Return ``smooth_ranges`` of a scan, and count it."""
+        smoothed = smooth_ranges(scan)
+        self.scans = min(self.scans + 1, MEMORY)
+        self.share += (float(smoothed is not scan) - self.share) / self.scans
+        return smoothed
 
 
 def smooth_ranges(scan: Scan) -> Scan:

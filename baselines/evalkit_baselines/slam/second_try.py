@@ -6,6 +6,7 @@ and the clocks of lidar and wheels do not agree, which is farther than ICP finds
 Without odometry, something near that covers a part of a scan leads ICP away from a prediction that may be right. Where
 the match with the scan before fits poorly, that with the map begins from the prediction too. A scan drawn at a wrong
 heading holds the next ones there, at two or three times the usual error: a doubted match with the map is tried again.
+Where a search finds the scan clearly (``wide_search``), that is the try; the headings are tried where it does not.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.plugins.protocols import Registration
+from evalkit_baselines.slam.wide_search import WideSearch
 
 POOR_M = 0.1
 """A mean distance above this is doubted. Good matches have 0.02 m, with range noise of 5 cm 0.04 m."""
@@ -105,13 +107,15 @@ class SecondTry:
     ``narrow`` starts from the best of several headings by ``brief``, with a part of a large scan. Only the first poor
     answer of a scan is tried again, whichever stage it is of: ``begin_scan``. Without odometry both stages of a scan
     may be: the second one, with the map, already where its answer is doubted. ``scan_to_scan``: what the first stage
-    has instead of ``wide`` and ``narrow``, since its answer is only where the second one begins.
+    has instead of ``wide`` and ``narrow``, since its answer is only where the second one begins. ``search``: for a scan
+    without odometry on the map.
     """
 
     wide: Registration
     narrow: Registration
     brief: Registration
     scan_to_scan: tuple[Registration, Registration] | None = None
+    search: WideSearch | None = None
     _usual_m: float = field(default=0.0, init=False)
     _tried: bool = field(default=False, init=False)
     _predicted: Pose | None = field(default=None, init=False)
@@ -140,15 +144,29 @@ class SecondTry:
         fits = not first.error > poor_m and first.inliers >= MIN_SHARE * len(source)
         if fits or not len(target) or (self._tried and not closely):
             return first
+        found = self._search_map(target, source, predicted) if predicted is not None else None
+        if found is not None:
+            return _better(target, source, first, found, closely)
         centre, also = (predicted, [guess]) if predicted is not None and self._tried else (guess, [])
         self._tried = True
         starts = [*(centre @ Pose(0.0, 0.0, turn) for turn in TURNS_RAD), *also]
         best = self._best_answer(target, take_part(source, TRIED_POINTS), starts, closely)
         second = narrow.register(target, source, best)
-        if not _is_close(centre, second.target_from_source):
-            return first
-        rates = [_rate(target, source, match.target_from_source, closely) for match in (first, second)]
-        return second if rates[1] > rates[0] else first
+        return (
+            _better(target, source, first, second, closely) if _is_close(centre, second.target_from_source) else first
+        )
+
+    def _search_map(self, target: Cloud, source: Cloud, predicted: Pose) -> Match | None:
+        """Return the match from where the search finds a scan on the map.
+
+        None where it is not clear: another heading scores nearly as well, and the match does not fit as usual.
+        """
+        place = self.search and self.search.find(target, take_part(source, TRIED_POINTS).points, predicted)
+        if not place:
+            return None
+        match = self.narrow.register(target, source, place.pose)
+        fits = match.inliers >= MIN_SHARE * len(source) and match.error <= DOUBTED * self._usual_m
+        return match if place.alone or fits else None
 
     def _best_answer(self, target: Cloud, part: Cloud, starts: Sequence[Pose], closely: bool) -> Pose:
         """Return the answer near the first of the starts that lies best on the target; that start if there is none."""
@@ -175,6 +193,12 @@ def take_part(cloud: Cloud, enough: int) -> Cloud:
 def _is_close(guess: Pose, answer: Pose) -> bool:
     gap = guess.inverse() @ answer
     return gap.x**2 + gap.y**2 <= MAX_M**2 and abs(gap.theta) <= MAX_RAD
+
+
+def _better(target: Cloud, source: Cloud, first: Match, second: Match, closely: bool) -> Match:
+    """Return the match that lies better on a target, the first one where both lie alike."""
+    rates = [_rate(target, source, match.target_from_source, closely) for match in (first, second)]
+    return second if rates[1] > rates[0] else first
 
 
 def _rate(target: Cloud, source: Cloud, target_from_source: Pose, closely: bool) -> float:

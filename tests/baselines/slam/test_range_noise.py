@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.scan import Scan
-from evalkit_baselines.slam.range_noise import count_beams, is_noisy, smooth_ranges
+from evalkit_baselines.slam.range_noise import RangeNoise, count_beams, is_noisy, smooth_ranges
 
 
 def make_scan(ranges, step_deg=0.225):
@@ -55,3 +55,15 @@ def test_scans_with_little_noise_or_wide_beams_are_the_same_object():
     empty = make_scan(np.full(800, np.inf))
     for scan in (quiet, wide, empty, make_scan([3.0]), make_scan([])):
         assert smooth_ranges(scan) is scan
+
+
+def test_a_lidar_is_noisy_while_most_of_its_last_scans_are():
+    rng = np.random.default_rng(3)
+    quiet, noisy = make_scan(np.full(100, 3.0)), make_scan(3.0 + 0.05 * rng.standard_normal(100))
+    lidar = RangeNoise()
+    told = []
+    for scan, count in ((noisy, 1), (quiet, 1), (quiet, 1), (noisy, 2), (quiet, 100)):
+        for _ in range(count):
+            lidar.smooth(scan)
+        told.append(lidar.is_noisy)
+    assert told == [True, False, False, True, False]  # 1 of 1, 1 of 2, 1 of 3, 3 of 5, 3 of 105

@@ -18,9 +18,9 @@ NB_MODULE(CORE, module)
 
     nb::class_<Index>(module, "Index")
         .def(nb::init<const Points &, int64_t, int64_t, const std::optional<Counts> &,
-                      const std::optional<Points> &>(), "points"_a.noconvert(),
+                      const std::optional<Points> &, bool>(), "points"_a.noconvert(),
              "neighbours"_a = 0, nb::kw_only(), "table"_a = 0, "support"_a.noconvert() = nb::none(),
-             "seen_from"_a.noconvert() = nb::none())
+             "seen_from"_a.noconvert() = nb::none(), "noisy"_a = false)
         .def("__len__", [](const Index &index) { return index.index().count; });
 
     module.def("normals", &normals, "points"_a.noconvert(), "neighbours"_a, "radius"_a);

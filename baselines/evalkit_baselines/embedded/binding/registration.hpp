@@ -15,9 +15,9 @@ class Index {
 public:
     // With neighbours (2 or more) also the normals of the points, each computed when a registration needs it; with tiles
     // (1 or more) a table of neighbours. Registrations with either take turns. Support: of how many points each is the mean.
-    // Seen from: the mean of the unit vectors (N, 2) from these to where they were seen from.
+    // Noisy: these counts also in the lines of normals. Seen from: the mean of the unit vectors (N, 2) from these to where they were seen from.
     Index(const Points &points, int64_t neighbours, int64_t tiles = 0, const std::optional<Counts> &support = {},
-          const std::optional<Points> &seen_from = {})
+          const std::optional<Points> &seen_from = {}, bool noisy = false)
     {
         constexpr std::size_t cells_per_point = 16, max_cells = std::size_t{1} << 18; // as in the core's front end
         constexpr std::size_t blocks_per_tile = 6;
@@ -48,6 +48,7 @@ public:
         if (support) {
             support_.assign(support->data(), support->data() + support->shape(0));
             index_.support = support_.data();
+            index_.noisy = noisy;
         }
         if (seen_from) {
             seen_from_.assign(start_of(*seen_from), start_of(*seen_from) + 2 * points.shape(0));

@@ -11,6 +11,8 @@
 #define MEASURED 200u       /* normals of the observer, at most */
 #define FEW_ITERATIONS 5u   /* of all points */
 #define PART_ITERATIONS 20u /* of a part */
+#define TRIED 199u          /* points of a scan that is searched on the map, at most */
+#define SEARCH_TIMES 10u    /* the work of that search, in times that allowed to a scan */
 #define SAMPLE 599u         /* points that are searched for in the score grid, at most */
 #define COVERS 7000u        /* as slots: grids that are tried while an index is built */
 #define DIGITS 24576u       /* entries of the tables that sort the points of a thinned cloud, at most */
@@ -64,6 +66,9 @@ static scan_searches add_matching(const ek_slam_parameters *p, uint64_t count, m
     }
     if (way != MEASURED_LAST) {
         searches.map += add_tries(p, count, way == NOT_MEASURED ? 6u : 5u, 1, most);
+    }
+    if (way == NOT_MEASURED) { /* from where the search of the map ends */
+        searches.map += add_match(p, count, 1, most);
     }
     return searches;
 }
@@ -136,6 +141,8 @@ static uint64_t allowed_work(void)
     return slam.finder.apart ? 4u * (uint64_t)allowed : (uint64_t)allowed;
 }
 
+static uint64_t allowed_before; /* work that was allowed to the last scan: the search of this one comes before its interval counts */
+
 /* The bounds of BOARD.md for a scan of the SLAM, where `work` and the limits of correspondences are above 0. */
 void bound_slam(uint64_t most[EK_TALLIES])
 {
@@ -162,15 +169,18 @@ void bound_slam(uint64_t most[EK_TALLIES])
     const uint64_t map_cells = slam.map_index.cell_capacity, poses = p->keyframes;
     most[EK_SLOTS] = 6u * (4u * beams + 3u * p->map_points + 2u * points) + 9u * COVERS;
     most[EK_CELLS] = 5u * (slam.last.cell_capacity + 3u * map_cells + 3u * scan.cells + seen.cells + target.cells) + 9u * 8u;
-    most[EK_CELLS] += 9u * DIGITS + 2u * (slam.maps[0].mask + 1u) + 3u * poses * sizeof(ek_pose) / sizeof(uint32_t);
+    most[EK_CELLS] += 10u * DIGITS + 2u * (slam.maps[0].mask + 1u) + 3u * poses * sizeof(ek_pose) / sizeof(uint32_t);
     most[EK_BEAMS] = most[EK_PREPARED] = beams;
     const uint64_t kept = smaller(p->keyframe_points, poses * beams), drawn = beams + smaller(kept, allowed / 8u + beams);
     most[EK_ADDED] = 2u * drawn;
     most[EK_PROBES] = drawn * (p->voxels + 1u);
     most[EK_VOXELS] = 2u * 3u * p->voxels;
     most[EK_SLAM_SCANS] = 1u;
-    most[EK_LOOKUPS] = allowed + 64u * smaller(points, SAMPLE);
+    const uint64_t search = SEARCH_TIMES * allowed_before;
+    most[EK_LOOKUPS] = allowed + 64u * smaller(points, SAMPLE) + search + 64u * TRIED;
     most[EK_OPERATIONS] = 124u * beams + larger(allowed + part, insert) + 3u * poses;
+    most[EK_OPERATIONS] += search + 8u * TRIED + 100u * p->map_points + p->score_cells;
+    allowed_before = (uint64_t)ek_slam_allowed_work(&slam);
     most[EK_TASK] = larger(allowed + whole_part, insert);
 }
 #else

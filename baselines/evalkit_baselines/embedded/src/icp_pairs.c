@@ -4,7 +4,6 @@
 #include "icp_parts.h"
 
 #define ALIKE (EK_R(16.0) * EK_EPSILON) /* share of a square: squares that differ by more have different roots */
-#define MAX_SUPPORT 20u /* points of a mean that count: the points of a scan share the error of its pose */
 #define CLEAR_VIEW EK_R(0.1)  /* share across its line of the directions that a target point was seen from: less is no side */
 #define CLEAR_LOOK EK_R(0.02) /* the same for the direction to where the source points were seen from */
 
@@ -130,8 +129,7 @@ static void share_noise(ek_icp *icp, const ek_index *target, size_t padded)
     }
     for (size_t i = 0; i < padded; i++) {
         const uint32_t slot = icp->weight[i] > EK_R(0.0) ? icp->nearest[i] : 0u;
-        const uint32_t points = target->support ? target->support[target->id[slot]] : 1u;
-        const ek_real independent = (ek_real)(points < MAX_SUPPORT ? points : MAX_SUPPORT);
+        const ek_real independent = ek_index_support(target, slot);
         icp->share[i] = icp->weight[i] * independent / (independent + (ek_real)pairs[slot]);
     }
 }

@@ -225,23 +225,32 @@ static ek_real find_nearest(const ek_index *index, ek_real x, ek_real y, ek_real
     }
 }
 
+/* As how many points a point counts in a line. */
+static inline ek_real weight_of(const ek_index *index, uint32_t slot)
+{
+    return index->noisy ? ek_index_support(index, slot) : EK_R(1.0);
+}
+
 /* Normal of the line through the points found, from their covariance about their mean. */
 static void normal_of(const ek_index *index, const nearest_points *found, ek_real x, ek_real y, ek_real normal[2])
 {
-    const ek_real *const xy = index->xy, count = (ek_real)found->count;
-    ek_real mean_x = EK_R(0.0), mean_y = EK_R(0.0), difference = EK_R(0.0), product = EK_R(0.0);
+    const ek_real *const xy = index->xy;
+    ek_real count = EK_R(0.0), mean_x = EK_R(0.0), mean_y = EK_R(0.0), difference = EK_R(0.0), product = EK_R(0.0);
     EK_COUNT(EK_NORMALS, 1u);
     EK_COUNT(EK_RANKED, found->count);
     for (size_t k = 0; k < found->count; k++) {
-        mean_x += xy[2u * found->slot[k]] - x;
-        mean_y += xy[2u * found->slot[k] + 1u] - y;
+        const ek_real weight = weight_of(index, found->slot[k]);
+        count += weight;
+        mean_x += weight * (xy[2u * found->slot[k]] - x);
+        mean_y += weight * (xy[2u * found->slot[k] + 1u] - y);
     }
     mean_x /= count;
     mean_y /= count;
     for (size_t k = 0; k < found->count; k++) {
         const ek_real u = xy[2u * found->slot[k]] - x - mean_x, v = xy[2u * found->slot[k] + 1u] - y - mean_y;
-        difference += (u - v) * (u + v);
-        product += EK_R(2.0) * u * v;
+        const ek_real weight = weight_of(index, found->slot[k]);
+        difference += weight * (u - v) * (u + v);
+        product += weight * EK_R(2.0) * u * v;
     }
     /* cosine and sine of twice the line's angle, which lies in (-90, 90] degrees */
     const ek_real length = EK_SQRT(difference * difference + product * product);

@@ -86,7 +86,7 @@ static ek_status init_front(ek_slam *slam, ek_arena *arena, const ek_slam_parame
     status = status == EK_OK ? ek_icp_init_lines(&slam->icp, arena) : status;
     status = status == EK_OK ? ek_index_init(&slam->last, arena, p->points, cells_for(p->points)) : status;
     status = status == EK_OK ? ek_index_init(&slam->map_index, arena, p->map_points, cells_for(p->map_points)) : status;
-    status = status == EK_OK ? ek_thinner_init(&slam->thinner, arena, p->points) : status;
+    status = status == EK_OK ? ek_thinner_init(&slam->thinner, arena, most) : status;
     status = status == EK_OK ? ek_observer_init(&slam->observer, arena, p->points) : status;
     status = status == EK_OK ? ek_continuity_init(&slam->continuity, arena, p->points) : status;
     for (size_t k = 0; status == EK_OK && k < 2u; k++) {
@@ -100,6 +100,9 @@ static ek_status init_front(ek_slam *slam, ek_arena *arena, const ek_slam_parame
     slam->map_support = (uint32_t *)ek_arena_alloc(arena, p->map_points, sizeof(uint32_t));
     slam->map_seen_from = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
     slam->moved = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
+    status = status == EK_OK ? ek_score_grid_init(&slam->around, arena, p->score_cells) : status;
+    status = status == EK_OK ? ek_search_init(&slam->search, arena, p->points) : status;
+    slam->means = (ek_real *)ek_arena_alloc(arena, p->map_points, 2u * sizeof(ek_real));
     slam->cells = (int32_t *)ek_arena_alloc(arena, p->points, 2u * sizeof(int32_t));
     slam->stored = (ek_real *)ek_arena_alloc(arena, p->points, 2u * sizeof(ek_real));
     slam->cleaned = (ek_real *)ek_arena_alloc(arena, p->points, sizeof(ek_real));
@@ -176,8 +179,10 @@ static ek_status take_map(ek_slam *slam, ek_pose near, ek_work *work)
     slam->centre_x = near.x;
     slam->centre_y = near.y;
     slam->map_changed = 0;
+    slam->around_drawn = 0;
     const ek_status status = index_lines(&slam->map_index, slam->map_normals, slam->map_points, count);
     slam->map_index.support = slam->map_support;
+    slam->map_index.noisy = slam->noise.noisy;
     slam->map_index.seen_from = slam->map_seen_from;
     return status;
 }
@@ -487,6 +492,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     } else if (status == EK_OK) {
         status = keep(slam, &prior, predicted, estimate, &task);
     }
+    slam->noise = noted.noise; /* for the maps of later scans */
     estimate->odom_from_base = slam->motion.start_from_base;
     ek_slam_work(slam, &task);
     if (slam->task == EK_TASK_FIND && slam->finder.apart) {

@@ -66,6 +66,7 @@ ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_noted *noted)
     ek_sweep prepared = *sweep;
     *wheels = slam->wheels;
     noted->dirt = slam->dirt;
+    noted->noise = slam->noise;
     noted->company = slam->company;
     wheels->has_last = sweep->has_odometry;
     wheels->now = sweep->odom_from_base;
@@ -81,6 +82,7 @@ ek_sweep ek_slam_prepare(ek_slam *slam, const ek_sweep *sweep, ek_noted *noted)
         const ek_scan_parameters *const limits = &slam->parameters.scan;
         EK_COUNT(EK_PREPARED, sweep->beams);
         const int smoothed = ek_smooth_ranges(sweep->ranges, sweep->angles, sweep->beams, slam->cleaned);
+        ek_range_noise_observe(&noted->noise, smoothed);
         ek_drop_speckles(smoothed ? slam->cleaned : sweep->ranges, sweep->angles, sweep->beams, limits->range_min,
                          limits->range_max, &noted->dirt, slam->cleaned);
         prepared.ranges = slam->cleaned;
@@ -253,6 +255,29 @@ static ek_pose try_starts(ek_slam *slam, const ek_index *target, ek_pose centre,
     return best;
 }
 
+/* Of two matches with the map, the one that lies more closely on it; the second one where both do alike. */
+static ek_match more_closely(const ek_slam *slam, const ek_index *target, const ek_match *one, const ek_match *other)
+{
+    const ek_real *const hits = slam->scan.hits;
+    const size_t count = slam->scan.count;
+    const ek_real on = rate(target, hits, count, one->target_from_source, 1);
+    return on > rate(target, hits, count, other->target_from_source, 1) ? *one : *other;
+}
+
+/* Match the scan with the map from where a search finds it; 1 if that is clear: no other heading scores nearly as well, or the
+ * match fits as usual. */
+static int search_map(ek_slam *slam, const ek_index *target, ek_pose predicted, const ek_icp_parameters *narrow, ek_match *match)
+{
+    ek_pose start;
+    int alone;
+    if (!ek_slam_search(slam, slam->moved, take_part(slam, TRIED_POINTS), predicted, &start, &alone) ||
+        match_coarse_to_fine(slam, target, start, narrow, 0, match) != EK_OK) {
+        return 0;
+    }
+    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
+    return alone || (paired && match->error <= DOUBTED * slam->usual_error);
+}
+
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,
                         ek_match *match)
 {
@@ -272,6 +297,10 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, co
     slam->tried = 1;
     narrow.max_correspondence = slam->parameters.fine_correspondence;
     ek_match other;
+    if (closely && search_map(slam, target, *predicted, &narrow, &other)) {
+        *match = more_closely(slam, target, &other, match);
+        return EK_OK;
+    }
     const ek_pose start = try_starts(slam, target, centre, also, closely, narrow);
     match_coarse_to_fine(slam, target, start, &narrow, part_suffices, &other);
     if (is_close(centre, other.target_from_source) && rate(target, hits, count, other.target_from_source, closely) >

@@ -1,4 +1,5 @@
-/* slam_parts.h - parts of slam.h: slam.c (one call per scan), slam_front.c (matching), slam_loops.c, slam_solve.c. */
+/* slam_parts.h - parts of slam.h: slam.c (one call per scan), slam_front.c (matching),
+ * slam_search.c (search of a doubted scan), slam_loops.c, slam_solve.c. */
 #ifndef EK_SLAM_PARTS_H
 #define EK_SLAM_PARTS_H
 
@@ -13,6 +14,7 @@
 #define ek_slam_note_turn EK_NAME(slam_note_turn)
 #define ek_slam_observe EK_NAME(slam_observe)
 #define ek_slam_match EK_NAME(slam_match)
+#define ek_slam_search EK_NAME(slam_search)
 #define ek_slam_limit EK_NAME(slam_limit)
 #define ek_slam_match_directly EK_NAME(slam_match_directly)
 #define ek_slam_gate EK_NAME(slam_gate)
@@ -45,6 +47,7 @@ void ek_slam_start_wheels(ek_slam *slam);
 typedef struct {
     ek_wheels wheels;
     ek_dirt dirt;
+    ek_range_noise noise;
     ek_company company;
 } ek_noted;
 
@@ -68,11 +71,17 @@ void ek_slam_note_turn(ek_slam *slam, const ek_prior *prior, ek_real by, const e
 /* Match the projected scan with a target, a large one first with a part of its points. The first answer of a scan that
  * fits poorly (`tried` says that there was one) is tried again with near pairs from five headings. `predicted`: of the
  * match with the map, without odometry, the pose at constant velocity, else NULL: one of more than twice the usual error is
- * tried again, too. Where the match with the scan before was, from headings at `predicted` and from `guess`. `part_suffices`:
+ * tried again, too: from where ek_slam_search finds it, if that is clear. Otherwise, where the match with the scan before was tried
+ * again, from headings at `predicted` and from `guess`. `part_suffices`:
  * of the match with the scan before, whose answer is only where that with the map begins: a part of a large scan is matched,
  * and its pairs, if enough, are counted as those of all points. */
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,
                         ek_match *match);
+
+/* Without wheel odometry: the motion of the best score of count points x y on the map, within 0.8 m and 60 deg of `centre`, and
+ * whether no other heading there scores nearly as well. 0: there is none, or the work does not suffice: ten times that
+ * allowed to a scan. Before it the grid of scores is drawn, once for each part of the map that is taken. */
+int ek_slam_search(ek_slam *slam, const ek_real *xy, size_t count, ek_pose centre, ek_pose *best, int *alone);
 
 /* Let the observer take the projected scan, once. */
 void ek_slam_observe(ek_slam *slam);

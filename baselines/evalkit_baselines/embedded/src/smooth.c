@@ -2,6 +2,7 @@
 
 #define MAX_SPAN (EK_R(1.201) * EK_PI / EK_R(180.0)) /* 1.2 deg, so that beams 0.3 or 0.6 deg apart are fine whatever is rounded */
 #define MIN_NOISE EK_R(0.02) /* m */
+#define MEMORY 200u          /* scans of a mean at most */
 #define SECOND_DIFFERENCE EK_R(1.6521808315072536) /* 0.6745 sqrt 6: median of |a + c - 2 b| for noise of 1 sigma */
 
 /* Number of neighbouring beams in a median, odd: 5, 3 or 1, so that most of these span at most MAX_SPAN. */
@@ -71,4 +72,11 @@ int ek_smooth_ranges(const ek_real *ranges, const ek_real *angles, size_t beams,
     }
     take_medians(ranges, beams, half, smoothed);
     return 1;
+}
+
+void ek_range_noise_observe(ek_range_noise *noise, int smoothed)
+{
+    noise->scans += noise->scans < MEMORY ? 1u : 0u;
+    noise->share += ((ek_real)smoothed - noise->share) / (ek_real)noise->scans;
+    noise->noisy = noise->share > EK_R(0.5);
 }

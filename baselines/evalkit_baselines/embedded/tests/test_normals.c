@@ -113,6 +113,30 @@ static void deferred_normals_are_the_same_to_the_bit(void)
     CHECK(ek_index_build(&reference, cloud, 5u) == EK_OK && reference.deferred == NULL);
 }
 
+static void a_mean_of_n_points_counts_as_n_in_a_noisy_index(void)
+{
+    const ek_real points[] = {0, 0, 1, 0, 1, 1}, again[] = {0, 0, 1, 0, 1, 1, 1, 1, 1, 1};
+    const uint32_t support[] = {1u, 1u, 3u};
+    ek_real expected[2], equal[2];
+    uint32_t many[] = {1u, 1u, EK_MAX_SUPPORT};
+    normals_of(again, 5u, 5u);
+    memcpy(expected, normals, sizeof expected);
+    normals_of(points, 3u, 3u);
+    CHECK(EK_FABS(normals[0] - expected[0]) > EK_R(0.05));
+    memcpy(equal, normals, sizeof equal);
+    reference.support = support;
+    CHECK(ek_normals_compute(&reference, 3u, EK_FAR, normals) == EK_OK && memcmp(equal, normals, sizeof equal) == 0);
+    reference.noisy = 1;
+    CHECK(ek_normals_compute(&reference, 3u, EK_FAR, normals) == EK_OK);
+    CHECK_NEAR(normals[0], expected[0], TOLERANCE);
+    CHECK_NEAR(normals[1], expected[1], TOLERANCE);
+    reference.support = many;
+    CHECK(ek_normals_compute(&reference, 3u, EK_FAR, normals) == EK_OK);
+    memcpy(expected, normals, sizeof expected);
+    many[2] = 1000u; /* no more than EK_MAX_SUPPORT count */
+    CHECK(ek_normals_compute(&reference, 3u, EK_FAR, normals) == EK_OK && memcmp(expected, normals, sizeof expected) == 0);
+}
+
 static void bad_input_is_named(void)
 {
     CHECK(ek_normals_compute(&reference, 1u, EK_FAR, normals) == EK_OUT_OF_RANGE);
@@ -140,6 +164,7 @@ int main(void)
     without_a_direction_the_normal_is_y();
     points_beyond_the_radius_are_no_neighbours();
     deferred_normals_are_the_same_to_the_bit();
+    a_mean_of_n_points_counts_as_n_in_a_noisy_index();
     bad_input_is_named();
     free(arena.memory);
     return verdict();

@@ -276,7 +276,7 @@ static void wholes(void)
     scan_of(2048u);
     index_of(2048u, 16u * 2048u);
     index_of(12288u, 16u * 12288u);
-    thinner_of(2048u);
+    thinner_of(12288u);
     observer_of(2048u);
     continuity_of(2048u);
     voxels_of(16384u, 32768u);
@@ -285,7 +285,9 @@ static void wholes(void)
     views_of(16384u);
     blocks(4u, 2048u, 2u * REAL); /* last_points, last_normals, moved, stored */
     block(2048u, 2u * WORD);
-    blocks(3u, 12288u, 2u * REAL);
+    blocks(4u, 12288u, 2u * REAL);
+    blocks(6u, (size_t)512 * 512, 1u);
+    blocks(2u, 2048u, WORD); /* cells of the search */
     block(12288u, WORD);
     block(2048u, REAL);
     keyframes_of(2000u, 1000000u, 64u);

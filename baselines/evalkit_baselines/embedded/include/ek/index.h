@@ -15,6 +15,7 @@ extern "C" {
 #endif
 
 #define EK_NONE UINT32_MAX
+#define EK_MAX_SUPPORT 20u /* points of a mean that count: the points of a scan share the error of its pose */
 
 /* Padding of the arrays: loops in index_update.c write one entry or one block beyond the end. */
 #define EK_INDEX_SLOTS(capacity) ((size_t)(capacity) + 1u)
@@ -39,7 +40,9 @@ typedef struct {
     ek_real *deferred;      /* NULL, or `normals` that are computed when first needed (ek_normals_defer) */
     uint32_t neighbours;    /* that define a deferred normal */
     const uint32_t *support; /* NULL: 1 each; or how many points each point is the mean of, 1 or more, in the order of the
-                                cloud; set after each change of the points (for `share_noise` of icp.h) */
+                                cloud, of which EK_MAX_SUPPORT count; set after each change of the points (for `share_noise` of
+                                icp.h, and for normals.h if `noisy`) */
+    int32_t noisy;          /* 1: a mean of n points counts as n in the line that defines a normal; set like `support` */
     const ek_real *seen_from; /* NULL: unknown; or for each point the mean of unit vectors x y to where it was seen from, in
                                  the order of the cloud; set after each change of the points (for EK_METRIC_LINE of icp.h) */
     ek_table *table;      /* NULL, or the table of its neighbours (table.h) */
@@ -57,6 +60,13 @@ typedef struct {
 #define ek_index_build EK_NAME(index_build)
 #define ek_index_is_stable EK_NAME(index_is_stable)
 #define ek_index_nearest EK_NAME(index_nearest)
+
+/* How many points the point in a slot is the mean of, as far as they count. */
+static inline ek_real ek_index_support(const ek_index *index, uint32_t slot)
+{
+    const uint32_t points = index->support ? index->support[index->id[slot]] : 1u;
+    return (ek_real)(points < EK_MAX_SUPPORT ? points : EK_MAX_SUPPORT);
+}
 
 /* Initialise an empty index of `capacity` points and `cells` cells in an arena (or measure it).
  * EK_OUT_OF_RANGE: capacity or cells is 0 or above 2^30. Rule of thumb for `cells`: area of the bounding box / area of

@@ -12,6 +12,8 @@
 #include "ek/continuity.h"
 #include "ek/loop_finder.h"
 #include "ek/motion.h"
+#include "ek/search.h"
+#include "ek/smooth.h"
 #include "ek/speckles.h"
 #include "ek/sweep_times.h"
 #include "ek/voxel_map.h"
@@ -33,7 +35,8 @@ typedef struct {
     ek_loop_settings loop;
     int64_t work;                /* operations a scan for loops, optimisation and map; 0: no limit. More in proportion
                                     where both last intervals exceed 0.1 s, up to 20 times at 2 s; while the track is
-                                    lost up to 4 times, less 12 for each point and iteration of matching */
+                                    lost up to 4 times, less 12 for each point and iteration of matching. Without
+                                    odometry 10 times more where a scan is searched on the map */
     /* memory */
     size_t points;               /* of a scan */
     size_t keyframes, keyframe_points, loops, records;
@@ -124,6 +127,10 @@ typedef struct {
     ek_voxel_map maps[2];    /* the map, and the one that is being drawn */
     uint32_t drawn;          /* which of them is the map */
     ek_real *moved, *stored;
+    ek_score_grid around;    /* scores of the map around the robot, without odometry */
+    ek_search search;        /* in it */
+    ek_real *means;          /* of the map in its cells */
+    int32_t around_drawn;    /* 1: of the part of the map as it is */
     int32_t *cells;
     ek_real centre_x, centre_y; /* of the part of the map around the robot */
     int32_t map_changed, has_keyframe, tried;
@@ -144,6 +151,7 @@ typedef struct {
     ek_slam_task task;
     ek_wheels wheels;
     ek_dirt dirt;
+    ek_range_noise noise;
     ek_sweep_times sweeps;   /* of scans without times of beams */
     ek_view views[3];
     ek_company company;      /* which of the views are kept */

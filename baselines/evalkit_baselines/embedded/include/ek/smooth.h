@@ -11,11 +11,23 @@
 extern "C" {
 #endif
 
+#define ek_range_noise EK_NAME(range_noise)
 #define ek_smooth_ranges EK_NAME(smooth_ranges)
+#define ek_range_noise_observe EK_NAME(range_noise_observe)
+
+/* Whether a lidar is noisy; all 0 before the first scan. */
+typedef struct {
+    ek_real share;  /* of scans whose ranges were smoothed, mean */
+    uint32_t scans; /* of which this is the mean */
+    int32_t noisy;  /* 1: most were */
+} ek_range_noise;
 
 /* Smooth ranges (m; nan or infinite: invalid) of beams at angles (rad) into `smoothed`, another array with room for as many.
  * 1: done; 0: beams are wide or the noise is small, and `smoothed` is not used. */
 int ek_smooth_ranges(const ek_real *ranges, const ek_real *angles, size_t beams, ek_real *smoothed);
+
+/* Count a scan whose ranges were smoothed (1) or not (0). */
+void ek_range_noise_observe(ek_range_noise *noise, int smoothed);
 
 #ifdef __cplusplus
 }
