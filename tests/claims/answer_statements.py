@@ -88,20 +88,31 @@ def not_recommended(facts: Facts, names: str, rivals: str, **said: str) -> Itera
     yield from same("not better", [one for one in true if one not in better], [])
 
 
-@kind(
-    IN_ANSWER,
-    r"Not counted for (?P<name>.+?): (?:(?P<tuned>[^.]+?), where its settings were chosen)?"
-    r"(?:(?:, and )?(?P<absent>[^.]+?), where it did not run)?\.(?= [A-Z0-9]|$)",
-)
-def not_counted_for(facts: Facts, name: str, tuned: str | None, absent: str | None) -> Iterator[str]:
+@kind(IN_ANSWER, r"(?:Its settings|Settings of (?P<name>.+?)) were chosen on (?P<where>[^.]+?)\.(?= [A-Z0-9]|$)")
+def chosen_there(facts: Facts, name: str | None, where: str) -> Iterator[str]:
+    chosen, _ = _not_counted(facts, name)
+    yield from same("settings chosen", list_of(where), chosen)
+
+
+@kind(IN_ANSWER, r"(?P<name>.+?) did not run on (?P<where>[^.]+?)\.(?= [A-Z0-9]|$)")
+def did_not_run(facts: Facts, name: str, where: str) -> Iterator[str]:
+    _, absent = _not_counted(facts, None if name == "It" else name)
+    yield from same("did not run", list_of(where), absent)
+
+
+def _not_counted(facts: Facts, name: str | None) -> tuple[list[str], list[str]]:
+    """Return the data sets that do not count for a method (None: the winner): settings chosen there, the others."""
     answer = facts.content["answer"]
-    method = answer["winners"][0] if name == "it" else name
+    method = name or answer["winners"][0]
     without = [one for one in answer["counted"] if not takes_part(facts, one, method)]
     there = [one for one in without if method in facts.runs[one]]
     chosen = [one for one in there if facts.find(one, facts.deciding(one) or "")[method].tuned]
-    for listed, true in ((tuned, chosen), (absent, [one for one in without if one not in chosen])):
-        named = true if len(true) <= 3 else [f"{len(true)} data sets"]
-        yield from same("not counted", list_of(listed) if listed else [], named)
+    absent = [one for one in without if one not in chosen]
+    return _name_few(chosen), _name_few(absent)
+
+
+def _name_few(sequences: list[str]) -> list[str]:
+    return sequences if len(sequences) <= 3 else [f"{len(sequences)} data sets"]
 
 
 @kind(IN_ANSWER, r"Where both count: (?P<own>\d+) of (?P<of>\d+) against (?P<its>\d+) of (?P<also>\d+)\.")
@@ -359,7 +370,7 @@ DISTURBANCES = {
 
 @kind(
     IN_PILLS,
-    r"times from a busy machine \((?P<count>\d+) of (?P<all>\d+) runs disturbed, (?P<by>\d+) by (?P<cause>.+)\)$",
+    r"busy machine: (?P<count>\d+) of (?P<all>\d+) runs disturbed, (?P<by>\d+) by (?P<cause>.+)$",
 )
 def busy(facts: Facts, count: str, cause: str, **said: str) -> Iterator[str]:
     never = ("not-installed", "data-missing", "interrupted", "skipped")

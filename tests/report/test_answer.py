@@ -165,7 +165,7 @@ def test_a_data_set_on_which_settings_were_chosen_does_not_count_for_that_method
         "Take b: best or tied on 2 of 3 data sets; next best: a, 1 of 2 that count for it."
     )
     assert subtitle(replace(comparison, methods=two)).startswith(
-        "Not counted for a: room, where its settings were chosen. Where both count: 1 of 2 against 1 of 2. 1.0 ms"
+        "Settings of a were chosen on room. Where both count: 1 of 2 against 1 of 2. 1.0 ms"
     )
     cheap = {**comparison.methods, "b": replace(comparison.methods["b"], tuned_on=("hall",))}
     told = subtitle(replace(comparison, methods=cheap))  # on room twice and on lab half the error of a
@@ -191,8 +191,7 @@ def test_the_title_says_that_fewer_data_sets_count_for_the_winner_and_why(build,
         "Take a: best or tied on 3 of 3 data sets that count for it; next best: b, 2 of all 5."
     )
     assert subtitle(comparison).startswith(
-        "Not counted for it: hall, where its settings were chosen, and lab, where it did not run. "
-        "Where both count: 3 of 3 against 0 of 3. "
+        "Its settings were chosen on hall. It did not run on lab. Where both count: 3 of 3 against 0 of 3. "
     )
 
 
@@ -406,18 +405,16 @@ def test_a_busy_machine_is_named_and_an_idle_one_is_not(build, three):
         ]))  # fmt: skip
 
     low = RunConditions(load=0.26, other_percent=7.04)
-    once = "times from a busy machine (1 of 18 runs disturbed, 1 by other programs: 7.0 % of the core)"
+    once = "busy machine: 1 of 18 runs disturbed, 1 by other programs: 7.0 % of the core"
     assert once in under(low)
-    most = "times from a busy machine (3 of 18 runs disturbed, 2 by waiting: up to 40 % of the time)"
+    most = "busy machine: 3 of 18 runs disturbed, 2 by waiting: up to 40 % of the time"
     others = RunConditions(steal_percent=2.4, waited_percent=40.0), RunConditions(waited_percent=6.0)
     assert most in under(low, *others)
-    equal = "times from a busy machine (2 of 18 runs disturbed, 1 by other programs: 7.0 % of the core)"
+    equal = "busy machine: 2 of 18 runs disturbed, 1 by other programs: 7.0 % of the core"
     assert equal in under(low, others[0])
     absent = replace(three[0].result, cause=Cause.DATA_MISSING, reason="fetch it", conditions=low)
     runs = [replace(three[0], result=replace(three[0].result, conditions=low)), replace(three[1], result=absent)]
-    assert "times from a busy machine (1 of 1 runs disturbed, 1 by other programs: 7.0 % of the core)" in pills(
-        build(runs)
-    )
+    assert "busy machine: 1 of 1 runs disturbed, 1 by other programs: 7.0 % of the core" in pills(build(runs))
     threads = RunConditions(waited_percent=40.0, busy_threads=2)  # its threads wait for each other
     calm = [*under(RunConditions(other_percent=0.5)), *under(threads), *pills(build(three))]
     assert not any("busy" in text for text in calm)

@@ -145,7 +145,7 @@ def _describe_load(runs: Sequence[RunRecord]) -> Pill | None:
     (what, of), taken = DISTURBANCES[name], [own[name] for own in found if name in own]
     most = f"{'' if len(taken) == 1 else 'up to '}{max(taken):.{int(max(taken) < 9.95)}f} % of {of}"
     counted = f"{len(found)} of {len(known)} runs disturbed, {len(taken)} by {what}"
-    return Pill(f"times from a busy machine ({counted}: {most})")
+    return Pill(f"busy machine: {counted}: {most}")
 
 
 def _describe_tuned(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> list[Pill]:

@@ -166,13 +166,15 @@ def _format_bases(tally: Tally, winners: Sequence[str], rivals: Sequence[str]) -
 
 
 def _format_limit(contests: Sequence[Contest], method: str, alone: bool) -> str:
-    """Return which data sets do not count for a method (``alone``: "it"), and why; "" if all do."""
+    """Return which data sets do not count for a method (``alone``: "its", "it"), and why; "" if all do."""
     without = [one for one in contests if method not in one.part]
     tuned = [one.sequence for one in without if one.was_tuned(method)]
     absent = [one.sequence for one in without if not one.was_tuned(method)]
-    reasons = ((tuned, "where its settings were chosen"), (absent, "where it did not run"))
-    parts = [f"{_name_or_count(where)}, {why}" for where, why in reasons if where]
-    return f"Not counted for {'it' if alone else method}: {', and '.join(parts)}." if parts else ""
+    reasons = (
+        (tuned, f"{'Its settings' if alone else f'Settings of {method}'} were chosen on"),
+        (absent, f"{'It' if alone else method} did not run on"),
+    )
+    return " ".join(f"{why} {_name_or_count(where)}." for where, why in reasons if where)
 
 
 def _name_or_count(sequences: Sequence[str]) -> str:
