@@ -518,10 +518,11 @@ def test_the_bounds_of_a_scan_of_the_slam_follow_from_its_parameters(count):
     most = dict(zip(kinds, map(int, printed.split()[2:]), strict=True))
     allowed = 4 * 200_000  # operations, while the robot is lost
     assert most["beam"] == most["prepared beam"] == 360
-    # two stages, each again after five and six further starts; the two matches of a loop
-    assert most["iteration"] == 2 * 2 * 40 + 5 * 20 + 6 * 20 + 2 * 40
+    # two stages, each again after five and six further starts; after the search of the map; the two matches of a loop
+    assert most["iteration"] == 2 * 2 * 40 + 5 * 20 + 6 * 20 + 40 + 2 * 40
     assert most["voxel"] == 2 * 3 * 4096  # the part of the map is taken at most three times
-    assert most["lookup"] == allowed + 64 * 599  # the first blocks of an angle, of the largest sample
+    # the search of a loop and that of the map, each with the first blocks of an angle, of the largest sample
+    assert most["lookup"] == allowed + 64 * 599 + 10 * 200_000 + 64 * 199
     assert most["operation of a task"] == allowed + 12 * 41 * 8192  # the largest part: a match in all its iterations
 
 

@@ -30,7 +30,7 @@ RIVAL_SHARE, OTHER_RAD = 0.92, math.radians(20.0)
 heading do not count: along a corridor all score alike, and the nearest to the prediction is taken."""
 
 
-class Place(NamedTuple):
+class FoundPlace(NamedTuple):
     """The motion ``target_from_source`` of the best score, and whether no other heading scores nearly as well."""
 
     pose: Pose
@@ -44,7 +44,7 @@ class WideSearch:
     _target: Cloud | None = field(default=None, init=False)
     _grid: ScoreGrid | None = field(default=None, init=False)
 
-    def find(self, target: Cloud, points: Floats, predicted: Pose) -> Place | None:
+    def find(self, target: Cloud, points: Floats, predicted: Pose) -> FoundPlace | None:
         """Return where points (N, 2) lie on a target around a prediction; None: nowhere."""
         if self._grid is None or self._target is not target:
             self._target, self._grid = target, ScoreGrid.from_points(target.points, CELL_M, CELL_M, _DEPTH)
@@ -56,7 +56,7 @@ class WideSearch:
         least, offset = RIVAL_SHARE * best.score, float(wrap(best.target_from_source.theta - predicted.theta))
         rivals = [_window_between(predicted, *ends) for ends in _other_headings(offset)]
         alone = all(branch_and_bound(self._grid, points, rival, least) is None for rival in rivals)
-        return Place(best.target_from_source, alone)
+        return FoundPlace(best.target_from_source, alone)
 
 
 def _other_headings(offset: float) -> list[tuple[float, float]]:

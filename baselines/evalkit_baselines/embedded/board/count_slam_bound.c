@@ -141,7 +141,7 @@ static uint64_t allowed_work(void)
     return slam.finder.apart ? 4u * (uint64_t)allowed : (uint64_t)allowed;
 }
 
-static uint64_t allowed_before; /* work that was allowed to the last scan: the search of this one comes before its interval counts */
+static uint64_t allowed_before; /* work that was allowed to the last scan: a scan is searched on the map before its interval counts */
 
 /* The bounds of BOARD.md for a scan of the SLAM, where `work` and the limits of correspondences are above 0. */
 void bound_slam(uint64_t most[EK_TALLIES])
@@ -176,11 +176,11 @@ void bound_slam(uint64_t most[EK_TALLIES])
     most[EK_PROBES] = drawn * (p->voxels + 1u);
     most[EK_VOXELS] = 2u * 3u * p->voxels;
     most[EK_SLAM_SCANS] = 1u;
-    const uint64_t search = SEARCH_TIMES * allowed_before;
+    const uint64_t allowed_now = (uint64_t)ek_slam_allowed_work(&slam), search = SEARCH_TIMES * larger(allowed_before, allowed_now);
     most[EK_LOOKUPS] = allowed + 64u * smaller(points, SAMPLE) + search + 64u * TRIED;
     most[EK_OPERATIONS] = 124u * beams + larger(allowed + part, insert) + 3u * poses;
     most[EK_OPERATIONS] += search + 8u * TRIED + 100u * p->map_points + p->score_cells;
-    allowed_before = (uint64_t)ek_slam_allowed_work(&slam);
+    allowed_before = allowed_now;
     most[EK_TASK] = larger(allowed + whole_part, insert);
 }
 #else
