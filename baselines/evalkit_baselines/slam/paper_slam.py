@@ -199,7 +199,7 @@ class PaperSlam:
     def _prepare(self, frame: Frame) -> Frame:
         """Return a frame with what is known of the wheels, of the lidar and of what moves along corrected."""
         took_ns = self._sweeps.take(frame)
-        self._map.noisy = self._noise.is_noisy  # by the scans before this one
+        self._map.noisy = self._noise.is_noisy and not self._speckles.is_dirty  # by the scans before this one
         frame = self._scale.correct(replace(frame, scan=self._speckles.drop(self._noise.smooth(frame.scan))))
         odom = frame.odom_from_base if self._settings.prior == "odometry" else None
         odom_from_sensor = None if odom is None else odom @ frame.base_from_sensor

@@ -40,6 +40,11 @@ class Speckles:
     share: float = 0.0
     scans: int = CLEAN
 
+    @property
+    def is_dirty(self) -> bool:
+        """Whether speckles are left out."""
+        return self.share >= DIRTY
+
     def drop(self, scan: Scan) -> Scan:
         """Return the scan with nan for the ranges of speckles; the same scan if the lidar is clean."""
         hits = np.flatnonzero(scan.hits)
@@ -48,7 +53,7 @@ class Speckles:
         speckles = hits[find_speckles(scan.ranges[hits], scan.angles[hits])]
         self.scans = min(self.scans + 1, MEMORY)
         self.share += (len(speckles) / len(hits) - self.share) / self.scans
-        if self.share < DIRTY or not len(speckles):
+        if not self.is_dirty or not len(speckles):
             return scan
         cleaned = scan.ranges.copy()
         cleaned[speckles] = np.nan

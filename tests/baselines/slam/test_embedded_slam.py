@@ -108,6 +108,24 @@ def test_without_a_limit_of_work_it_is_paper_slam():
     assert [one.accepted for one in found] == [one.accepted for one in estimates]
 
 
+def test_means_count_as_their_points_while_the_lidar_is_noisy_and_clean_as_in_paper_slam():
+    """From the 31st scan on 60 % of the beams have no return and 5 % a random range: the lidar becomes dirty."""
+    rng, frames = np.random.default_rng(6), list(islice(registry.dataset("room").make(seed=5).frames(), 60))
+    for number in range(30, 60):
+        ranges = frames[number].scan.ranges.copy()
+        drawn = rng.random(len(ranges))
+        ranges[drawn < 0.6] = np.nan
+        ranges[drawn > 0.95] = rng.uniform(0.2, 11.0, (drawn > 0.95).sum())
+        frames[number] = replace(frames[number], scan=replace(frames[number].scan, ranges=ranges))
+    expected, told, estimates = paper_slam.make(), [], []
+    for frame in frames:
+        estimates.append(expected.update(frame))
+        told.append(expected._map.noisy)
+    assert (told[0], told[1:31], told[-1]) == (False, [True] * 30, False)  # by the scans before
+    _, found = run(embedded_slam.make, frames, work=0, **SMALL | {"beams": 800})
+    assert np.abs(se2.between(rows(estimates), rows(found))).max() < 1e-9
+
+
 def test_scans_half_covered_without_odometry_are_placed_as_by_paper_slam():
     there, rng, frames = ring_drive(0.5)[:20], np.random.default_rng(4), []
     for row, frame in enumerate(make_frames(RING, there)):

@@ -50,6 +50,11 @@ ek_dirt ek_dirt_default(void)
     return dirt;
 }
 
+int ek_is_dirty(const ek_dirt *dirt)
+{
+    return dirt->share >= DIRTY;
+}
+
 size_t ek_drop_speckles(const ek_real *ranges, const ek_real *angles, size_t beams, ek_real low, ek_real high, ek_dirt *dirt,
                         ek_real *dropped)
 {
@@ -70,7 +75,7 @@ size_t ek_drop_speckles(const ek_real *ranges, const ek_real *angles, size_t bea
         dirt->scans += dirt->scans < MEMORY ? 1u : 0u;
         dirt->share += ((ek_real)speckles / (ek_real)hits - dirt->share) / (ek_real)dirt->scans;
     }
-    const int stay = dirt->share < DIRTY;
+    const int stay = !ek_is_dirty(dirt);
     for (size_t k = 0; speckles > 0u && k < beams; k++) {
         dropped[k] = !signbit(dropped[k]) ? dropped[k] : stay ? -dropped[k] : (ek_real)NAN;
     }

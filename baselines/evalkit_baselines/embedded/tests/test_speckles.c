@@ -130,6 +130,7 @@ static void a_clean_lidar_keeps_them(void)
     for (uint32_t number = 1u; number <= 400u; number++) {
         const size_t left_out = ek_drop_speckles(ranges, angles, BEAMS, LOW, HIGH, &now, dropped);
         CHECK(left_out == (number < 18u ? 0u : 1u) && (isnan(dropped[5]) != 0) == (number >= 18u));
+        CHECK(ek_is_dirty(&now) == (number >= 18u));
         CHECK(now.scans == (number < 150u ? 50u + number : 200u) && isinf(dropped[9]));
         CHECK(number >= 18u || (dropped[5] >= ranges[5] && dropped[5] <= ranges[5]));
     }

@@ -13,6 +13,7 @@ extern "C" {
 
 #define ek_dirt EK_NAME(dirt)
 #define ek_dirt_default EK_NAME(dirt_default)
+#define ek_is_dirty EK_NAME(is_dirty)
 #define ek_drop_speckles EK_NAME(drop_speckles)
 
 typedef struct {
@@ -22,6 +23,9 @@ typedef struct {
 
 /* Before the first scan. */
 ek_dirt ek_dirt_default(void);
+
+/* 1: speckles are left out. */
+int ek_is_dirty(const ek_dirt *dirt);
 
 /* Copy ranges (m) of beams at angles (rad) to `dropped`, which may be the same array and has room for as many; those of
  * speckles become nan if the lidar is dirty, this scan included. Hits are the ranges within [low, high], low >= 0; after the
