@@ -182,7 +182,7 @@ static ek_status take_map(ek_slam *slam, ek_pose near, ek_work *work)
     slam->around_drawn = 0;
     const ek_status status = index_lines(&slam->map_index, slam->map_normals, slam->map_points, count);
     slam->map_index.support = slam->map_support;
-    slam->map_index.noisy = slam->noisy;
+    slam->map_index.noisy = ek_is_noisy(&slam->noise) && !ek_is_dirty(&slam->dirt); /* by the scans before */
     slam->map_index.seen_from = slam->map_seen_from;
     return status;
 }
@@ -478,7 +478,6 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
         return status == EK_OK ? EK_OUT_OF_RANGE : status;
     }
     slam->wheels = noted.wheels;
-    slam->dirt = noted.dirt;
     slam->company = noted.company;
     ek_work task = ek_work_make(0);
     if (!estimate->set_aside) {
@@ -493,7 +492,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
         status = keep(slam, &prior, predicted, estimate, &task);
     }
     slam->noise = noted.noise;
-    slam->noisy = noted.noise.noisy && !ek_is_dirty(&noted.dirt); /* for the maps of later scans */
+    slam->dirt = noted.dirt;
     estimate->odom_from_base = slam->motion.start_from_base;
     ek_slam_work(slam, &task);
     if (slam->task == EK_TASK_FIND && slam->finder.apart) {

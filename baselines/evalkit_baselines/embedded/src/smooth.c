@@ -78,5 +78,9 @@ void ek_range_noise_observe(ek_range_noise *noise, int smoothed)
 {
     noise->scans += noise->scans < MEMORY ? 1u : 0u;
     noise->share += ((ek_real)smoothed - noise->share) / (ek_real)noise->scans;
-    noise->noisy = noise->share > EK_R(0.5);
+}
+
+int ek_is_noisy(const ek_range_noise *noise)
+{
+    return noise->share > EK_R(0.5);
 }

@@ -16,9 +16,9 @@ extern "C" {
 
 /* Compute the unit normal of each point of an index: the eigenvector for the smaller eigenvalue of the covariance of
  * its nearest `neighbours` points, itself included (all points if there are fewer; of equally near points the lowest
- * indices). If the index is `noisy`, a point that is the mean of n points counts as n (its
- * `support`). normals: one pair x y per point, in the order of the cloud. A normal has y > 0, or is (-1, 0). Where the
- * neighbours have no direction (a single point, coincident points, equal eigenvalues) it is (0, 1).
+ * indices). If the index is `noisy`, a point that is the mean of n points counts as n (its `support`). normals: one pair
+ * x y per point, in the order of the cloud. A normal has y > 0, or is (-1, 0). Where the neighbours have no direction (a
+ * single point, coincident points, equal eigenvalues) it is (0, 1).
  * radius: points at this distance (m) or farther are no neighbours; where fewer than three are left, or all coincide, the
  * normal is (0, 0). EK_FAR: no such limit.
  * EK_OUT_OF_RANGE: neighbours below 2 or above EK_MAX_NEIGHBOURS, a radius that is not positive. */

@@ -152,7 +152,6 @@ typedef struct {
     ek_wheels wheels;
     ek_dirt dirt;
     ek_range_noise noise;
-    int32_t noisy;           /* 1: and not dirty: means count as their points in the lines of the map */
     ek_sweep_times sweeps;   /* of scans without times of beams */
     ek_view views[3];
     ek_company company;      /* which of the views are kept */

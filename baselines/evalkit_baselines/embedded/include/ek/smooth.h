@@ -14,12 +14,12 @@ extern "C" {
 #define ek_range_noise EK_NAME(range_noise)
 #define ek_smooth_ranges EK_NAME(smooth_ranges)
 #define ek_range_noise_observe EK_NAME(range_noise_observe)
+#define ek_is_noisy EK_NAME(is_noisy)
 
-/* Whether a lidar is noisy; all 0 before the first scan. */
+/* How noisy a lidar is; all 0 before the first scan. */
 typedef struct {
     ek_real share;  /* of scans whose ranges were smoothed, mean */
     uint32_t scans; /* of which this is the mean */
-    int32_t noisy;  /* 1: most were */
 } ek_range_noise;
 
 /* Smooth ranges (m; nan or infinite: invalid) of beams at angles (rad) into `smoothed`, another array with room for as many.
@@ -28,6 +28,9 @@ int ek_smooth_ranges(const ek_real *ranges, const ek_real *angles, size_t beams,
 
 /* Count a scan whose ranges were smoothed (1) or not (0). */
 void ek_range_noise_observe(ek_range_noise *noise, int smoothed);
+
+/* 1: most scans were smoothed. */
+int ek_is_noisy(const ek_range_noise *noise);
 
 #ifdef __cplusplus
 }
