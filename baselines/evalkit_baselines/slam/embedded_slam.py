@@ -34,11 +34,11 @@ from evalkit_baselines.slam.loop_closure import (
 )
 from evalkit_baselines.slam.paper_slam import SPEC as REFERENCE
 from evalkit_baselines.slam.second_try import FINE_CORRESPONDENCE_M
-from evalkit_baselines.slam.settings import SharedSettings
+from evalkit_baselines.slam.settings import SlamSettings
 
 
 @dataclass(frozen=True)
-class EmbeddedSlamSettings(SharedSettings):
+class EmbeddedSlamSettings(SlamSettings):
     """Parameters of ``embedded-slam``: those of ``paper-slam``, the work of a scan, and the memory."""
 
     precision: str = parameter("double", "", "floating-point precision of the core", choices=("double", "float"))

@@ -19,9 +19,9 @@ from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
+from evalkit.odometry import planar3d
 from evalkit.odometry.local_map import voxel_means
 from evalkit.plugins.protocols import Registration
-from evalkit_baselines.embedded import normals_2d
 from evalkit_baselines.paper.association import CloudCache
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class Pairs(NamedTuple):
 def _sample(points: Floats) -> _Sample:
     thinned = voxel_means(points, _VOXEL_M)
     every = max(len(thinned) // _SAMPLES, 1)
-    return _Sample(thinned[::every], normals_2d(thinned, _NEIGHBOURS)[::every])
+    return _Sample(thinned[::every], planar3d.normals(thinned, _NEIGHBOURS, math.inf)[::every])
 
 
 def _measure(sample: _Sample, counts: Bools) -> Openness:

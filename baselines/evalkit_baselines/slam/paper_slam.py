@@ -1,7 +1,7 @@
 """``paper-slam``: the paper's ICP against a lasting map, with loop closure and a pose graph.
 
-The front end is evalkit's, with the settings of ``paper-map-line`` and ``share_noise``; ``matcher`` selects the ICP in
-C99 or in NumPy, which answer the same. A loop closure corrects all keyframes and redraws the map around the robot.
+The front end is evalkit's, the ICP is ``paper-map-line`` with ``share_noise``. A loop closure corrects all keyframes
+and redraws the map around the robot. Nothing here runs the compiled core, which is compared with this.
 """
 
 from __future__ import annotations
@@ -21,11 +21,10 @@ from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.odometry.frontend import FrontEnd, FrontEndSettings, Matched
 from evalkit.odometry.local_map import voxel_means
-from evalkit.plugins.parameters import declared_parameters, parameter
+from evalkit.plugins.parameters import declared_parameters
 from evalkit.plugins.protocols import Registration
 from evalkit.plugins.specs import SlamSpec
-from evalkit_baselines import embedded, paper
-from evalkit_baselines.embedded.compiled import compiled_missing
+from evalkit_baselines import paper
 from evalkit_baselines.slam import pose_graph
 from evalkit_baselines.slam.companions import Companions
 from evalkit_baselines.slam.continuity import SOON_NS, Continuity
@@ -46,7 +45,7 @@ from evalkit_baselines.slam.second_try import (
     CoarseToFine,
     SecondTry,
 )
-from evalkit_baselines.slam.settings import SharedSettings
+from evalkit_baselines.slam.settings import SlamSettings
 from evalkit_baselines.slam.speckles import Speckles
 from evalkit_baselines.slam.sweep_times import SweepTimes, deskew
 from evalkit_baselines.slam.uneven_turns import UnevenTurns
@@ -62,13 +61,6 @@ _CORRECTED_M, _CORRECTED_RAD = 0.01, math.radians(0.5)
 PATIENCE_NS = 2_000_000_000
 """With wheel odometry, scans that lie nowhere are set aside until so long after the last one that did: a bump, or
 people around the robot. Without it no prediction holds so long."""
-
-
-@dataclass(frozen=True)
-class SlamSettings(SharedSettings):
-    """Parameters of ``paper-slam``."""
-
-    matcher: str = parameter("embedded", "", "the paper's ICP in C99 or in NumPy", choices=("embedded", "paper"))
 
 
 PARAMETERS = declared_parameters(SlamSettings)
@@ -98,11 +90,11 @@ class PaperSlam:
             keyframe_distance_m=settings.keyframe_distance_m,
             keyframe_angle_deg=settings.keyframe_angle_deg,
         )
-        wide, narrow = _make_icp(settings.matcher), _make_icp(settings.matcher, **_NARROW)
-        coarse = _make_icp(settings.matcher, max_iterations=PART_ITERATIONS)
-        brief = _make_icp(settings.matcher, **_NARROW, max_iterations=PART_ITERATIONS)
-        fine = _make_icp(settings.matcher, **_NARROW, max_iterations=FINE_ITERATIONS)
-        direct = _make_icp(settings.matcher, **_NARROW, max_iterations=FINE_ITERATIONS, epsilon=DIRECT_EPSILON_M)
+        wide, narrow = _make_icp(), _make_icp(**_NARROW)
+        coarse = _make_icp(max_iterations=PART_ITERATIONS)
+        brief = _make_icp(**_NARROW, max_iterations=PART_ITERATIONS)
+        fine = _make_icp(**_NARROW, max_iterations=FINE_ITERATIONS)
+        direct = _make_icp(**_NARROW, max_iterations=FINE_ITERATIONS, epsilon=DIRECT_EPSILON_M)
         of_scan, of_scan_again = Coarse(wide, coarse), Coarse(narrow, brief)
         self._tries = SecondTry(
             CoarseToFine(of_scan, fine),
@@ -361,10 +353,9 @@ class PaperSlam:
                 recorded.edge = None
 
 
-def _make_icp(matcher: str, **changed: Any) -> Registration:
-    spec = embedded.MAP_LINE if matcher == "embedded" else paper.MAP_LINE
-    defaults = {each.name: each.default for each in spec.parameters}
-    made: Registration = spec.make(**{**defaults, "share_noise": True, **changed})
+def _make_icp(**changed: Any) -> Registration:
+    defaults = {each.name: each.default for each in paper.MAP_LINE.parameters}
+    made: Registration = paper.MAP_LINE.make(**{**defaults, "share_noise": True, **changed})
     return made
 
 
@@ -381,7 +372,6 @@ SPEC = SlamSpec(
     guess="wheel odometry where recorded, else constant velocity",
     requires=("scipy",),
     parameters=PARAMETERS,
-    missing=compiled_missing,
     tuned_on=(
         *paper.MAP_LINE.tuned_on,
         "rplidar-slambot",

@@ -9,7 +9,7 @@ from evalkit_baselines.slam.loop_closure import LoopSettings
 
 
 @dataclass(frozen=True)
-class SharedSettings(LoopSettings):
+class SlamSettings(LoopSettings):
     """Parameters of loop closure, map, keyframes and drift."""
 
     prior: str = parameter("odometry", "", "source of the first guess", choices=("odometry", "constant-velocity"))
