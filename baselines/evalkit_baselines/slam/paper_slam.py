@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from enum import Enum, auto
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,7 +63,6 @@ PATIENCE_NS = 2_000_000_000
 """With wheel odometry, scans that lie nowhere are set aside until so long after the last one that did: a bump, or
 people around the robot. Without it no prediction holds so long."""
 
-
 PARAMETERS = declared_parameters(SlamSettings)
 
 _NARROW = {"max_correspondence_m": FINE_CORRESPONDENCE_M}
@@ -74,6 +74,29 @@ class _Recorded:
 
     closure: LoopClosure
     edge: Edge | None = None
+
+
+class _Scan(NamedTuple):
+    """A scan, as it came and prepared, and what is known before it is matched."""
+
+    came: Frame
+    frame: Frame
+    hits: int
+    predicted: Pose
+    measured: bool  # wheel odometry predicts it
+    last: Pose | None  # pose of the scan before
+    step: Pose | None  # the motion since then by wheel odometry
+    elapsed_ns: int  # the time since then
+    uneven_rad: float
+
+
+class _Outcome(Enum):
+    """How a scan is used."""
+
+    SET_ASIDE = auto()
+    LOST = auto()
+    KEPT = auto()
+    MATCHED = auto()  # kept, and it lies on the map
 
 
 class PaperSlam:
@@ -136,57 +159,31 @@ class PaperSlam:
         odometry was right over such turns; otherwise it does not enter the map, unless the track is lost. That is so
         after a while, or without odometry: the map begins anew until a loop closure connects it with the old one. In
         between, the pose is that of the wheel odometry, which the graph doubts. Neither answer is accepted. Raises
-        ValueError where time does not advance.
+        ValueError where time does not advance. The steps are those of ``ek_slam_update`` (``../embedded/src/slam.c``).
         """
         if self._stamps_ns and frame.scan.stamp_ns <= self._stamps_ns[-1]:
             found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {self._stamps_ns[-1]} ns"
             raise ValueError(f"paper-slam: {found}; give the scans in the order of time")
         self._corrected = False
-        wheels, came = frame.odom_from_base, frame
-        frame = self._prepare(frame)
+        scan = self._begin(frame)
+        matched = self._track(scan)
+        outcome = self._judge(scan, matched)
+        on_map = matched if outcome is _Outcome.MATCHED else None
+        self._note_turn(scan, on_map)
+        self._observe_sweep(scan, on_map)
+        if matched is None or outcome is _Outcome.SET_ASIDE:
+            return self._set_aside(scan, matched)
+        return self._keep(scan, matched, lost=outcome is _Outcome.LOST)
+
+    def _begin(self, came: Frame) -> _Scan:
+        """Prepare a scan, and predict its pose."""
+        frame = self._prepare(came)
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
         last = Pose.of(self._odom_from_base[-1]) if self._stamps_ns else None
         step = last.inverse() @ predicted if measured and last is not None else None
-        hits = int(frame.scan.hits.sum())
-        is_closed = self._is_closed(hits, predicted)
-        for icp in self._icps:
-            icp.is_closed = is_closed
-        self._gate.begin_scan(step, self._doubt.usual_gap, self._doubt.usual_m, self._doubt.usual_points)
         elapsed_ns = frame.scan.stamp_ns - self._stamps_ns[-1] if self._stamps_ns else 0
-        uneven = self._turns.measure(frame, step, elapsed_ns)
-        if uneven and self._turns.is_odometry_right and self._gate.is_good:
-            self._turns.note(uneven, frame.odom_from_base, last, None)
-            return self._set_aside(frame, OdometryEstimate(predicted))
-        direct = self._match_directly(frame, predicted) if self._gate.is_good else None
-        if direct is None:
-            self._tries.begin_scan(self._doubt.usual_m, None if measured else predicted)
-        matched = direct or self._front.match(frame)
-        estimate, points, pose = matched.estimate, matched.source.points, matched.start_from_points
-        match = estimate.stages.get("s2m")
-        is_predicted = frame.odom_from_base is not None or elapsed_ns <= SOON_NS
-        lost = direct is None and self._is_lost(points, pose, is_predicted)
-        is_matched = match is not None and match.accepted and not lost
-        self._turns.note(uneven, frame.odom_from_base, last, pose if is_matched else None)
-        if not lost or self._fitted_ns is None:
-            self._fitted_ns = frame.scan.stamp_ns
-        if lost and measured and frame.scan.stamp_ns - self._fitted_ns <= PATIENCE_NS:
-            return self._set_aside(frame, replace(estimate, pose=predicted))
-        self._observe_sweep(came, matched if is_matched else None, predicted if direct else pose)
-        self._front.keep(frame, matched, may_be_keyframe=not uneven)
-        self._continuity.keep(points, pose, frame.base_from_sensor)
-        fits = False
-        if match is not None and match.accepted and last is not None:
-            fits = self._doubt.observe(last, predicted if measured else None, pose, match, hits)
-        keyframe = self._map.take()
-        self._hits = hits if keyframe else self._hits
-        new = keyframe or (NewKeyframe(points, pose, frame.base_from_sensor) if lost else None)
-        if new is not None:
-            new = new._replace(points=voxel_means(new.points, _STORED_VOXEL_M))
-            kind = Step.MATCHED if not lost else Step.MEASURED if measured else Step.UNKNOWN
-            self._insert(frame.scan.stamp_ns, new, wheels, kind, predicted if kind is Step.MEASURED else pose)
-        elif fits and not uneven:
-            self._map.add_between(points, pose, frame.base_from_sensor)
-        return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
+        uneven_rad = self._turns.measure(frame, step, elapsed_ns)
+        return _Scan(came, frame, int(frame.scan.hits.sum()), predicted, measured, last, step, elapsed_ns, uneven_rad)
 
     def _prepare(self, frame: Frame) -> Frame:
         """Return a frame with what is known of the wheels, of the lidar and of what moves along corrected."""
@@ -198,14 +195,20 @@ class PaperSlam:
         frame = replace(frame, scan=self._companions.drop(frame.scan, odom_from_sensor))
         return deskew(frame, self._front.extrapolate(took_ns)) if took_ns else frame
 
-    def _observe_sweep(self, came: Frame, matched: Matched | None, near: Pose) -> None:
-        """Learn the times of the beams from a scan, as it came, if it matched with the map around a pose."""
-        if matched is None:
-            return
-        pose, last = matched.start_from_points, Pose.of(self._odom_from_base[-1])
-        if self._sweeps.is_informative(came, last.inverse() @ pose):
-            pairs = self._icps[0].find_pairs(self._map.cloud(near), matched.source, pose)
-            self._sweeps.observe(came.scan.angles, came.base_from_sensor, last.inverse() @ pose, pairs)
+    def _track(self, scan: _Scan) -> Matched | None:
+        """Match a scan, with the map alone where good odometry allows it; None: it is set aside, and not matched."""
+        is_closed = self._is_closed(scan.hits, scan.predicted)
+        for icp in self._icps:
+            icp.is_closed = is_closed
+        self._gate.begin_scan(scan.step, self._doubt.usual_gap, self._doubt.usual_m, self._doubt.usual_points)
+        if self._gate.is_good:
+            if scan.uneven_rad and self._turns.is_odometry_right:
+                return None
+            direct = self._match_directly(scan.frame, scan.predicted)
+            if direct is not None:
+                return direct
+        self._tries.begin_scan(self._doubt.usual_m, None if scan.measured else scan.predicted)
+        return self._front.match(scan.frame)
 
     def _is_closed(self, hits: int, predicted: Pose) -> bool:
         """Return whether nothing is open: near a keyframe in a room, with about as many hits.
@@ -223,10 +226,78 @@ class PaperSlam:
         usual = match.accepted and self._doubt.is_usual(last, predicted, matched.start_from_points, match, points)
         return matched if usual else None
 
-    def _set_aside(self, frame: Frame, predicted: OdometryEstimate) -> OdometryEstimate:
+    def _judge(self, scan: _Scan, matched: Matched | None) -> _Outcome:
+        """Return whether a scan is set aside, or the track is lost, or else whether it matched with the map."""
+        if matched is None:
+            return _Outcome.SET_ASIDE
+        stamp_ns = scan.frame.scan.stamp_ns
+        lost = self._is_lost(scan, matched)
+        if not lost or self._fitted_ns is None:
+            self._fitted_ns = stamp_ns
+        if lost:
+            within = scan.measured and stamp_ns - self._fitted_ns <= PATIENCE_NS
+            return _Outcome.SET_ASIDE if within else _Outcome.LOST
+        match = matched.estimate.stages.get("s2m")
+        return _Outcome.MATCHED if match is not None and match.accepted else _Outcome.KEPT
+
+    def _is_lost(self, scan: _Scan, matched: Matched) -> bool:
+        """Return whether a scan lies neither on the one before nor on the map; a direct match lies on the map."""
+        if _is_direct(matched):
+            return False
+        pose, cloud = matched.start_from_points, self._map.cloud(matched.start_from_points)
+        is_predicted = scan.frame.odom_from_base is not None or scan.elapsed_ns <= SOON_NS
+        return self._continuity.is_lost(matched.source.points, pose, is_predicted, cloud.points)
+
+    def _note_turn(self, scan: _Scan, matched: Matched | None) -> None:
+        """Note how uneven a scan is, and after an uneven one whether the odometry was right over its turn."""
+        pose = None if matched is None else matched.start_from_points
+        self._turns.note(scan.uneven_rad, scan.frame.odom_from_base, scan.last, pose)
+
+    def _observe_sweep(self, scan: _Scan, matched: Matched | None) -> None:
+        """Learn the times of the beams from a scan, as it came, if it matched with the map."""
+        if matched is None or scan.last is None:
+            return
+        came, pose = scan.came, matched.start_from_points
+        step = scan.last.inverse() @ pose
+        if self._sweeps.is_informative(came, step):
+            cloud = self._map.cloud(scan.predicted if _is_direct(matched) else pose)
+            pairs = self._icps[0].find_pairs(cloud, matched.source, pose)
+            self._sweeps.observe(came.scan.angles, came.base_from_sensor, step, pairs)
+
+    def _set_aside(self, scan: _Scan, matched: Matched | None) -> OdometryEstimate:
         """Answer with the pose that wheel odometry predicts: nothing is matched with this scan."""
-        self._front.set_aside(frame, predicted.pose)
-        return self._answer(frame, replace(predicted, accepted=False))
+        estimate = OdometryEstimate(scan.predicted)
+        if matched is not None:
+            estimate = replace(matched.estimate, pose=scan.predicted)
+        self._front.set_aside(scan.frame, scan.predicted)
+        return self._answer(scan.frame, replace(estimate, accepted=False))
+
+    def _keep(self, scan: _Scan, matched: Matched, lost: bool) -> OdometryEstimate:
+        """Keep a scan as the one before, and unless it is uneven in the map if it fits, or as a keyframe.
+
+        It is a keyframe if the base has moved enough, and in any case if the track was lost.
+        """
+        estimate, points, pose = matched.estimate, matched.source.points, matched.start_from_points
+        frame, even = scan.frame, not scan.uneven_rad
+        self._front.keep(frame, matched, may_be_keyframe=even)
+        self._continuity.keep(points, pose, frame.base_from_sensor)
+        fits = self._observe_match(scan, matched)
+        keyframe = self._map.take()
+        if keyframe is not None:
+            self._hits = scan.hits
+        if keyframe is not None or lost:
+            self._insert(scan, keyframe or NewKeyframe(points, pose, frame.base_from_sensor), lost)
+        elif fits and even:
+            self._map.add_between(points, pose, frame.base_from_sensor)
+        return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
+
+    def _observe_match(self, scan: _Scan, matched: Matched) -> bool:
+        """Sum up the doubt about a match with the map; return whether it fits about as usual."""
+        match = matched.estimate.stages.get("s2m")
+        if match is None or not match.accepted or scan.last is None:
+            return False
+        predicted = scan.predicted if scan.measured else None
+        return self._doubt.observe(scan.last, predicted, matched.start_from_points, match, scan.hits)
 
     def _answer(self, frame: Frame, estimate: OdometryEstimate) -> OdometryEstimate:
         """Note the pose of a scan in the frame of the front end, and return it in that of the corrected poses."""
@@ -258,21 +329,19 @@ class PaperSlam:
         """Return all candidates so far."""
         return tuple(recorded.closure for recorded in self._candidates)
 
-    def _is_lost(self, points: Floats, odom_from_base: Pose, is_predicted: bool) -> bool:
-        """Return whether a scan lies neither on the one before nor on the map."""
-        return self._continuity.is_lost(points, odom_from_base, is_predicted, self._map.cloud(odom_from_base).points)
-
-    def _insert(self, stamp_ns: int, new: NewKeyframe, wheels: Pose | None, kind: Step, odom_from_base: Pose) -> None:
-        """Add a keyframe; ``odom_from_base``: where the graph has it, after a lost track not where it matched."""
-        known = kind is Step.MATCHED
+    def _insert(self, scan: _Scan, new: NewKeyframe, lost: bool) -> None:
+        """Add a keyframe; after a lost track the graph has it where the odometry predicts, not where it matched."""
+        kind = Step.MATCHED if not lost else Step.MEASURED if scan.measured else Step.UNKNOWN
+        odom_from_base = scan.predicted if kind is Step.MEASURED else new.odom_from_base
         last = Pose.of(self._odom_from_keyframe[-1]) if self._odom_from_keyframe else odom_from_base
-        motion = last.inverse() @ odom_from_base
-        self._keyframes.add(stamp_ns, new.points, motion, kind, self._doubt.take(), new.base_from_sensor)
+        motion, points = last.inverse() @ odom_from_base, voxel_means(new.points, _STORED_VOXEL_M)
+        self._keyframes.add(scan.frame.scan.stamp_ns, points, motion, kind, self._doubt.take(), new.base_from_sensor)
         self._odom_from_keyframe.append(new.odom_from_base.row)
-        if known and wheels is not None and self._wheels is not None and self._keyframes.is_last_step_seen():
+        wheels = scan.came.odom_from_base
+        if not lost and wheels is not None and self._wheels is not None and self._keyframes.is_last_step_seen():
             self._scale.observe(motion, self._wheels.inverse() @ wheels)
         self._wheels = wheels
-        if not known:
+        if lost:
             self._waiting = []
             self._map.odom_from_start = new.odom_from_base @ self._keyframes.pose(len(self._keyframes) - 1).inverse()
             self._map.rebuild()
@@ -351,6 +420,11 @@ class PaperSlam:
                 reason = f"withdrawn, contradicts other loops: {recorded.closure.reason}"
                 recorded.closure = replace(recorded.closure, accepted=False, reason=reason)
                 recorded.edge = None
+
+
+def _is_direct(matched: Matched) -> bool:
+    """Return whether a scan was matched with the map alone."""
+    return "s2m" in matched.estimate.stages and "s2s" not in matched.estimate.stages
 
 
 def _make_icp(**changed: Any) -> Registration:
