@@ -87,9 +87,9 @@ def format_milliseconds(value: float) -> str:
     return f"{value:.{choose_decimals('ms', digits, value)}f}\u00a0ms"
 
 
-def format_bounds(interval: Interval, digits: int) -> str:
+def format_bounds(interval: Interval) -> str:
     """Format the bounds of an interval: "0.012 to 0.017"."""
-    return f"{format_number(interval.low, digits)} to {format_number(interval.high, digits)}"
+    return f"{format_number(interval.low, 2)} to {format_number(interval.high, 2)}"
 
 
 def format_median(metric: Metric, score: MethodScore) -> str:

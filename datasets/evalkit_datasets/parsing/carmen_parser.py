@@ -151,7 +151,7 @@ def _find_pose_source(markers: set[bytes]) -> str:
 
 def _parse_flaser(layout: Layout, words: list[bytes]) -> Reading:
     """``FLASER n r1..rn x y theta odom_x odom_y odom_theta ipc_t host logger_t``."""
-    beams = _parse_beams(words, 1, 11)
+    beams = _parse_beams(words, 11)
     tail = words[2 + beams :]
     angles = _make_angles(beams, *_layout_by_beams(beams, layout))
     return Reading(
@@ -172,7 +172,7 @@ def _parse_rawlaser(_layout: Layout, words: list[bytes]) -> Reading:
 
 def _parse_old_laser(layout: Layout, words: list[bytes]) -> Reading:
     """``LASER3 n r1..rn ipc_t host logger_t``, by the parser of CARMEN (readlog.c)."""
-    beams = _parse_beams(words, 1, 5)
+    beams = _parse_beams(words, 5)
     angles = _make_angles(beams, *_layout_by_beams(beams, layout))
     return Reading(_parse_stamp(words[-3]), parse_columns(words, 2, 2 + beams), angles, NO_POSE, NO_POSE)
 
@@ -194,7 +194,7 @@ def _parse_stated_scan(words: list[bytes], others: int) -> tuple[Floats, Floats]
 
 def _parse_laser_reading(layout: Layout, words: list[bytes]) -> Reading:
     """``LASER_READING n r1..rn x y theta t`` of a .gfs file: its pose is raw odometry."""
-    beams = _parse_beams(words, 1, 6)
+    beams = _parse_beams(words, 6)
     angles = _make_angles(beams, *_layout_by_beams(beams, layout))
     pose = _parse_row(words[-4:-1])
     return Reading(_parse_stamp(words[-1]), parse_columns(words, 2, 2 + beams), angles, pose, pose)
@@ -250,9 +250,9 @@ _LINES: dict[bytes, Callable[[Log, list[bytes]], None]] = {
 _KNOWN_LINES = frozenset({*_ALL_LASERS, b"ODOM"})
 
 
-def _parse_beams(words: list[bytes], at: int, others: int) -> int:
+def _parse_beams(words: list[bytes], others: int) -> int:
     """Return the number of beams of a line, checked against its number of words."""
-    beams = int(words[at])
+    beams = int(words[1])
     if beams < 2 or len(words) != beams + others:
         raise ValueError(f"{beams} beams declared, but {len(words)} words in the line ({beams + others} expected)")
     return beams

@@ -123,7 +123,7 @@ def draw_office(seed: int) -> FloorPlan:
 
 
 def _draw_straight(draws: Draws) -> _Shape:
-    hall, length, below, above = draws.between(180, 240), draws.between(1200, 1700), *_draw_depths(draws, 2)
+    hall, length, below, above = draws.between(180, 240), draws.between(1200, 1700), *_draw_depths(draws)
     lane, top = hall // 2 + draws.between(-15, 15), below + hall
     rows = [
         _Row((0, below), (1, 0), (0, -1), length, below, lane),
@@ -133,7 +133,7 @@ def _draw_straight(draws: Draws) -> _Shape:
 
 
 def _draw_bent(draws: Draws) -> _Shape:
-    hall, length, below, beside = draws.between(180, 240), draws.between(500, 900), *_draw_depths(draws, 2)
+    hall, length, below, beside = draws.between(180, 240), draws.between(500, 900), *_draw_depths(draws)
     above = draws.between(400, 650)
     lane, other_lane, top = hall // 2 + draws.between(-15, 15), hall // 2 + draws.between(-15, 15), below + hall
     rows = [
@@ -147,7 +147,7 @@ def _draw_bent(draws: Draws) -> _Shape:
 
 
 def _draw_ring(draws: Draws) -> _Shape:
-    hall, length, below, above = draws.between(180, 240), draws.between(640, 900), *_draw_depths(draws, 2)
+    hall, length, below, above = draws.between(180, 240), draws.between(640, 900), *_draw_depths(draws)
     inside, lane = draws.between(330, 420), hall // 2 + draws.between(-15, 15)
     bottom, top, right = below + hall, below + hall + inside, hall + length
     width, end = right + hall, top + hall + above
@@ -162,8 +162,8 @@ def _draw_ring(draws: Draws) -> _Shape:
     return _Shape([(0, 0), (width, 0), (width, end), (0, end)], rows, corners, walls)
 
 
-def _draw_depths(draws: Draws, count: int) -> list[int]:
-    return [draws.between(350, 500) for _ in range(count)]
+def _draw_depths(draws: Draws) -> tuple[int, int]:
+    return draws.between(350, 500), draws.between(350, 500)
 
 
 def _divide(draws: Draws, row: _Row) -> Iterator[_Room]:

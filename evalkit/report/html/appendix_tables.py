@@ -81,7 +81,7 @@ def agreement_table(validation: MetricValidation, metrics: Sequence[Metric]) -> 
         overall = DASH
         if found.overall is not None:
             value = found.overall.value
-            overall = Cell(format_number(value, 2), value, extent=f"95 %: {format_bounds(found.overall, 2)}")
+            overall = Cell(format_number(value, 2), value, extent=f"95 %: {format_bounds(found.overall)}")
         each = [*found.by_perturbation.values(), *found.by_world.values()]
         rows.append(
             [name, overall, *(DASH if one is None else Cell(format_number(one.value, 2), one.value) for one in each)]

@@ -89,7 +89,6 @@ def mapper_equivalence(
     *,
     set_a: GivenParameters | None = None,
     set_b: GivenParameters | None = None,
-    set_on: GivenParameters | None = None,
     margin: MarginChoice = Margin(),  # noqa: B008 - a Margin is frozen
     scans: int = 30,
 ) -> Equivalence:
@@ -104,7 +103,7 @@ def mapper_equivalence(
         resolve_parameters(label, spec.parameters, given or {})
         for label, spec, given in ((label_a, spec_a, set_a), (label_b, spec_b, set_b))
     )
-    name, sequence = _load_sequence(on, set_on or {})
+    name, sequence = _load_sequence(on, {})
     result = map_cells.compare_mappers(
         label_a,
         lambda: spec_a.make(**known_a),

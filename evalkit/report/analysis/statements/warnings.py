@@ -46,7 +46,7 @@ def warn_of_evidence(sequence: SequenceAnalysis, ranking: Ranking) -> list[str]:
             correlation = validated.overall
             warnings.append(
                 f"Over {correlation.support} maps with a known error, its Spearman correlation with that error was "
-                f"{correlation.value:.2f} (95\u00a0% interval {format_bounds(correlation, 2)})."
+                f"{correlation.value:.2f} (95\u00a0% interval {format_bounds(correlation)})."
             )
     score = next((one for one in ranking.ranked if one.spread and one.spread.kind == "perturbed"), None)
     if score is not None:
