@@ -153,7 +153,7 @@ def execute_on_worker(
 ) -> tuple[RunResult, bytes]:
     """Execute a run on this worker of a cluster; returns its result and an archive of its files.
 
-    ``archive``: the stored files of a run that is executed already. ``code``: fingerprint of the code of the run.
+    ``archive``: the stored files of a run that is executed already. ``code``: hash of the code of the run.
     Raises StoreError if the code on this worker differs.
     """
     current_process().daemon = False  # the worker of a nanny may not start processes otherwise

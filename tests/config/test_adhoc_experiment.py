@@ -73,7 +73,7 @@ def test_a_folder_of_results_is_no_recording(tmp_path):
 
 
 def test_the_named_back_ends_run_and_by_default_one_of_each_family(log):
-    assert [entrant.label for entrant in plan(log, backends=("paper", "kiss-icp")).methods] == ["paper", "kiss-icp"]
+    assert [method.label for method in plan(log, backends=("paper", "kiss-icp")).methods] == ["paper", "kiss-icp"]
     chosen = defaults.find_default_backends()
     assert len(chosen) == 6
     assert len({registry.plug_in_of("backends", name).module for name in chosen}) == 6
@@ -113,7 +113,7 @@ def test_a_broken_plugin_does_not_affect_others(log, strangers, monkeypatch):
 
     monkeypatch.setattr(registry, "dataset", dataset)
     names = ("unloadable", "wheel-odometry")
-    missing = {entrant.label: entrant.missing for entrant in plan(log, backends=names).methods}
+    missing = {method.label: method.missing for method in plan(log, backends=names).methods}
     assert "does not load" in missing["unloadable"]
     assert missing["wheel-odometry"] == ""
 

@@ -147,7 +147,7 @@ def test_a_catalogued_recording_without_data_is_not_an_error(tmp_path, monkeypat
 
 def test_a_back_end_that_does_not_load_is_kept_with_the_reason(strangers):
     plan = plan_runs([{"use": "unloadable", "speed": 3}, {"use": "wheel-odometry"}])
-    assert [entrant.missing != "" for entrant in plan.methods] == [True, False]
+    assert [method.missing != "" for method in plan.methods] == [True, False]
     assert "the licence server does not answer" in plan.methods[0].missing
     assert len(list(plan.runs())) == 2
 
@@ -160,7 +160,7 @@ def test_the_smallest_experiment_uses_every_default(tmp_path):
     assert (plan.name, plan.title, plan.description, plan.limits) == ("exp", "exp", "", Limits())
     assert (plan.mapper.name, plan.mapper.scans) == ("log-odds", 400)
     assert [(sequence.label, sequence.seeds) for sequence in plan.sequences] == [("room", (0,))]
-    assert [(entrant.label, entrant.missing) for entrant in plan.methods] == [("wheel-odometry", "")]
+    assert [(method.label, method.missing) for method in plan.methods] == [("wheel-odometry", "")]
     defaults = {p.name: p.default for p in registry.dataset("room").parameters}
     assert plan.sequences[0].parameters_with_seed(7) == {**defaults, "seed": 7}
 
@@ -175,9 +175,9 @@ def test_given_values_replace_defaults(tmp_path):
     )
     assert (plan.title, plan.description, plan.limits) == ("T", "D", Limits(run_s=9, memory_mib=100))
     assert (plan.mapper.scans, plan.mapper.parameters["resolution_m"]) == (20, 0.1)
-    entrant, sequence = plan.methods[0], plan.sequences[0]
-    assert (entrant.label, entrant.backend, entrant.parameters["keyframes"]) == ("eager", "paper", 3)
-    assert (entrant.parameters["s2s.epsilon"], entrant.parameters["epsilon"]) == (0.5, 1e-4)
+    method, sequence = plan.methods[0], plan.sequences[0]
+    assert (method.label, method.backend, method.parameters["keyframes"]) == ("eager", "paper", 3)
+    assert (method.parameters["s2s.epsilon"], method.parameters["epsilon"]) == (0.5, 1e-4)
     assert (sequence.label, sequence.dataset, sequence.parameters["laps"], sequence.seeds) == (
         "box",
         "room",
@@ -221,7 +221,7 @@ def test_a_selection_keeps_the_order_and_an_empty_selection_keeps_all(wide):
     assert wide.select([], [], []) == wide
     part = wide.select(["lab; askew", "room"], ["wheel-odometry"], [0, 2])
     assert [(sequence.label, sequence.seeds) for sequence in part.sequences] == [("room", (0, 2)), ("lab; askew", (0,))]
-    assert [entrant.label for entrant in part.methods] == ["wheel-odometry"]
+    assert [method.label for method in part.methods] == ["wheel-odometry"]
 
 
 def test_a_recording_stays_selected_for_any_seeds(wide):

@@ -40,8 +40,8 @@ def run(tmp_path, monkeypatch, capsys):
 
     def call(command, *uses):
         path = tmp_path / "maps.toml"
-        entrants = "".join(f"[[method]]\nuse = {json.dumps(use)}\n" for use in uses)
-        path.write_text(entrants + COARSE + f'[[sequence]]\nuse = "room"\n{DRIVE}')
+        methods = "".join(f"[[method]]\nuse = {json.dumps(use)}\n" for use in uses)
+        path.write_text(methods + COARSE + f'[[sequence]]\nuse = "room"\n{DRIVE}')
         words = ["evalkit", "compare", *command, str(path), "-o", str(tmp_path / "out"), "-j", "1", "--json"]
         monkeypatch.setattr(sys, "argv", words)
         with pytest.raises(SystemExit) as ended:

@@ -75,9 +75,9 @@ def test_unavailable_methods_are_one_line_per_reason_with_system_packages_first(
     plan = experiment_from_tables(content, "x.toml", "x", "compare x.toml")
     assert format_unavailable(plan) == []
     pip, apt = "not installed: pip install x", "needs libGL:\napt-get install libgl1"
-    entrants = [Method(label, "", {}, why) for label, why in (("a", pip), ("b", apt), ("c", apt), ("d", ""))]
+    methods = [Method(label, "", {}, why) for label, why in (("a", pip), ("b", apt), ("c", apt), ("d", ""))]
     sequences = (SequenceSpec("e", "", {}, (None,), "no file e"),)
-    assert format_unavailable(replace(plan, methods=tuple(entrants), sequences=sequences)) == [
+    assert format_unavailable(replace(plan, methods=tuple(methods), sequences=sequences)) == [
         "not available here: b, c: needs libGL: apt-get install libgl1",
         "not available here: a: not installed: pip install x",
         "not available here: e: no file e",

@@ -61,7 +61,7 @@ class Continuity:
         ``is_predicted``: by wheel odometry, or the scan before is not older than ``SOON_NS``. Then the scan before
         alone may be the wrong one, and the map counts, too; otherwise it does not help: after a gap an equal place is
         near enough for a match. Points that the scan before could not see do not count. With too few others, a
-        prediction is believed; without one the track is lost.
+        prediction is accepted; without one the track is lost.
         """
         from scipy.spatial import cKDTree  # noqa: PLC0415 - specs are listed without SciPy
 

@@ -1,7 +1,7 @@
 """An ICP whose answer is kept only where it agrees with wheel odometry: wrong matches of bad scans are far from it.
 
 How far is too far depends on the wheels: on some robots they agree with the scans to a centimetre, on others their
-clocks do not agree. A match is not believed where it is many times farther from the odometry than matches usually are.
+clocks do not agree. A match is not accepted where it is many times farther from the odometry than matches usually are.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from evalkit.plugins.protocols import Registration
 from evalkit_baselines.slam.second_try import MIN_SHARE, UNUSUAL
 
 UNLIKELY = 20.0
-"""Times the usual gap between match and odometry (m, rad): a match that is farther from its guess is not believed."""
+"""Times the usual gap between match and odometry (m, rad): a match that is farther from its guess is not accepted."""
 
 NARROW, STEP_SHARE = (0.3, math.radians(20.0)), 0.25
-"""Nearer than this (m, rad), and this share of the step, it is believed; with good odometry this is the limit."""
+"""Nearer than this (m, rad), and this share of the step, it is accepted; with good odometry this is the limit."""
 
 WIDE = 0.5, math.radians(36.0)
-"""A match farther than one of these is not believed in any case, nor before it is known what is usual. Between two
+"""A match farther than one of these is not accepted in any case, nor before it is known what is usual. Between two
 scans wheels slip less, and clocks that do not agree turn less; the loop closures find a robot that was carried away."""
 
 CLEAR_M, CLEAR_SHARE = 0.04, 0.9
@@ -33,7 +33,7 @@ POOR_SHARE = 0.5
 ``MIN_SHARE`` of the points."""
 
 MIN_POINTS, TIMES_FEWER = 40, 3.0
-"""Where the odometry is good enough for a limit below ``WIDE``, a match of a scan with fewer points is not believed; of
+"""Where the odometry is good enough for a limit below ``WIDE``, a match of a scan with fewer points is not accepted; of
 a lidar with few beams, of one with so many times fewer than usual."""
 
 
@@ -72,11 +72,11 @@ class OdometryGate:
 
     @property
     def is_good(self) -> bool:
-        """Whether the odometry has been so good that no match far from it is believed."""
+        """Whether the odometry has been so good that no match far from it is accepted."""
         return self._is_measured and self._limit[0] < WIDE[0]
 
     def judge(self, match: Match, points: int, guess: Pose) -> Match:
-        """Return a match of a scan of so many points; one that is not believed as the guess, without inliers."""
+        """Return a match of a scan of so many points; one that is not accepted becomes the guess, without inliers."""
         if not self._is_measured:
             return match
         gap, (most_m, most_rad) = guess.inverse() @ match.target_from_source, self._limit

@@ -436,7 +436,7 @@ def test_noisy_fine_beams_and_a_wrong_odometry_scale_are_corrected_as_in_paper_s
     assert gap.max() < 1e-9
 
 
-def test_the_gate_by_odometry_believes_the_same_matches_as_that_of_paper_slam():
+def test_the_gate_by_odometry_accepts_the_same_matches_as_that_of_paper_slam():
     rng = np.random.default_rng(5)
     frames = []
     for row, frame in enumerate(make_frames(RING, ring_drive(1.0)[:80])):

@@ -1,4 +1,4 @@
-"""A match is believed near the guess of the wheels only; without wheels always."""
+"""A match is accepted near the guess of the wheels only; without wheels always."""
 
 import math
 
@@ -25,7 +25,7 @@ class Answers:
 
 @pytest.mark.parametrize("usual_gap", [None, (1.0, 1.0), (0.0, 0.0)])
 @pytest.mark.parametrize(
-    ("share", "points", "is_believed"),
+    ("share", "points", "is_accepted"),
     [
         ((0.99, 0.0, 0.99), MIN_POINTS, (True, True)),
         ((0.0, -1.01, 0.0), MIN_POINTS, (False, False)),
@@ -34,17 +34,17 @@ class Answers:
     ],
 )
 def test_far_answers_and_beside_good_odometry_those_of_few_points_are_the_guess_without_pairs(
-    share, points, is_believed, usual_gap
+    share, points, is_accepted, usual_gap
 ):
     good = usual_gap == (0.0, 0.0)
     most_m, most_rad = NARROW if good else WIDE
-    gap, is_believed = Pose(share[0] * most_m, share[1] * most_m, share[2] * most_rad), is_believed[good]
+    gap, is_accepted = Pose(share[0] * most_m, share[1] * most_m, share[2] * most_rad), is_accepted[good]
     gated = Gated(Answers(gap), OdometryGate())
     cloud = Cloud(np.ones((points, 2)))
     assert gated.register(cloud, cloud, GUESS).inliers == points  # the guess is none of wheels
     gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), usual_gap)
     match = gated.register(cloud, cloud, GUESS)
-    if is_believed:
+    if is_accepted:
         assert match.target_from_source == GUESS @ gap
         assert match.inliers == points
     else:
@@ -53,29 +53,29 @@ def test_far_answers_and_beside_good_odometry_those_of_few_points_are_the_guess_
 
 
 @pytest.mark.parametrize(
-    ("points", "usual_points", "is_believed"), [(20, 60.0, True), (19, 60.0, False), (39, 600.0, False)]
+    ("points", "usual_points", "is_accepted"), [(20, 60.0, True), (19, 60.0, False), (39, 600.0, False)]
 )
-def test_of_a_lidar_with_few_beams_a_third_of_the_usual_points_is_enough(points, usual_points, is_believed):
+def test_of_a_lidar_with_few_beams_a_third_of_the_usual_points_is_enough(points, usual_points, is_accepted):
     gated = Gated(Answers(Pose(0.1, 0.0, 0.0)), OdometryGate())
     gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), (0.0, 0.0), usual_points=usual_points)
     cloud = Cloud(np.ones((points, 2)))
-    assert (gated.register(cloud, cloud, GUESS).inliers > 0) == is_believed
+    assert (gated.register(cloud, cloud, GUESS).inliers > 0) == is_accepted
 
 
 @pytest.mark.parametrize("usual", [0.02, 0.0])
 @pytest.mark.parametrize(
-    ("gap", "is_believed"), [((0.39, 0.0, 0.39), True), ((0.0, 0.41, 0.0), False), ((0.0, 0.0, 0.41), False)]
+    ("gap", "is_accepted"), [((0.39, 0.0, 0.39), True), ((0.0, 0.41, 0.0), False), ((0.0, 0.0, 0.41), False)]
 )
-def test_answers_up_to_twenty_times_the_usual_gap_or_a_quarter_of_the_step_are_believed(gap, is_believed, usual):
+def test_answers_up_to_twenty_times_the_usual_gap_or_a_quarter_of_the_step_are_accepted(gap, is_accepted, usual):
     gated = Gated(Answers(Pose(*gap)), OdometryGate())
     step = Pose(0.0, 0.0, 0.0) if usual else Pose(0.24, -0.32, -0.2)  # with good odometry, 0.1 m and 0.05 rad more
     gated.gate.begin_scan(step, (usual, usual))
     cloud = Cloud(np.ones((MIN_POINTS, 2)))
-    assert (gated.register(cloud, cloud, GUESS).inliers > 0) == is_believed
+    assert (gated.register(cloud, cloud, GUESS).inliers > 0) == is_accepted
 
 
 @pytest.mark.parametrize(
-    ("x_m", "error_m", "paired", "is_believed"),
+    ("x_m", "error_m", "paired", "is_accepted"),
     [
         (0.24, 0.09, 0.79, True),
         (0.26, 0.09, 0.79, False),
@@ -84,14 +84,14 @@ def test_answers_up_to_twenty_times_the_usual_gap_or_a_quarter_of_the_step_are_b
         (0.51, 0.07, 0.79, False),
     ],
 )
-def test_an_answer_that_fits_poorly_must_be_half_as_far(x_m, error_m, paired, is_believed):
+def test_an_answer_that_fits_poorly_must_be_half_as_far(x_m, error_m, paired, is_accepted):
     gated = Gated(Answers(Pose(x_m, 0.0, 0.0), error_m, paired), OdometryGate())
     gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), None, 0.02)  # four times this
     cloud = Cloud(np.ones((100, 2)))
-    assert (gated.register(cloud, cloud, GUESS).inliers > 0) == is_believed
+    assert (gated.register(cloud, cloud, GUESS).inliers > 0) == is_accepted
 
 
-def test_a_far_answer_that_fits_well_is_believed():
+def test_a_far_answer_that_fits_well_is_accepted():
     gated = Gated(Answers(Pose(1.0, 0.0, 0.0), 0.02), OdometryGate())
     gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), None)
     cloud = Cloud(np.ones((MIN_POINTS, 2)))
