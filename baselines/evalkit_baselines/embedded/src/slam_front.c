@@ -255,13 +255,15 @@ static ek_pose try_starts(ek_slam *slam, const ek_index *target, ek_pose centre,
     return best;
 }
 
-/* Of two matches with the map, the one that lies more closely on it; the second one where both do alike. */
-static ek_match more_closely(const ek_slam *slam, const ek_index *target, const ek_match *one, const ek_match *other)
+/* Set a match aside for another one that lies more closely on the target; see rate. */
+static void take_closer(const ek_slam *slam, const ek_index *target, int closely, const ek_match *other, ek_match *match)
 {
     const ek_real *const hits = slam->scan.hits;
     const size_t count = slam->scan.count;
-    const ek_real on = rate(target, hits, count, one->target_from_source, 1);
-    return on > rate(target, hits, count, other->target_from_source, 1) ? *one : *other;
+    const ek_real on = rate(target, hits, count, other->target_from_source, closely);
+    if (on > rate(target, hits, count, match->target_from_source, closely)) {
+        *match = *other;
+    }
 }
 
 /* Match the scan with the map from where a search finds it; 1 if that is clear: no other heading scores nearly as well, or the
@@ -281,11 +283,9 @@ static int search_map(ek_slam *slam, const ek_index *target, ek_pose predicted, 
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,
                         ek_match *match)
 {
-    const ek_real *const hits = slam->scan.hits;
-    const size_t count = slam->scan.count;
     ek_icp_parameters narrow = matcher_of(slam);
     const ek_status status = match_coarse_to_fine(slam, target, guess, &narrow, part_suffices, match);
-    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)count, closely = predicted != NULL;
+    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count, closely = predicted != NULL;
     const ek_real unusual = UNUSUAL * slam->usual_error, most = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
     const int doubted = closely && (slam->tried || slam->usual_error > EK_R(0.0));
     const ek_real poor = doubted && DOUBTED * slam->usual_error < most ? DOUBTED * slam->usual_error : most;
@@ -298,14 +298,13 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, co
     narrow.max_correspondence = slam->parameters.fine_correspondence;
     ek_match other;
     if (closely && search_map(slam, target, *predicted, &narrow, &other)) {
-        *match = more_closely(slam, target, &other, match);
+        take_closer(slam, target, closely, &other, match);
         return EK_OK;
     }
     const ek_pose start = try_starts(slam, target, centre, also, closely, narrow);
     match_coarse_to_fine(slam, target, start, &narrow, part_suffices, &other);
-    if (is_close(centre, other.target_from_source) && rate(target, hits, count, other.target_from_source, closely) >
-                                                          rate(target, hits, count, match->target_from_source, closely)) {
-        *match = other;
+    if (is_close(centre, other.target_from_source)) {
+        take_closer(slam, target, closely, &other, match);
     }
     return EK_OK;
 }
