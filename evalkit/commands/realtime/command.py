@@ -180,7 +180,8 @@ def _print(content: dict[str, Any], on: str) -> None:
     head = "device: error of the newest pose, dropped and late scans, age (95 %)"
     for line in format_rows(head, _make_rows(content), table_width(out), cost=""):
         out.print(line)
-    words = shlex.join(["evalkit", "tune", content["backend"], "--on", on])
+    without_seed = shlex.join(word for word in shlex.split(on) if not word.startswith("seed="))  # a tuning has its own
+    words = shlex.join(["evalkit", "tune", content["backend"], "--on", without_seed])
     out.print(f"\nnext: {words} (cheaper or better parameters)", soft_wrap=True)
 
 
