@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from evalkit.core.errors import BadParameter
 from evalkit.plugins import registry
-from evalkit.plugins.parameters import Parameter, Value, resolve_parameters
+from evalkit.plugins.parameters import Parameter, Value, resolve_parameters, split_settings
 
 WORDS: dict[type, str] = {int: "a whole number", float: "a number"}
 """Name of the expected type in an error message."""
@@ -34,10 +34,8 @@ def parse_dataset(text: str, shared: Mapping[str, str] = MappingProxyType({})) -
     except ValueError as error:
         raise BadParameter("data set", "on", text, f"a data set's name and NAME=VALUE ({error})") from error
     spec = registry.dataset(name)
-    for word in words:
-        if "=" not in word:
-            raise BadParameter(name, word, word, "NAME=VALUE after the name of the data set")
-    given = from_text(name, spec.parameters, {**shared, **dict(word.split("=", 1) for word in words)})
+    own = split_settings(name, words, "NAME=VALUE after the name of the data set")
+    given = from_text(name, spec.parameters, {**shared, **own})
     resolve_parameters(name, spec.parameters, given)
     return name, given
 

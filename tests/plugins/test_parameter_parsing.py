@@ -40,6 +40,11 @@ def test_a_key_of_an_experiment_file_is_no_parameter_of_a_data_set(word):
         parse_dataset("room", dict([word.split("=")]))
 
 
+def test_a_parameter_of_a_data_set_is_given_once():
+    with pytest.raises(BadParameter, match=r"room: parameter 'laps': found '0\.2', expected one value, but '0\.1' is"):
+        parse_dataset("room laps=0.1 laps=0.2")
+
+
 def test_parameters_of_a_data_set_replace_the_shared_ones():
     assert parse_dataset("lab laps=0.1", {"laps": "0.05", "rate_hz": "5"}) == ("lab", {"laps": 0.1, "rate_hz": 5.0})
 
