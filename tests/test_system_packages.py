@@ -10,7 +10,10 @@ import pytest
 SCRIPT = Path(__file__).resolve().parents[1] / ".ci" / "system-packages"
 LIBRARIES = "libGL.so.1 libEGL.so.1 libX11.so.6 libusb-1.0.so.0 libgomp.so.1"
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the script installs packages on Linux only")
+pytestmark = [
+    pytest.mark.checkout,
+    pytest.mark.skipif(sys.platform != "linux", reason="the script installs packages on Linux only"),
+]
 
 
 @pytest.fixture
