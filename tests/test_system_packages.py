@@ -64,6 +64,13 @@ def test_a_failed_installation_does_not_stop_the_report(run):
     assert found.returncode == 0
 
 
+def test_an_unknown_part_ends_with_2_and_the_description_of_the_script(run):
+    found, log = run("open3d", "printer", id="echo 0")
+    assert (found.returncode, found.stdout, log) == (2, "", "")
+    assert found.stderr.startswith("Install the system packages that parts of evalkit need:")
+    assert found.stderr.endswith("An unknown part ends it with 2.\n")
+
+
 @pytest.mark.parametrize("target", ["report", "report-quick"])
 def test_a_report_installs_and_fetches_what_it_needs_first(target):
     done = subprocess.run(["make", "-n", target], cwd=SCRIPT.parents[1], capture_output=True, text=True, check=True)
