@@ -164,17 +164,19 @@ CAUSES = {
     "unfinished": r"(.+?) did not complete every run with a value",
     "absent": r"(.+?) did not run",
 }
+BARE = r"the geometry of (.+?) does not determine the pose"
 
 
 @kind(
     IN_ANSWER,
     r"(?:Only (?P<only>.+?) is|No method is) ranked: "
-    r"(?P<why>(?:settings of |[^:.]+? (?:lost|registered|did not)).+?)\.$",
+    r"(?P<why>(?:settings of |the geometry of |[^:.]+? (?:lost|registered|did not)).+?)\.$",
 )
 def not_ranked(facts: Facts, why: str, only: str | None) -> Iterator[str]:
     """Each method that is not ranked is named once, by a cause that holds for it somewhere."""
     yield from no_answer(facts)
-    metrics = {where: metric for where in facts.runs if (metric := facts.deciding(where)) is not None}
+    bare = [one for one in facts.runs if facts.content["sequences"][one]["degenerate"]]
+    metrics = {one: metric for one in facts.runs if one not in bare and (metric := facts.deciding(one)) is not None}
     ranked = {one for where, metric in metrics.items() for one in facts.ranked(where, metric)}
     yield from same("ranked", ranked, {only} if only else set())
     left = {
@@ -191,6 +193,9 @@ def not_ranked(facts: Facts, why: str, only: str | None) -> Iterator[str]:
     }  # fmt: skip
     named = 0
     for clause in why.split("; "):
+        if match := re.fullmatch(BARE, clause):
+            yield from same("degenerate", list_of(match[1]), bare)
+            continue
         cause, match = next((c, m) for c, pattern in CAUSES.items() if (m := re.fullmatch(pattern, clause)))
         if count := re.fullmatch(r"(\d+) methods", match[1]):
             named += int(count[1])

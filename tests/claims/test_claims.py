@@ -126,6 +126,9 @@ def _cases(record, build):
     yield build(_lost([*_seeds(record, "a", [1.0, 2.0, 2.1]), *_seeds(record, "b", [1.0, 1.2, 1.1])], 7.0))
     cards = {"room": replace(winner.sequences["room"], degenerate="A corridor without ends.")}
     yield replace(winner, sequences=cards)
+    both = build([*winner.records, *(one for name in "ab" for one in _seeds(record, name, [0.1, 0.2], room="hall"))])
+    both = replace(both, sequences={**both.sequences, **cards})
+    yield replace(both, methods={name: replace(card, tuned_on=("hall",)) for name, card in both.methods.items()})
     doubtful = {"room": replace(winner.sequences["room"], warnings=("heading 0 deg, but the scans show 9: check it",))}
     yield replace(winner, sequences=doubtful)
     yield replace(winner, methods={**winner.methods, "a": replace(winner.methods["a"], tuned_on=("room",))})

@@ -235,6 +235,15 @@ def test_only_degenerate_data_rank_nobody(build, runs):
     made = build([*runs("a", "hall", (0.1, 0.1)), *runs("b", "hall", (0.5, 0.5))])
     made = replace(made, sequences={"hall": replace(made.sequences["hall"], degenerate="no walls")})
     assert title(made) == "No method is ranked: the geometry of hall does not determine the pose."
+    both = build([*made.records, *runs("a", "room", (0.1, 0.1)), *runs("b", "room", (0.5, 0.5))])
+    both = replace(both, sequences={**both.sequences, **made.sequences})
+    chosen = {name: replace(card, tuned_on=("room",)) for name, card in both.methods.items()}
+    assert title(replace(both, methods=chosen)) == (
+        "No method is ranked: settings of a and b were chosen on these data; the geometry of hall does not determine "
+        "the pose."
+    )
+    one = {**both.methods, "b": chosen["b"]}
+    assert title(replace(both, methods=one)) == "Only a is ranked: settings of b were chosen on these data."
 
 
 def test_data_on_which_all_are_tied_do_not_count(build, three, runs):

@@ -93,10 +93,12 @@ def _describe_single(contest: Contest, how: str) -> str:
 def explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
     """Return why no method is ahead or ranked."""
     outcomes = {verdict.outcome for verdict in verdicts}
-    rankings = [sequence.deciding for sequence in sequences if sequence.deciding is not None]
-    ranked = {score.method for ranking in rankings for score in ranking.ranked}
-    why = explain_unranked(sequences)
-    degenerate = join_words(v.sequence for v in verdicts if v.outcome == "degenerate")
+    others = [sequence for sequence in sequences if not sequence.card.degenerate]
+    ranked = {score.method for one in others if one.deciding is not None for score in one.deciding.ranked}
+    why = explain_unranked(others)
+    degenerate = [sequence.label for sequence in sequences if sequence.card.degenerate]
+    causes = [why or "none has a value of the deciding metric"] if others else []
+    causes += [f"the geometry of {join_words(degenerate)} does not determine the pose"] if degenerate else []
     reasons = (
         (all(sequence.none_finished for sequence in sequences), "No run finished: there is no answer."),
         (outcomes == {"lost"}, "No method held the track: there is no answer."),
@@ -104,12 +106,8 @@ def explain_no_contest(sequences: Sequence[SequenceAnalysis], verdicts: Sequence
             len(ranked) == 1,
             f"Only {join_words(ranked)} is ranked: {why or 'there is no other method to compare it with'}.",
         ),
-        (not ranked, f"No method is ranked: {why or 'none has a value of the deciding metric'}."),
+        (not ranked, f"No method is ranked: {'; '.join(causes)}."),
         ("disagreement" in outcomes, "No method is ahead: without ground truth, the map metrics disagree."),
-        (
-            outcomes <= {"degenerate", "unranked"},
-            f"No method is ranked: the geometry of {degenerate} does not determine the pose.",
-        ),
         (
             outcomes <= {"single", "lost", "unranked", "degenerate"},
             "No method is ahead: no data set ranks two methods.",
