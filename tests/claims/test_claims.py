@@ -145,6 +145,9 @@ def _cases(record, build):
         for seed in range(2)
     ])  # fmt: skip
     yield replace(limited, methods={**limited.methods, "a": replace(limited.methods["a"], tuned_on=("yard",))})
+    held = [one for one in three.records if (one.method, one.sequence) == ("a", "room")]
+    yield build([*_lost([one for one in three.records if one.sequence == "room" and one.method != "a"], 5.0), *held,
+                 *(one for one in three.records if one.sequence == "hall")])  # fmt: skip
     twice = 2 * clear[0], 2 * clear[1]  # perturbations of a recording need six runs for a verdict
     yield build(_perturbed([*_seeds(record, "a", twice[0]), *_seeds(record, "b", twice[1])], scans=400))
     yield build(_perturbed([*_seeds(record, "a", clear[0]), *_seeds(record, "b", clear[1])], scans=400))

@@ -10,6 +10,8 @@ from evalkit.core.run_status import Cause
 from evalkit.metrics import all_metrics
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_amount, format_milliseconds
+from evalkit.report.html.dot_plot import draw_dots
+from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_page import render_report
 
 
@@ -117,6 +119,32 @@ def test_one_method_alone_wins_nothing(build, record, runs):
     found = build([*runs("a", "room", (0.01, 0.02)), *absent, *lost])
     assert title(found) == "Only a is ranked: wheel did not run."
     assert answer(comparison).winners == ()
+
+
+@pytest.mark.parametrize("how", ["crashed", "lost", "interrupted", "tuned"])
+def test_the_one_method_that_holds_where_others_fail_leads_there(build, three, how):
+    """On hall, one of two runs of ``b`` and of ``c`` fails, and only ``a`` is ranked."""
+    causes = {"crashed": Cause.EXIT_CODE, "interrupted": Cause.MACHINE_FAULT}
+    failed = [
+        replace(run, scores=replace(run.scores, lost=LostTrack(9.0, "a jump"))) if how == "lost"
+        else replace(run, result=replace(run.result, cause=causes[how], reason="it ended"))
+        if how in causes else run
+        for run in three if (run.method, run.sequence, run.seed) in {("b", "hall", 1), ("c", "hall", 1)}
+    ]  # fmt: skip
+    kept = [run for run in three if (run.method, run.sequence, run.seed) not in {("b", "hall", 1), ("c", "hall", 1)}]
+    comparison = build([*kept, *failed])
+    if how == "tuned":
+        chosen = {name: replace(card, tuned_on=("hall",)) for name, card in comparison.methods.items() if name != "a"}
+        comparison = replace(comparison, methods={**comparison.methods, **chosen})
+    found = analyse(comparison)
+    counts = how in ("crashed", "lost")
+    assert [one.sequence for one in found.answer.contests] == ["room", "lab", *["hall"] * counts]
+    assert {one.method: one.led for one in found.answer.standings} == {"a": 1 + counts, "b": 1, "c": 0}
+    assert ("one method alone is ranked on 1 sequence (hall)" in found.overview[1]) == counts
+    assert ("Not counted: hall (one ranked method)." in found.overview) == (not counts)
+    assert ("the only one ranked" in str(draw_dots(found, assign_strokes("abc", ())))) == counts
+    alone = replace(comparison, records=tuple(run for run in comparison.records if run.sequence == "hall"))
+    assert title(alone).startswith("Only a is ranked: ")
 
 
 def test_without_a_finished_run_there_is_no_answer(build, record):

@@ -169,6 +169,8 @@ def _mark(panel: _Panel, score: MethodScore) -> tuple[str, str]:
     """Return what a score is on a data set, in words and as the class of its dot."""
     if score.tuned:
         return "settings chosen here: not counted", "tuned"
+    if len(panel.ranking.ranked) == 1 and panel.contest is not None and score.method in panel.contest.leaders:
+        return "the only one ranked", "tied"
     words = {
         "best": ("best", "tied"), "tied": ("tied with the best", "tied"), "worse": ("worse than the best", ""),
         "undecided": ("too few runs to tell it from the best", "unranked"),
