@@ -122,7 +122,10 @@ def not_counted(facts: Facts, listed: str) -> Iterator[str]:
     tied = re.search(r"(?:^|\), |\) and )([^()]+) \(all tied\)", listed)
     every = [one for one in counted(facts) if facts.all_tied(one) and one not in in_title]
     yield from same("all tied", list_of(tied[1]) if tied else [], every)
-    own = [one for one in counted(facts) if one not in every]
+    apart = re.search(r"(?:^|\), |\) and )([^()]+) \(not told apart\)", listed)
+    undecided = [one for one in counted(facts) if one not in (*in_title, *every)]
+    yield from same("not told apart", list_of(apart[1]) if apart else [], undecided)
+    own = [one for one in counted(facts) if one not in (*every, *undecided)]
     for one in facts.runs:
         named = re.search(rf"(?:^|[ ,]){re.escape(one)}(?: \(|,| and |$)", listed) is not None
         yield from same(f"{one} not counted", named, one not in own)

@@ -254,16 +254,11 @@ def _compute_geometric_mean(logarithms: Sequence[float]) -> float | None:
 
 
 def find_winners(standings: Sequence[Standing], contests: Sequence[Contest]) -> tuple[str, ...]:
-    """Return the methods that lead most often; none if they are too many to name or all that take part."""
+    """Return the methods that lead most often; none if they are all that take part."""
     most = max((one.led for one in standings), default=0)
     winners = tuple(one.method for one in standings if one.led == most) if most else ()
     part = {score.method for one in contests for score in one.ranked}
-    return winners if len(winners) < len(part) and len(winners) <= MAX_NAMED else ()
-
-
-def find_next(standings: Sequence[Standing], winners: Sequence[str]) -> Standing | None:
-    """Return the best method that is no winner and for which a data set counts."""
-    return next((one for one in standings if one.counted and one.method not in winners), None)
+    return winners if len(winners) < len(part) else ()
 
 
 def find_cheapest(comparison: Comparison, standings: Sequence[Standing], winners: Sequence[str]) -> Standing | None:

@@ -10,7 +10,7 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, mark
 from evalkit.report.analysis.scores import WITH_TRUTH
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.statements.outcome import VerdictOutcome
+from evalkit.report.analysis.statements.outcome import NOT_APART, VerdictOutcome
 from evalkit.report.analysis.statements.verdict import ALL_TIED, SequenceVerdict, describe_success
 from evalkit.report.formatting import join_words
 from evalkit.stats.runs import FEW_CONFIDENCE, MIN_RUNS, PAIRED_CONFIDENCE
@@ -155,8 +155,8 @@ def _describe_not_counted(
 ) -> str:
     reasons: dict[str, list[str]] = {}
     for sequence, verdict in zip(sequences, verdicts, strict=True):
-        if verdict.counts and verdict.all_tied and verdict.sequence not in in_title:
-            reasons.setdefault(ALL_TIED, []).append(sequence.label)
+        if verdict.counts and verdict.sequence not in in_title:
+            reasons.setdefault(ALL_TIED if verdict.all_tied else NOT_APART, []).append(sequence.label)
         elif not verdict.counts and not _holds_alone(sequence, verdict, in_title):
             reasons.setdefault(_find_why_not_counted(sequence, verdict), []).append(sequence.label)
     parts = [f"{join_words(labels)} ({why})" for why, labels in reasons.items()]
