@@ -10,6 +10,7 @@ from evalkit.core.run_status import Cause
 from evalkit.metrics import all_metrics
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_amount, format_milliseconds
+from evalkit.report.html.cost_plot import draw_scatter
 from evalkit.report.html.dot_plot import draw_dots
 from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_page import render_report
@@ -437,6 +438,10 @@ def test_a_method_is_not_recommended_where_the_paired_tests_find_another_one_bet
     (test,) = [one for one in found.significance.comparisons if {one.method, one.reference} == {"a", "b"}]
     assert (test.reference, test.runs, test.verdict) == ("a", 8, "better")
     assert (found.answer.winners, found.answer.rivals, found.answer.emphasis) == (("a",), ("b",), "")
+    plots = (draw_dots, draw_scatter)
+    assert not any("series led" in str(draw(found, assign_strokes("abc", ()))) for draw in plots)  # none in its colour
+    taken = analyse(build(compare(0.005, 5)))
+    assert all("series led" in str(draw(taken, assign_strokes("abc", ()))) for draw in plots)
     words = "Take a: best or tied on 3 of 3 data sets; next best: b, 1 of 1 that counts for it."
     assert title(build(compare(0.005, 5))) == words  # the test needs six runs
     assert title(build(compare(0.0059, 8))) == words  # less than 5 %

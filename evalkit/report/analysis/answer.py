@@ -51,6 +51,11 @@ class Answer:
     common: str
     by_maps: bool
 
+    @property
+    def ahead(self) -> tuple[str, ...]:
+        """The winners that the page shows in their colour: none if the title says that no method is ahead."""
+        return () if self.rivals else self.winners
+
     def standing(self, method: str) -> Standing:
         """Return the standing of a method."""
         return next(one for one in self.standings if one.method == method)

@@ -63,7 +63,7 @@ def draw_dots(analysis: Analysis, strokes: Strokes) -> Markup | None:
         own += [_cell("cell", at, place, _dot(panel, standing.method), "panel") for at, panel in enumerate(panels, 1)]
         led = f"{standing.led}/{standing.counted}" if standing.counted else "–"
         own.append(_cell("cell", len(panels) + 1, place, led if contests else "", "count"))
-        leads = " led" if standing.method in answer.winners else ""
+        leads = " led" if standing.method in answer.ahead else ""
         css = strokes[standing.method].css
         rows.append(
             element("div", join(own), role="row", class_=f"dots-row series{leads}", data_of=standing.method,
