@@ -274,16 +274,17 @@ def _format_losses(losses: Sequence[Loss]) -> str:
 
 
 def _format_cheapest(cheapest: Standing, lead: Lead, contests: Sequence[Contest]) -> str:
+    winner, *others = lead.winners
     spent = format_milliseconds(cheapest.cpu_ms or 0.0)
     if lead.rivals:
         return f"Cheapest matcher: {cheapest.method}, {spent}."
-    if len(lead.winners) > 1:
+    if others:
         return f"Cheapest of them: {cheapest.method}."
-    if cheapest.method == lead.winners[0]:
+    if cheapest.method == winner:
         return "It is also the cheapest matcher."
-    relative = compare(contests, cheapest.method, lead.winners[0])
-    measure, *others = {_name_measure(one) for one in contests}
-    times = "" if relative.error is None or others else f"{relative.error:.1f} times the {measure}"
+    relative = compare(contests, cheapest.method, winner)
+    measure, *more = {_name_measure(one) for one in contests}
+    times = "" if relative.error is None or more else f"{relative.error:.1f} times the {measure}"
     if relative.shared == len(contests):
         return f"Cheapest matcher: {', '.join(filter(None, (cheapest.method, spent, times)))}."
     if relative.cpu is None:
