@@ -120,7 +120,7 @@ def _undecided(facts: Facts) -> list[str]:
 @kind(
     IN_ANSWER,
     rf"No method is ahead: (?P<names>[^:]+?) (?:is best or tied on {COUNTS}|leads on (?P<where>.+?)), "
-    r"but (?P<rivals>.+?) (?:(?P<tested>has|have) smaller errors in the paired tests|"
+    r"but (?P<rivals>.+?) (?:(?P<tested>has|have) smaller errors in paired tests|"
     r"leads? more often where (?:both count|they count too))\.",
 )
 def not_recommended(facts: Facts, names: str, rivals: str, where: str | None, **said: str | None) -> Iterator[str]:
@@ -166,7 +166,7 @@ def not_told_apart(facts: Facts, names: str, others: str, where: str | None, **s
         yield from _led(facts, winners, said)
 
 
-@kind(IN_ANSWER, r"All methods count only on (?P<where>.+?): (?P<listed>.+?)\.(?= [A-Za-z]|$)")
+@kind(IN_ANSWER, r"Only (?P<where>.+?) counts? for all methods: (?P<listed>.+?)\.(?= [A-Za-z]|$)")
 def all_count_only(facts: Facts, where: str, listed: str) -> Iterator[str]:
     over = facts.content["answer"]["counted"]
     part = {one: {name for name in facts.methods if takes_part(facts, one, name)} for one in over}

@@ -217,7 +217,7 @@ def test_a_method_is_not_recommended_that_leads_less_often_where_another_one_cou
         "No method is ahead: a is best or tied on 2 of 4 data sets that count for it, but c leads more often where "
         "both count."
     )
-    assert subtitle(found) == "a did not run on hall. All methods count only on yard: c is best there."
+    assert subtitle(found) == "a did not run on hall. Only yard counts for all methods: c is best there."
     assert (answer(found).winners, answer(found).rivals, answer(found).emphasis) == (("a",), ("c",), "")
     found = compare({**alone, "room": {"a": 0.01, "b": 0.02}, "yard": {"a": 0.01, "b": 0.01}, "cave": {"b": 0.01}})
     assert title(found) == (
@@ -404,7 +404,7 @@ def test_no_method_that_leads_is_named_as_its_own_rival(build, runs):
     assert {one.method: one.led for one in made.standings} == {"a": 3, "b": 3, "c": 1, "d": 0}
     assert (made.winners, made.rivals) == (("a",), ("c",))
     assert made.title == (
-        "No method is ahead: a is best or tied on 3 of 3 data sets, but c has smaller errors in the paired tests."
+        "No method is ahead: a is best or tied on 3 of 3 data sets, but c has smaller errors in paired tests."
     )
 
 
@@ -433,7 +433,7 @@ def test_a_method_is_not_recommended_where_the_paired_tests_find_another_one_bet
 
     found = analyse(build(compare(0.005, 8)))
     assert found.answer.title == (
-        "No method is ahead: a is best or tied on 3 of 3 data sets, but b has smaller errors in the paired tests."
+        "No method is ahead: a is best or tied on 3 of 3 data sets, but b has smaller errors in paired tests."
     )
     (test,) = [one for one in found.significance.comparisons if {one.method, one.reference} == {"a", "b"}]
     assert (test.reference, test.runs, test.verdict) == ("a", 8, "better")
@@ -451,7 +451,7 @@ def test_a_method_is_not_recommended_where_the_paired_tests_find_another_one_bet
         for run in runs("a", "hall", (0.1, 0.11, 0.12))
     ]
     assert subtitle(build([*compare(0.005, 8), *lost])) == (
-        "All methods count only on room: b and a are best or tied there. a lost the track on hall (2 of 3 runs)."
+        "Only room counts for all methods: b and a are best or tied there. a lost the track on hall (2 of 3 runs)."
     )
     assert "It lost the track on hall (2 of 3 runs)." in subtitle(build([*compare(0.005, 5), *lost]))
 

@@ -47,7 +47,7 @@ def format_title(tally: Tally, lead: Lead) -> str:
 def _describe_rivals(lead: Lead) -> str:
     names, several = name_or_count(lead.rivals, MAX_RIVALS), len(lead.rivals) > 1
     if lead.tested:
-        return f"{names} {('has', 'have')[several]} smaller errors in the paired tests"
+        return f"{names} {('has', 'have')[several]} smaller errors in paired tests"
     return f"{names} {('leads', 'lead')[several]} more often where {('both count', 'they count too')[several]}"
 
 
@@ -203,7 +203,8 @@ def _format_where_all_count(contests: Sequence[Contest]) -> str:
         f"{'best or tied' if one.ranking.winner is None else 'best'} {'on ' + one.sequence if shared[1:] else 'there'}"
         for one in shared
     ]
-    return f"All methods count only on {join_words(one.sequence for one in shared)}: {', '.join(clauses)}."
+    count = f"count{'s' * (len(shared) == 1)} for all methods"
+    return f"Only {join_words(one.sequence for one in shared)} {count}: {', '.join(clauses)}."
 
 
 def _format_limit(contests: Sequence[Contest], method: str, alone: bool) -> str:
