@@ -11,6 +11,7 @@ from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison, MethodCard
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.significance import SIGNIFICANCE_LEVEL
 from evalkit.report.formatting import capitalise
 from evalkit.report.html import appendix_tables, report_tables
 from evalkit.report.html.blocks import (
@@ -102,8 +103,9 @@ def _build_tests(analysis: Analysis, strokes: Strokes) -> list[Block]:
     if isinstance(found.ranks, NotTested):
         text += f"Ranks are not tested: {found.ranks.reason}."
     else:
+        differ = "differ significantly" if found.ranks.p <= SIGNIFICANCE_LEVEL else "do not differ significantly"
         text += (
-            f"Ranks over {found.ranks.sequences} sequences differ significantly with p = {found.ranks.p:.2g} "
+            f"Ranks over {found.ranks.data_sets} data sets {differ}, with p = {found.ranks.p:.2g} "
             f"(Friedman); two methods differ if their mean ranks are at least {found.ranks.critical_difference:.2f} "
             "apart (critical difference, Nemenyi)."
         )

@@ -63,7 +63,7 @@ def draw_dots(analysis: Analysis, strokes: Strokes) -> Markup | None:
         own += [_cell("cell", at, place, _dot(panel, standing.method), "panel") for at, panel in enumerate(panels, 1)]
         led = f"{standing.led}/{standing.counted}" if standing.counted else "–"
         own.append(_cell("cell", len(panels) + 1, place, led if contests else "", "count"))
-        leads = " led" if standing.method in answer.winners else ""
+        leads = " led" if standing.method in answer.ahead else ""
         css = strokes[standing.method].css
         rows.append(
             element("div", join(own), role="row", class_=f"dots-row series{leads}", data_of=standing.method,
@@ -169,6 +169,8 @@ def _mark(panel: _Panel, score: MethodScore) -> tuple[str, str]:
     """Return what a score is on a data set, in words and as the class of its dot."""
     if score.tuned:
         return "settings chosen here: not counted", "tuned"
+    if len(panel.ranking.ranked) == 1 and panel.contest is not None and score.method in panel.contest.leaders:
+        return "the only one ranked", "tied"
     words = {
         "best": ("best", "tied"), "tied": ("tied with the best", "tied"), "worse": ("worse than the best", ""),
         "undecided": ("too few runs to tell it from the best", "unranked"),

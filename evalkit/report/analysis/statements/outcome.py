@@ -28,6 +28,9 @@ from evalkit.stats.runs import FEW_RUNS, MAX_RUNS, MIN_RUNS
 VerdictOutcome = Literal["winner", "tied", "one run", "single", "lost", "disagreement", "degenerate", "unranked"]
 LED: tuple[VerdictOutcome, ...] = ("winner", "tied")
 
+NOT_APART = "not told apart"
+"""Why a sequence does not count on which too few runs tell the ranked methods apart, and none is worse."""
+
 NAMED = 3
 """A sentence on an order without a verdict names at most so many methods."""
 

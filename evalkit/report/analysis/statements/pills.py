@@ -10,6 +10,7 @@ from evalkit.core.run_status import BROKEN, NOT_EXECUTED
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.statements.outcome import NOT_APART
 from evalkit.report.analysis.statements.verdict import ALL_TIED, SequenceVerdict
 from evalkit.report.formatting import format_losses, join_words, name_or_count
 from evalkit.results.run_record import RunRecord
@@ -175,9 +176,12 @@ def _describe_not_counted(
         for sequence, verdict in zip(sequences, verdicts, strict=True)
         if verdict.sequence not in counted and not sequence.card.degenerate and not sequence.none_finished
     ]
-    tied = [one.sequence for one in left if one.counts and one.all_tied]
-    others = [one.sequence for one in left if one.sequence not in tied]
-    parts = ([join_words(others)] if others else []) + ([f"{join_words(tied)} ({ALL_TIED})"] if tied else [])
+    groups = {
+        "": [one.sequence for one in left if not one.counts],
+        f" ({ALL_TIED})": [one.sequence for one in left if one.counts and one.all_tied],
+        f" ({NOT_APART})": [one.sequence for one in left if one.counts and not one.all_tied],
+    }
+    parts = [f"{join_words(where)}{why}" for why, where in groups.items() if where]
     return Pill(f"not counted: {'; '.join(parts)}", "") if left and counted else None
 
 
