@@ -146,6 +146,17 @@ class Facts:
         low, middle, high = (scale * math.expm1(min(x, 50.0)) if logs else x for x in (mean - half, mean, mean + half))
         return middle, low, high, count
 
+    def detects_double(self, sequence: str, metric: str, one: str, other: str) -> bool:
+        """Return whether the common runs detect, in four cases of five, that one value is twice the other."""
+        first, second = (self.find(sequence, metric)[name].values for name in (one, other))
+        seeds = [seed for seed in first if seed in second]
+        apart = [math.log(first[seed] / second[seed]) for seed in seeds]
+        error, freedom = stats.sem(apart), len(seeds) - 1
+        shift = math.log(2.0) / error if error else math.inf
+        alpha = 1.0 - self.confidence(len(seeds), self.find(sequence, metric)[one].perturbed)
+        limit = stats.t.ppf(1.0 - 0.5 * alpha, freedom)
+        return bool(shift > 1e6 or stats.nct.sf(limit, freedom, shift) + stats.nct.cdf(-limit, freedom, shift) >= 0.8)
+
     @staticmethod
     def confidence(pairs: int, perturbed: bool) -> float:
         """Return the confidence of a difference."""

@@ -202,8 +202,11 @@ def _check_tie(facts: Facts, where: str, metric: str, one: str, other: str, why:
         yield from check_difference(facts, where, metric, other, one, match[2], match[1])
         yield from same("may be chance", apart is not None and not (apart[1] > 0.0 or apart[2] < 0.0), True)
         yield from same("is worse", apart is not None and sign * apart[0] >= 0.0, True)
-        detects = match[3].startswith("these runs can detect a difference of")
+        doubled = match[3] == "these runs do not even detect a value twice as large"
+        detects = doubled or match[3].startswith("these runs can detect a difference of")
         yield from same("too small to settle", detects, size < facts.margin(metric, better))
+        if detects:
+            yield from same("not even twice", doubled, not facts.detects_double(where, metric, other, one))
         if not detects:
             yield from same(
                 "need", bool(re.match(r"(about \d+|more than 200) runs of each would settle", match[3])), True

@@ -104,6 +104,7 @@ def _cases(record, build):
     yield _disturbed(winner, RunConditions(steal_percent=2.4), RunConditions(other_percent=40.0, waited_percent=6.0))
     yield pair([0.010, 0.011, 0.025], [0.019, 0.022, 0.024], *_seeds(record, "c", [0.013, 0.3, 0.2]))
     yield pair([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], [0.5, 1.0, 1.5, 4.2, 4.3, 5.0, 5.8])
+    yield pair([1.0, 3.0], [1.15, 2.87])
     yield pair([0.0100, 0.0110], [0.0115, 0.01265])
     yield pair([1.0, 1.1], [1.0, 1.1], *_seeds(record, "c", [1.01, 1.1]))
     yield pair([0.0100, 0.0110], [0.0110, 0.01205], *_seeds(record, "c", [0.0113, 0.0124]))

@@ -48,8 +48,13 @@ class PairedDifference:
 
     @property
     def detectable(self) -> float | None:
-        """The difference that so many runs detect with 80 % power at 5 %; None for one run."""
+        """The difference that so many runs detect with 80 % power; None for one run."""
         return None if self.paired is None else self.paired.detectable
+
+    @property
+    def misses_double(self) -> bool:
+        """Whether these runs do not even detect a value twice as large as the reference's."""
+        return self.paired is not None and self.paired.detectable > self.paired.scale
 
     @property
     def needed(self) -> int | None:

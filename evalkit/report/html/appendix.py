@@ -48,9 +48,9 @@ HOW = (
 )
 PAIRS = (
     "The difference on the same scans (or run by run) with its interval; above zero is worse. If the interval "
-    "contains zero, no difference is shown. “Detectable” is the difference that these runs detect in four cases of "
-    "five; a smaller one may exist. Every row is a separate test: of twenty rows without a true difference, one may "
-    "show a difference."
+    "contains zero, no difference is shown. “Detectable” is the difference, in the direction found, that these runs "
+    "detect in four cases of five; a smaller one may exist. Every row is a separate test: of twenty rows without a "
+    "true difference, one may show a difference."
 )
 TESTS = (
     "This table predicts a further sequence of the same kind and needs more runs than the verdicts, which describe "

@@ -10,6 +10,7 @@ from evalkit.metrics.metric import Metric
 from evalkit.plugins.specs import Published
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.pairwise import PairedDifference
 from evalkit.report.analysis.ranking import Mark, Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, select_unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
@@ -239,10 +240,17 @@ def pairs_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes
             extent = f"{100 * bounds.confidence:.0f} %: {_bounds(metric, bounds.low, bounds.high)}"
             extent = extent if one.difference.runs != MIN_RUNS - 1 else ""  # two pairs have no interval
             value = Cell(_format(metric, bounds.value), bounds.value, extent=extent)
-            detectable = one.difference.detectable
-            cells += [value, Cell(one.verdict), DASH if detectable is None else Cell(_format(metric, detectable))]
+            cells += [value, Cell(one.verdict), _detectable_cell(metric, one.difference)]
         rows.append([method_cell(analysis.comparison, strokes, label), *cells])
     return Table(columns, rows, label=f"Paired differences on {sequence.label}")
+
+
+def _detectable_cell(metric: Metric, difference: PairedDifference) -> Cell:
+    """Return the difference that these runs detect, at most "over" ten times the reference; a dash for one run."""
+    if difference.paired is None:
+        return DASH
+    detectable, most = difference.paired.detectable, 10.0 * difference.paired.scale
+    return Cell(f"over {_format(metric, most)}" if detectable > most else _format(metric, detectable))
 
 
 def explain_no_published(sequence: SequenceAnalysis) -> str:

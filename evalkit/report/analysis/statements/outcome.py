@@ -174,6 +174,8 @@ def _format_margin(metric: Metric, better: float) -> str:
 def _describe_need(metric: Metric, difference: PairedDifference, better: float) -> str:
     """Return how many runs would settle a difference of the measured size, or what so many runs can detect."""
     if abs(difference.interval.value) < margin(metric, better):
+        if difference.misses_double:
+            return "these runs do not even detect a value twice as large"
         return f"these runs can detect a difference of {format_amount(metric, difference.detectable or 0.0, 1)}"
     runs = f"more than {MAX_RUNS}" if difference.needed is None else f"about {max(difference.needed, MIN_RUNS)}"
     return f"{runs} runs of each would settle a difference of this size"
