@@ -9,7 +9,7 @@ from statistics import median
 
 from amounts import AMOUNT, NUMBER, check_amount, list_of
 from facts import Facts
-from statements import BROKEN, LOSS, NOT_STARTED, Check, kind, same
+from statements import BROKEN, LOSS, NOT_EXECUTED, Check, kind, same
 
 LIMIT = r" that counts? for it"
 END = r"\.(?= [A-Z]|$)"
@@ -30,7 +30,7 @@ def standings(facts: Facts) -> dict[str, tuple[int, int]]:
 
 def takes_part(facts: Facts, where: str, method: str) -> bool:
     """Whether a run of a method started on a sequence and its settings were not chosen there."""
-    started = any(run["status"] not in NOT_STARTED for run in facts.runs[where].get(method, ()))
+    started = any(run["status"] not in NOT_EXECUTED for run in facts.runs[where].get(method, ()))
     return started and not facts.find(where, facts.deciding(where) or "")[method].tuned
 
 
@@ -185,7 +185,7 @@ def not_ranked(facts: Facts, why: str, only: str | None) -> Iterator[str]:
         for cause, holds in (
             ("tuned", one.tuned), ("lost", one.lost_s is not None), ("guessed", one.guessed > 50.0),
             ("unfinished", not one.complete == one.expected == len(one.values)),
-            ("absent", all(run["status"] in NOT_STARTED for run in facts.runs[where][name])),
+            ("absent", all(run["status"] in NOT_EXECUTED for run in facts.runs[where][name])),
         )
         if holds
     }  # fmt: skip

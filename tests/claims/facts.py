@@ -45,7 +45,7 @@ class Found:
     def ranks(self) -> bool:
         """Whether the method is ranked."""
         whole = self.complete == self.expected == len(self.values) and self.guessed <= 50.0
-        return whole and self.lost_s is None and not self.tuned
+        return bool(self.values) and whole and self.lost_s is None and not self.tuned
 
 
 class Facts:
@@ -85,7 +85,8 @@ class Facts:
     def _find(self, method: str, runs: Sequence[Mapping[str, Any]], metric: str) -> Found:
         runtime = self.metrics[metric]["group"] == "runtime"
         tuned = runs[0]["dataset"] in self.content["methods"][method]["tuned_on"] and not runtime
-        found = Found(expected=len(runs), tuned=tuned, perturbed="nuisance" in runs[-1]["dataset_parameters"])
+        expected = sum(run["status"] != "interrupted" for run in runs)
+        found = Found(expected=expected, tuned=tuned, perturbed="nuisance" in runs[-1]["dataset_parameters"])
         guessed = []
         for run in runs:
             if run["status"] != "complete":

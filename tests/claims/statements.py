@@ -10,7 +10,8 @@ from typing import Any
 from amounts import AMOUNT, check_amount, check_difference, check_gap, check_median, list_of
 from facts import MEASURES, Facts
 
-NOT_STARTED = ("not-installed", "data-missing", "skipped", "interrupted")
+NOT_STARTED = ("not-installed", "data-missing", "skipped")
+NOT_EXECUTED = (*NOT_STARTED, "interrupted")
 BROKEN = ("failed", "crashed", "timeout", "out-of-memory")
 WORDS = {"timeout": "timed out", "skipped": "not run yet"}
 SPREAD = r"[^()]*(?:\([^()]*\))?"
@@ -104,6 +105,12 @@ def did_not_finish(facts: Facts, *where: str, listed: str) -> Iterator[str]:
 @kind(IN_OVERVIEW, r"Could not start: (?P<listed>.+?)\.(?= [A-Z]|$)")
 def could_not_start(facts: Facts, *where: str, listed: str) -> Iterator[str]:
     yield from _statuses(facts, where, listed, NOT_STARTED)
+
+
+@kind(IN_VERDICTS, r"Left out: (?P<listed>.+?)\.(?= [A-Z]|$)")
+@kind(IN_OVERVIEW, r"Left out: (?P<listed>.+?)\.(?= [A-Z]|$)")
+def left_out(facts: Facts, *where: str, listed: str) -> Iterator[str]:
+    yield from _statuses(facts, where, listed, ("interrupted",))
 
 
 @kind(IN_VERDICTS, r"The data are damaged: (?P<listed>.+?)\.(?= [A-Z]|$)")

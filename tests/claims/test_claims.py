@@ -113,6 +113,8 @@ def _cases(record, build):
     yield pair([0.90, 0.92, 0.91], [0.70, 0.72, 0.73], metric="map_f1")
     yield pair([0.05], [0.08], *_seeds(record, "paper", [0.02]))
     yield pair([0.05, 0.06], [None, 0.08])
+    stopped = record("a", "room", {}, status="interrupted", reason="no space left on device", answered=9, seed=3)
+    yield pair(*clear, stopped)
     yield pair(*clear, guess_kept_percent=60.0)
     yield build(
         [

@@ -462,6 +462,21 @@ def test_a_method_that_could_not_start_has_not_failed(demo):
     assert first.endswith("Could not start: all runs on intel (data missing) and absent (3 of 3 not installed).")
 
 
+def test_an_interrupted_run_is_left_out_and_a_failed_one_costs_the_rank(record, build):
+    runs = [*_seeds(record, "a", [0.010, 0.011, 0.012]), *_seeds(record, "b", [0.020, 0.022, 0.024, 0.023])]
+
+    def ending(status):
+        return build([*runs, record("a", "room", {}, seed=3, status=status, reason="no space left on device")])
+
+    said = _verdict_text(ending("interrupted"))
+    assert said.startswith("7 of 8 runs finished. Left out: a (1 of 4 interrupted).")
+    assert "a wins on ATE RMSE: 11 mm" in said
+    assert "over 3 pairs of runs" in said
+    assert "wins" not in _verdict_text(ending("crashed"))
+    none = build([*runs[3:], record("a", "room", {}, status="interrupted", reason="no space left on device")])
+    assert analyse(none).answer.title == "Only b is ranked: a did not run."
+
+
 def test_a_method_slower_than_the_sensor_is_named(demo):
     assert "Slower than the sensor on more than 1 % of the scans: <script>alert(1)</script> on room." in _overview(demo)
 
