@@ -32,6 +32,7 @@ class Found:
     lost_s: float | None = None
     lost_runs: int = 0
     recovered_s: list[float] = field(default_factory=list)
+    supports: list[int] = field(default_factory=list)
     tuned: bool = False
     perturbed: bool = False
     guessed: float = 0.0
@@ -97,6 +98,7 @@ class Facts:
             guessed += [] if kept is None else [kept]
             if value is not None:
                 found.values[run["seed"]] = value
+                found.supports.append(run["scores"][metric]["support"])
         found.guessed = median(guessed) if guessed else 0.0
         lost = [run["lost_at_s"] for run in runs if run["lost_at_s"] is not None]
         found.lost_runs = len(lost)
@@ -175,10 +177,15 @@ class Facts:
         points = 1.0 if one["group"] == "localisation" and one["unit"] == "%" else 0.0
         return max(0.05 * abs(better), 10.0 ** -one["digits"], 0.002 if position else points)
 
-    def floor(self, metric: str) -> float:
-        """Return the accuracy of the ground truth."""
-        one = self.metrics[metric]
-        return {"m": 0.03, "deg": 0.4, "°": 0.4}.get(one["unit"], 0.0) if one["group"] == "relations" else 0.0
+    def floor(self, sequence: str, metric: str, *methods: str) -> float:
+        """Return what errors of the ground truth can make of the difference of two methods."""
+        card = self.metrics[metric]
+        one = {"m": 0.03, "deg": 0.4}.get(card["unit"], 0.0) if card["group"] == "relations" else 0.0
+        return max(one / 6.0, 2.0 * one / math.sqrt(self.relations(sequence, metric, *methods))) if one else 0.0
+
+    def relations(self, sequence: str, metric: str, *methods: str) -> int:
+        """Return how many relations a run of each method has at least, by the medians."""
+        return min(int(median(self.find(sequence, metric)[name].supports)) for name in methods)
 
     def is_worse(self, sequence: str, metric: str, one: str, other: str) -> bool:
         """Return whether one method is clearly worse than another."""
@@ -190,7 +197,7 @@ class Facts:
         if apart is None or sign * (medians[0] - medians[1]) <= 0.0 or sign * apart[0] <= 0.0:
             return False
         better = min(medians) if sign > 0.0 else max(medians)
-        least = max(self.margin(metric, better), self.floor(metric))
+        least = max(self.margin(metric, better), self.floor(sequence, metric, one, other))
         return abs(apart[0]) >= least * (1.0 - 1e-9) and self.shows(sequence, metric, one, apart)
 
     def led(self, sequence: str, metric: str | None = None) -> tuple[list[str], list[str]]:
@@ -209,9 +216,10 @@ class Facts:
             size = abs(found[one].median - found[first].median)
             if apart is None:
                 return False
-            least = max(self.margin(metric, found[first].median), self.floor(metric))
+            floor = self.floor(sequence, metric, one, first)
+            least = max(self.margin(metric, found[first].median), floor)
             shown = self.shows(sequence, metric, one, apart)
-            close = abs(apart[0]) < self.floor(metric) or (shown and abs(apart[0]) < least)
+            close = abs(apart[0]) < floor or (shown and abs(apart[0]) < least)
             return close or size <= max(0.25 * abs(found[first].median), self.margin(metric, found[first].median))
 
         return tied, [one for one in tied if one == first or near(one)]

@@ -192,12 +192,15 @@ def _check_tie(facts: Facts, where: str, metric: str, one: str, other: str, why:
     )
     better = facts.find(where, metric)[one].median
     size = abs(apart[0]) if apart else 0.0
-    if match := re.match(rf"they differ by less than the accuracy of the ground truth \(({AMOUNT})\)", why):
-        yield from check_amount("accuracy of the truth", match[1], facts.floor(metric))
-        yield from same("below the accuracy", size < facts.floor(metric), True)
+    floor = facts.floor(where, metric, one, other)
+    exact = rf"they differ by less than the accuracy of the ground truth \(({AMOUNT}) over (\d+) relations\)"
+    if match := re.fullmatch(exact, why):
+        yield from check_amount("accuracy of the truth", match[1], floor)
+        yield from same("relations", int(match[2]), facts.relations(where, metric, one, other))
+        yield from same("below the accuracy", size < floor, True)
     elif match := re.fullmatch(r"they are less than (.+?) apart, which does not matter here", why):
         yield from same("margin", match[1], _name_margin(facts, metric, better))
-        yield from same("within the margin", size <= facts.margin(metric, better) and size >= facts.floor(metric), True)
+        yield from same("within the margin", size <= facts.margin(metric, better) and size >= floor, True)
     elif why == "they are equal to every printed digit":
         yield from same("equal", size < 10.0 ** -facts.metrics[metric]["digits"], True)
     elif match := re.fullmatch(r"they have (\d+) pairs of perturbed runs, and a verdict takes 6", why):
@@ -253,7 +256,7 @@ def _find_small(facts: Facts, where: str) -> list[str]:
         for one, found in apart.items()
         if found is not None
         and facts.shows(where, metric, one, found)
-        and facts.floor(metric) <= sign * found[0] < facts.margin(metric, first)
+        and facts.floor(where, metric, one, tied[0]) <= sign * found[0] < facts.margin(metric, first)
         and sign * (facts.find(where, metric)[one].median - first) > 0.0
     ]
 

@@ -1,15 +1,17 @@
 """The sentences of the verdict state what the numbers support."""
 
+import math
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from evalkit.core.run_result import LostTrack
 from evalkit.metrics import METRICS
 from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.analysis import analyse
-from evalkit.report.analysis.pairwise import is_clearly_worse
+from evalkit.report.analysis.pairwise import RELATION_ACCURACY, is_clearly_worse, noise_floor
 from evalkit.report.analysis.ranking import mark
 from evalkit.report.analysis.scores import Spread
 from evalkit.report.analysis.sequence import analyse_sequence
@@ -89,15 +91,36 @@ def test_a_lead_of_a_millimetre_is_a_tie(record, build):
 
 
 def test_differences_below_the_noise_of_the_relations_are_a_tie(record, build):
-    near = build(
-        [*_seeds(record, "a", [0.051] * 3, "relations_mean_m"), *_seeds(record, "b", [0.08] * 3, "relations_mean_m")]
-    )
-    far = build(
-        [*_seeds(record, "a", [0.05, 0.05], "relations_mean_m"), *_seeds(record, "b", [0.09, 0.09], "relations_mean_m")]
-    )
-    assert verdict(near, "room").outcome == "tied"
-    assert "differ by less than the accuracy of the ground truth (30 mm)" in _verdict_text(near)
-    assert verdict(far, "room").leaders == ("a",)
+    """Twice 30 mm by the root of their number: 12 mm of 25 relations; from 144 on the 5 mm that all may share."""
+
+    def compare(other_mm, relations):
+        values = {"a": 51.0, "b": other_mm}
+        runs = [
+            record(name, "room", {"relations_mean_m": 1e-3 * one}, seed=seed, answered=relations, expected=relations)
+            for name, one in values.items()
+            for seed in range(3)
+        ]
+        return build(runs)
+
+    for relations, floor_mm, said in ((25, 12.0, "12 mm"), (144, 5.0, "5.0 mm"), (400, 5.0, "5.0 mm")):
+        near, far = (compare(51.0 + floor_mm + more, relations) for more in (-0.1, 0.1))
+        assert verdict(near).outcome == "tied"
+        why = f"differ by less than the accuracy of the ground truth ({said} over {relations} relations)"
+        assert why in _verdict_text(near)
+        assert verdict(far).leaders == ("a",)
+
+
+def test_errors_of_the_relations_hardly_ever_make_a_difference_above_the_floor(record, build):
+    """Two methods 0.5 m wrong in independent directions: the error of an axis by the root of half the number."""
+    rng, count = np.random.default_rng(0), 100
+    one, other = (0.5 * np.exp(2j * np.pi * rng.random((4000, count))) for _ in range(2))
+    axis_m = RELATION_ACCURACY["m"] / math.sqrt(math.pi / 2.0)  # of errors with that mean length
+    relations = axis_m * (rng.normal(size=(4000, count)) + 1j * rng.normal(size=(4000, count)))
+    apart = np.abs(one + relations).mean(axis=1) - np.abs(other + relations).mean(axis=1)
+    assert apart.std() == pytest.approx(math.sqrt(2.0 / count) * axis_m, rel=0.05)
+    (metric,) = (one for one in build([record("a", "room", {})]).metrics if one.name == "relations_mean_m")
+    assert noise_floor(metric, count) == pytest.approx(0.006)
+    assert np.mean(np.abs(apart) > noise_floor(metric, count)) < 0.1
 
 
 def test_two_seeds_that_scatter_as_much_as_they_differ_give_no_decision(record, build):

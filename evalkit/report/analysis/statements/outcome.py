@@ -12,6 +12,7 @@ from evalkit.report.analysis.pairwise import (
     MARGIN_SHARE,
     PairedDifference,
     compute_difference,
+    count_relations,
     is_position,
     is_share_in_map,
     margin,
@@ -137,7 +138,8 @@ def _describe_pairs(difference: PairedDifference) -> str:
 
 def _describe_tie(ranking: Ranking) -> str:
     metric, first, second = ranking.metric, *ranking.tied[:2]
-    floor = format_amount(metric, noise_floor(metric))
+    relations = count_relations(first, second)
+    floor = f"{format_amount(metric, noise_floor(metric, relations))} over {relations} relations"
     least = _format_margin(metric, median(first.values))
     small = {
         "within the noise floor": f"they differ by less than the accuracy of the ground truth ({floor})",
