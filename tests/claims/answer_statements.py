@@ -9,7 +9,7 @@ from statistics import median
 
 from amounts import AMOUNT, NUMBER, check_amount, list_of
 from facts import Facts
-from statements import BROKEN, LOSS, NOT_EXECUTED, Check, kind, same
+from statements import BROKEN, LOSS, NOT_EXECUTED, Check, kind, runs_of, same
 
 LIMIT = r" that counts? for it"
 END = r"\.(?= [A-Z]|$)"
@@ -339,10 +339,14 @@ def _lost(facts: Facts) -> dict[str, dict[str, str]]:
     return table
 
 
-@kind(IN_PILLS, r"(?P<count>\d+) methods (?P<what>lost the track on|did not finish) a sequence(?:: (?P<listed>.+))?$")
+@kind(
+    IN_PILLS,
+    r"(?P<count>\d+) methods (?P<what>lost the track on|did not finish) a sequence(?: other than (?P<other>[^:]+))?"
+    r"(?:: (?P<listed>.+))?$",
+)
 @kind(IN_PILLS, r"(?P<method>.+?) (?P<what>lost the track on|did not finish) (?P<where>.+)$")
 def lost_pill(
-    facts: Facts, what: str, count: str = "", listed: str = "", method: str = "", where: str = ""
+    facts: Facts, what: str, count: str = "", other: str = "", listed: str = "", method: str = "", where: str = ""
 ) -> Iterator[str]:
     table = _lost(facts) if what.startswith("lost") else {}
     for run in facts.content["runs"] if not what.startswith("lost") else ():
@@ -350,6 +354,9 @@ def lost_pill(
             table.setdefault(run["method"], {})[run["sequence"]] = ""
     if count:
         yield from same(what, int(count), len(table))
+        flat = [one for one, card in facts.content["sequences"].items() if card["degenerate"]] if "lost" in what else []
+        lost_there = [one for one in flat if any(run["lost_at_s"] is not None for run in runs_of(facts, [one]))]
+        yield from same("other than", list_of(other) if other else [], lost_there)
     for name in filter(None, (method, *(listed or "").split(", "))):
         yield from same(f"{name} {what}", name in table, True)
     for name, words in re.findall(rf"(?:^|, | and )(\S+) \(({LOSS})\)", where):

@@ -236,6 +236,8 @@ class Facts:
         barred = ("degenerate", "disagreement") if decides else ("degenerate",)
         if method not in ranked or not repeated or self.outcome(where) in barred:
             return "not comparable"
+        if decides and method in near and self.by_maps(where) and method not in self.agreed(where):
+            return "undecided"
         if method in near:
             return "best" if len(tied) == 1 and len(ranked) > 1 else "tied"
         if method in tied:

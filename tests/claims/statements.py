@@ -14,6 +14,7 @@ NOT_STARTED = ("not-installed", "data-missing", "skipped")
 NOT_EXECUTED = (*NOT_STARTED, "interrupted")
 BROKEN = ("failed", "crashed", "timeout", "out-of-memory")
 WORDS = {"timeout": "timed out", "skipped": "not run yet"}
+UP_TO = rf"(?: \(interval up to (?P<up_to>{AMOUNT})\))?"
 SPREAD = r"[^()]*(?:\([^()]*\))?"
 """A median with its interval, unread."""
 LOSS = r"(?:in \d+ of \d+, (?:first )?)?at \d+ s(?:, found at \d+ s|, \d+ found again)?"
@@ -198,8 +199,9 @@ def _check_tie(facts: Facts, where: str, metric: str, one: str, other: str, why:
         yield from check_amount("accuracy of the truth", match[1], floor)
         yield from same("relations", int(match[2]), facts.relations(where, metric, one, other))
         yield from same("below the accuracy", size < floor, True)
-    elif match := re.fullmatch(r"they are less than (.+?) apart, which does not matter here", why):
+    elif match := re.fullmatch(rf"they are at most (.+?){UP_TO} apart, which does not matter here", why):
         yield from same("margin", match[1], _name_margin(facts, metric, better))
+        yield from _check_up_to(facts, where, metric, one, [other], match["up_to"])
         yield from same("within the margin", size <= facts.margin(metric, better) and size >= floor, True)
     elif why == "they are equal to every printed digit":
         yield from same("equal", size < 10.0 ** -facts.metrics[metric]["digits"], True)
@@ -234,6 +236,18 @@ def also_tied(facts: Facts, where: str, listed: str) -> Iterator[str]:
     yield from same("tied", list_of(listed), [one for one in tied if one not in small])
 
 
+def _check_up_to(
+    facts: Facts, where: str, metric: str, first: str, others: Sequence[str], up_to: str | None
+) -> Iterator[str]:
+    """Check the largest bound of the differences from the first, stated beyond the margin; two pairs have none."""
+    apart = [facts.difference(where, metric, one, first) for one in others]
+    bound = max((max(abs(one[1]), abs(one[2])) for one in apart if one and one[3] > 2), default=0.0)
+    least = facts.margin(metric, facts.find(where, metric)[first].median)
+    yield from same("interval", up_to is not None, bound > least)
+    if up_to is not None:
+        yield from check_amount("interval", up_to, bound)
+
+
 def _name_margin(facts: Facts, metric: str, better: float) -> str:
     """Return the smallest difference that matters, in words."""
     least = facts.margin(metric, better)
@@ -261,11 +275,14 @@ def _find_small(facts: Facts, where: str) -> list[str]:
     ]
 
 
-@kind(IN_VERDICTS, r"Worse by less than (?P<least>.+?), which does not matter here: (?P<listed>.+?)\.(?= [A-Z]|$)")
-def too_small(facts: Facts, where: str, least: str, listed: str) -> Iterator[str]:
-    metric = facts.deciding(where) or ""
-    first = facts.find(where, metric)[facts.led(where)[0][0]].median
-    yield from same("margin", least, _name_margin(facts, metric, first))
+@kind(
+    IN_VERDICTS,
+    rf"Worse by at most (?P<least>.+?){UP_TO}, which does not matter here: (?P<listed>.+?)\.(?= [A-Z]|$)",
+)
+def too_small(facts: Facts, where: str, least: str, up_to: str | None, listed: str) -> Iterator[str]:
+    metric, first = facts.deciding(where) or "", facts.led(where)[0][0]
+    yield from same("margin", least, _name_margin(facts, metric, facts.find(where, metric)[first].median))
+    yield from _check_up_to(facts, where, metric, first, list_of(listed), up_to)
     yield from same("too small", list_of(listed), _find_small(facts, where))
 
 

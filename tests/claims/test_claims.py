@@ -105,6 +105,9 @@ def _cases(record, build):
     yield pair([0.010, 0.011, 0.025], [0.019, 0.022, 0.024], *_seeds(record, "c", [0.013, 0.3, 0.2]))
     yield pair([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], [0.5, 1.0, 1.5, 4.2, 4.3, 5.0, 5.8])
     yield pair([1.0, 3.0], [1.15, 2.87])
+    far = [0.0117, 0.0118, 0.0119]
+    yield pair([0.01] * 3, far)
+    yield pair([0.01] * 3, [0.0111] * 3, *_seeds(record, "c", far))
     yield pair([0.0100, 0.0110], [0.0115, 0.01265])
     yield pair([1.0, 1.1], [1.0, 1.1], *_seeds(record, "c", [1.01, 1.1]))
     yield pair([0.0100, 0.0110], [0.0110, 0.01205], *_seeds(record, "c", [0.0113, 0.0124]))
@@ -156,6 +159,10 @@ def _cases(record, build):
         *_lost(_seeds(record, "a", clear[0])[:2], 5.0, 31.0), *_seeds(record, "a", clear[0])[2:],
         *(one for name in "bc" for one in _seeds(record, name, clear[1])),
     ])  # fmt: skip
+    lost = [one for name in "abc" for one in _lost(_seeds(record, name, clear[0]), 12.0)]
+    flat = build([*lost, *_lost(_seeds(record, "d", clear[0], room="corridor"), 5.0)])
+    corridor = replace(flat.sequences["corridor"], degenerate="A corridor without ends.")
+    yield replace(flat, sequences={**flat.sequences, "corridor": corridor})
     yield build(_maps(record, a=(0.1, 20.0, 5.0, 0.02), b=(0.2, 60.0, 9.0, 0.05), wheel=(0.4, 90.0, 20.0, 0.09)))
     tied = {"a": (0.1, 20.0, 5.0, 0.02), "c": (0.1004, 20.0, 5.0, 0.02), "b": (0.1002, 20.0, 5.0, 0.06)}
     yield build(_maps(record, **tied))

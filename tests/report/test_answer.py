@@ -231,6 +231,20 @@ def test_a_lost_track_is_named_except_where_the_geometry_explains_it(build, thre
     assert not any("lost" in text for text in lost_on("hall"))
 
 
+def test_the_number_of_methods_that_lost_the_track_says_where_losses_are_not_counted(build, three):
+    def lost_on(*sequences):
+        lost = LostTrack(28.4, "it slipped")
+        made = build([
+            replace(run, scores=replace(run.scores, lost=lost)) if run.sequence in sequences else run for run in three
+        ])  # fmt: skip
+        return pills(
+            replace(made, sequences={**made.sequences, "hall": replace(made.sequences["hall"], degenerate="x")})
+        )
+
+    assert "3 methods lost the track on a sequence: a, b, c" in lost_on("lab")
+    assert "3 methods lost the track on a sequence other than hall: a, b, c" in lost_on("lab", "hall")
+
+
 def test_only_degenerate_data_rank_nobody(build, runs):
     made = build([*runs("a", "hall", (0.1, 0.1)), *runs("b", "hall", (0.5, 0.5))])
     made = replace(made, sequences={"hall": replace(made.sequences["hall"], degenerate="no walls")})

@@ -18,6 +18,8 @@ from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.report.analysis.statements.pills import Pill
 from evalkit.report.analysis.statements.verdict import compute_verdict
 from evalkit.report.formatting import format_gap, format_losses, join_words
+from evalkit.report.html.dot_plot import draw_dots
+from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.results_json import build_results
 
 
@@ -82,12 +84,23 @@ def test_pairs_that_contradict_the_order_of_the_medians_give_no_winner(record, b
 def test_a_lead_of_a_millimetre_is_a_tie(record, build):
     comparison = build([*_seeds(record, "a", [0.0100, 0.0110]), *_seeds(record, "b", [0.0115, 0.01265])])
     assert verdict(comparison, "room").outcome == "tied"
-    assert "are tied: they are less than 2 mm apart, which does not matter here." in _verdict_text(comparison)
+    assert "are tied: they are at most 2 mm apart, which does not matter here." in _verdict_text(comparison)
     third = build([*comparison.records, *_seeds(record, "c", [0.0113, 0.01243])])
-    assert "Worse by less than 2 mm, which does not matter here: b." in _verdict_text(third)
+    assert "Worse by at most 2 mm, which does not matter here: b." in _verdict_text(third)
     assert "statistically" not in f"{_verdict_text(third)} {_overview(third)}"
     large = build([*_seeds(record, "a", [1.0, 1.1]), *_seeds(record, "b", [1.04, 1.144])])
-    assert "less than 5 % apart, which does not matter here" in _verdict_text(large)
+    assert "at most 5 % apart, which does not matter here" in _verdict_text(large)
+
+
+def test_a_difference_too_small_to_matter_is_stated_with_an_interval_beyond_that(record, build):
+    """Log-ratios with a standard error of 0.00515, t(0.995, 2) = 9.925: 1.0524 times their mean of 1.12, or of 1.18."""
+    first, near, far = [0.01] * 3, [0.0111, 0.0112, 0.0113], [0.0117, 0.0118, 0.0119]
+    for third, said in ((near, "2 mm"), (far, "2 mm (interval up to 2.4 mm)")):
+        runs = {"a": first, "b": [0.0105] * 3, "c": [0.0111] * 3, "d": third}
+        comparison = build([one for name, values in runs.items() for one in _seeds(record, name, values)])
+        assert f"Worse by at most {said}, which does not matter here: c and d." in _verdict_text(comparison)
+        pair = build([*_seeds(record, "a", first), *_seeds(record, "d", third)])
+        assert f"they are at most {said} apart, which does not matter here" in _verdict_text(pair)
 
 
 def test_differences_below_the_noise_of_the_relations_are_a_tie(record, build):
@@ -251,6 +264,18 @@ def test_a_map_best_in_every_metric_leads(record, build):
     validated = load_validation().agreement_of("split_distance_m")
     assert f"Spearman correlation with that error was {validated.overall.value:.2f}" in _verdict_text(comparison)
     assert verdict(_maps(record, build, runs=1, a=(0.10, 0.02, 0.04, 0.03), b=(0.2, 0.3, 0.5, 0.4))).leaders == ()
+
+
+def test_a_map_tied_in_one_metric_and_worse_in_another_is_not_marked_as_tied(record, build):
+    other = {"b": (0.1005, 0.02, 0.04, 0.03), "c": (0.1, 0.09, 0.04, 0.03)}
+    comparison = _maps(record, build, a=(0.10, 0.02, 0.04, 0.03), **other)
+    found = verdict(comparison)
+    assert (found.outcome, found.leaders) == ("tied", ("a", "b"))
+    deciding = analyse_sequence(comparison, "room").deciding
+    assert [mark(deciding, name) for name in "abc"] == ["tied", "tied", "undecided"]
+    dots = draw_dots(analyse(comparison), assign_strokes(comparison.method_labels, ())).replace("\u00a0", " ")
+    assert "c on room: 101 mm, not tied in every map metric" in dots
+    assert "b on room: 102 mm, tied with the best" in dots
 
 
 def test_a_map_metric_without_value_leaves_the_map_undecided(record, build):
