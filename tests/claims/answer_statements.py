@@ -341,10 +341,10 @@ def _lost(facts: Facts) -> dict[str, dict[str, str]]:
 
 @kind(
     IN_PILLS,
-    r"(?P<count>\d+) methods (?P<what>lost the track on|did not finish) a sequence(?: other than (?P<other>[^:]+))?"
+    r"(?P<count>\d+) methods (?P<what>lost the track|did not finish)(?: on)?(?: a sequence| outside (?P<other>[^:]+))"
     r"(?:: (?P<listed>.+))?$",
 )
-@kind(IN_PILLS, r"(?P<method>.+?) (?P<what>lost the track on|did not finish) (?P<where>.+)$")
+@kind(IN_PILLS, r"(?P<method>.+?) (?P<what>lost the track|did not finish)(?: on)? (?P<where>.+)$")
 def lost_pill(
     facts: Facts, what: str, count: str = "", other: str = "", listed: str = "", method: str = "", where: str = ""
 ) -> Iterator[str]:

@@ -242,7 +242,7 @@ def test_the_number_of_methods_that_lost_the_track_says_where_losses_are_not_cou
         )
 
     assert "3 methods lost the track on a sequence: a, b, c" in lost_on("lab")
-    assert "3 methods lost the track on a sequence other than hall: a, b, c" in lost_on("lab", "hall")
+    assert "3 methods lost the track outside hall: a, b, c" in lost_on("lab", "hall")
 
 
 def test_only_degenerate_data_rank_nobody(build, runs):

@@ -136,8 +136,8 @@ def _group(what: str, found: Mapping[str, Sequence[str]], left_out: Sequence[str
     """
     if len(found) > MAX_OF_A_KIND:
         names = f": {', '.join(found)}" if len(found) <= MAX_NAMED else ""
-        other = f" other than {join_words(left_out)}" if left_out else ""
-        return [Pill(f"{len(found)} methods {what} a sequence{other}{names}")]
+        where = f"{what.removesuffix(' on')} outside {join_words(left_out)}" if left_out else f"{what} a sequence"
+        return [Pill(f"{len(found)} methods {where}{names}")]
     return [
         Pill(f"{method} {what} {join_words(where) if len(where) < 4 else f'{len(where)} sequences'}")
         for method, where in found.items()
