@@ -10,7 +10,7 @@ from statistics import median
 
 from amounts import AMOUNT, NUMBER, check_amount, list_of
 from facts import Facts
-from statements import BROKEN, LOSS, NOT_STARTED, Check, kind, same
+from statements import BROKEN, LOSS, NOT_EXECUTED, Check, kind, runs_of, same
 
 LIMIT = r" that counts? for (?:it|them)"
 COUNTS = (
@@ -35,7 +35,7 @@ def standings(facts: Facts) -> dict[str, tuple[int, int]]:
 
 def takes_part(facts: Facts, where: str, method: str) -> bool:
     """Whether a run of a method started on a sequence and its settings were not chosen there."""
-    started = any(run["status"] not in NOT_STARTED for run in facts.runs[where].get(method, ()))
+    started = any(run["status"] not in NOT_EXECUTED for run in facts.runs[where].get(method, ()))
     return started and not facts.find(where, facts.deciding(where) or "")[method].tuned
 
 
@@ -281,7 +281,7 @@ def not_ranked(facts: Facts, why: str, only: str | None) -> Iterator[str]:
         for cause, holds in (
             ("tuned", one.tuned), ("lost", one.lost_s is not None), ("guessed", one.guessed > 50.0),
             ("unfinished", not one.complete == one.expected == len(one.values)),
-            ("absent", all(run["status"] in NOT_STARTED for run in facts.runs[where][name])),
+            ("absent", all(run["status"] in NOT_EXECUTED for run in facts.runs[where][name])),
         )
         if holds
     }  # fmt: skip
@@ -438,10 +438,14 @@ def _lost(facts: Facts) -> dict[str, dict[str, str]]:
     return table
 
 
-@kind(IN_PILLS, r"(?P<count>\d+) methods (?P<what>lost the track on|did not finish) a sequence(?:: (?P<listed>.+))?$")
-@kind(IN_PILLS, r"(?P<method>.+?) (?P<what>lost the track on|did not finish) (?P<where>.+)$")
+@kind(
+    IN_PILLS,
+    r"(?P<count>\d+) methods (?P<what>lost the track|did not finish)(?: on)?(?: a sequence| outside (?P<other>[^:]+))"
+    r"(?:: (?P<listed>.+))?$",
+)
+@kind(IN_PILLS, r"(?P<method>.+?) (?P<what>lost the track|did not finish)(?: on)? (?P<where>.+)$")
 def lost_pill(
-    facts: Facts, what: str, count: str = "", listed: str = "", method: str = "", where: str = ""
+    facts: Facts, what: str, count: str = "", other: str = "", listed: str = "", method: str = "", where: str = ""
 ) -> Iterator[str]:
     table = _lost(facts) if what.startswith("lost") else {}
     for run in facts.content["runs"] if not what.startswith("lost") else ():
@@ -449,6 +453,9 @@ def lost_pill(
             table.setdefault(run["method"], {})[run["sequence"]] = ""
     if count:
         yield from same(what, int(count), len(table))
+        flat = [one for one, card in facts.content["sequences"].items() if card["degenerate"]] if "lost" in what else []
+        lost_there = [one for one in flat if any(run["lost_at_s"] is not None for run in runs_of(facts, [one]))]
+        yield from same("other than", list_of(other) if other else [], lost_there)
     for name in filter(None, (method, *(listed or "").split(", "))):
         yield from same(f"{name} {what}", name in table, True)
     for name, words in re.findall(rf"(?:^|, | and )(\S+) \(({LOSS})\)", where):

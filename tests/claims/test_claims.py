@@ -107,14 +107,20 @@ def _cases(record, build):
     where = (("room", "abc"), ("hall", "abc"), ("cave", "ab"))
     yield build([one for room, own in where for name in own for one in _seeds(record, name, few[name], room=room)])
     yield pair([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], [0.5, 1.0, 1.5, 4.2, 4.3, 5.0, 5.8])
+    yield pair([1.0, 3.0], [1.15, 2.87])
+    far = [0.0117, 0.0118, 0.0119]
+    yield pair([0.01] * 3, far)
+    yield pair([0.01] * 3, [0.0111] * 3, *_seeds(record, "c", far))
     yield pair([0.0100, 0.0110], [0.0115, 0.01265])
     yield pair([1.0, 1.1], [1.0, 1.1], *_seeds(record, "c", [1.01, 1.1]))
     yield pair([0.0100, 0.0110], [0.0110, 0.01205], *_seeds(record, "c", [0.0113, 0.0124]))
-    yield pair([0.051] * 3, [0.08] * 3, metric="relations_mean_m")
+    yield pair([0.051] * 3, [0.058] * 3, metric="relations_mean_m")
     yield pair([0.05, 0.04], [0.09, 0.3], metric="relations_mean_m")
     yield pair([0.90, 0.92, 0.91], [0.70, 0.72, 0.73], metric="map_f1")
     yield pair([0.05], [0.08], *_seeds(record, "paper", [0.02]))
     yield pair([0.05, 0.06], [None, 0.08])
+    stopped = record("a", "room", {}, status="interrupted", reason="no space left on device", answered=9, seed=3)
+    yield pair(*clear, stopped)
     yield pair(*clear, guess_kept_percent=60.0)
     yield build(
         [
@@ -172,6 +178,10 @@ def _cases(record, build):
         *_lost(_seeds(record, "a", clear[0])[:2], 5.0, 31.0), *_seeds(record, "a", clear[0])[2:],
         *(one for name in "bc" for one in _seeds(record, name, clear[1])),
     ])  # fmt: skip
+    lost = [one for name in "abc" for one in _lost(_seeds(record, name, clear[0]), 12.0)]
+    flat = build([*lost, *_lost(_seeds(record, "d", clear[0], room="corridor"), 5.0)])
+    corridor = replace(flat.sequences["corridor"], degenerate="A corridor without ends.")
+    yield replace(flat, sequences={**flat.sequences, "corridor": corridor})
     yield build(_maps(record, a=(0.1, 20.0, 5.0, 0.02), b=(0.2, 60.0, 9.0, 0.05), wheel=(0.4, 90.0, 20.0, 0.09)))
     tied = {"a": (0.1, 20.0, 5.0, 0.02), "c": (0.1004, 20.0, 5.0, 0.02), "b": (0.1002, 20.0, 5.0, 0.06)}
     yield build(_maps(record, **tied))

@@ -124,15 +124,16 @@ def test_one_method_alone_wins_nothing(build, record, runs):
 
 @pytest.mark.parametrize("how", ["crashed", "lost", "interrupted", "tuned"])
 def test_the_one_method_that_holds_where_others_fail_leads_there(build, three, how):
-    """On hall, one of two runs of ``b`` and of ``c`` fails, and only ``a`` is ranked."""
+    """On hall, one of two runs of ``b`` and of ``c`` fails, or the machine ends both, and only ``a`` is ranked."""
+    ends = {(name, "hall", seed) for name in "bc" for seed in ((0, 1) if how == "interrupted" else (1,))}
     causes = {"crashed": Cause.EXIT_CODE, "interrupted": Cause.MACHINE_FAULT}
     failed = [
         replace(run, scores=replace(run.scores, lost=LostTrack(9.0, "a jump"))) if how == "lost"
         else replace(run, result=replace(run.result, cause=causes[how], reason="it ended"))
         if how in causes else run
-        for run in three if (run.method, run.sequence, run.seed) in {("b", "hall", 1), ("c", "hall", 1)}
+        for run in three if (run.method, run.sequence, run.seed) in ends
     ]  # fmt: skip
-    kept = [run for run in three if (run.method, run.sequence, run.seed) not in {("b", "hall", 1), ("c", "hall", 1)}]
+    kept = [run for run in three if (run.method, run.sequence, run.seed) not in ends]
     comparison = build([*kept, *failed])
     if how == "tuned":
         chosen = {name: replace(card, tuned_on=("hall",)) for name, card in comparison.methods.items() if name != "a"}
@@ -349,6 +350,20 @@ def test_a_lost_track_is_named_except_where_the_geometry_explains_it(build, thre
     assert "c lost the track on lab (in 2 of 2, first at 28 s)" in lost_on("lab")
     assert "c lost the track on lab (in 2 of 2, first at 28 s, 2 found again)" in lost_on("lab", 40.2)
     assert not any("lost" in text for text in lost_on("hall"))
+
+
+def test_the_number_of_methods_that_lost_the_track_says_where_losses_are_not_counted(build, three):
+    def lost_on(*sequences):
+        lost = LostTrack(28.4, "it slipped")
+        made = build([
+            replace(run, scores=replace(run.scores, lost=lost)) if run.sequence in sequences else run for run in three
+        ])  # fmt: skip
+        return pills(
+            replace(made, sequences={**made.sequences, "hall": replace(made.sequences["hall"], degenerate="x")})
+        )
+
+    assert "3 methods lost the track on a sequence: a, b, c" in lost_on("lab")
+    assert "3 methods lost the track outside hall: a, b, c" in lost_on("lab", "hall")
 
 
 def test_only_degenerate_data_rank_nobody(build, runs):

@@ -43,6 +43,9 @@ CUT_LEFT, CUT_RIGHT = "M4 -4L0 0L4 4", "M-4 -4L0 0L-4 4"
 SHAPES = {"tuned": "M0 -5.5L5.5 0L0 5.5L-5.5 0Z", "lost": "M-4 -4L4 4M-4 4L4 -4"}
 """Marks that are no circles: settings chosen there, track lost."""
 
+TOO_FEW, OUTVOTED = "too few runs to tell it from the best", "not tied in every map metric"
+"""Why a method has no verdict."""
+
 
 def draw_dots(analysis: Analysis, strokes: Strokes) -> Markup | None:
     """Return the dot plot: methods by rank in rows, data sets in columns; None without a value."""
@@ -173,7 +176,7 @@ def _mark(panel: _Panel, score: MethodScore) -> tuple[str, str]:
         return "the only one ranked", "tied"
     words = {
         "best": ("best", "tied"), "tied": ("tied with the best", "tied"), "worse": ("worse than the best", ""),
-        "undecided": ("too few runs to tell it from the best", "unranked"),
+        "undecided": (OUTVOTED if score.method in panel.ranking.outvoted else TOO_FEW, "unranked"),
         "lost": (f"lost the track {format_losses(score)}", "lost"), "not comparable": ("not comparable", "unranked"),
     }  # fmt: skip
     return words[mark(panel.ranking, score.method)]
