@@ -99,6 +99,23 @@ def test_the_heading_is_applied_where_nothing_states_it(tmp_path):
     assert not [one.reason for one in chosen if one.name == "base_from_sensor"]
 
 
+def test_scans_with_another_number_of_beams_than_the_first_are_left_out():
+    wheels, laser = drive(37.0)
+    rows = [row if at % 26 < 13 else row[:-1] for at, row in enumerate(laser.ranges)]  # every other straight drive
+    found, whole = (
+        estimate_mounting_angle(wheels, replace(laser, scans=ScanSample(each))) for each in (rows, laser.ranges)
+    )
+    assert found.heading_deg == pytest.approx(37.0, abs=2.0)
+    assert 12 <= found.pairs < whole.pairs
+    wheels, laser = drive_arcs(-1.0)
+    assert (
+        compare_turns(
+            wheels, replace(laser, scans=ScanSample(row[: -1 - at // 6] for at, row in enumerate(laser.ranges)))
+        )
+        is None
+    )
+
+
 def test_scans_that_do_not_tell_have_no_translation():
     room = ranges_in_room(3.0, 2.0, 0.0)
     assert estimate_motion(room, room[:-1], ANGLES) is None
