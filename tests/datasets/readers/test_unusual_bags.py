@@ -227,7 +227,7 @@ def test_millimetres_beyond_a_maximum_in_metres_are_noticed(tmp_path):
     )
 
 
-def mirrored_turn():
+def mirrored_turn(base="base_link"):
     """A lidar turns on the spot in a room, with clockwise angles written as if they were counter-clockwise."""
     bag = Bag("mcap")
     directions = np.linspace(-1.5, 1.5, 301)
@@ -235,7 +235,7 @@ def mirrored_turn():
         way = -directions + math.radians(4.0) * k
         room = 3.0 + np.cos(2 * way) + 0.5 * np.sin(5 * way) + 0.3 * np.cos(11 * way + 1.0)
         bag.scan(T0 + k * PERIOD, room, angle_min=-1.5, angle_max=1.5, angle_increment=0.01, time_increment=0.0)
-        bag.odom(T0 + k * PERIOD, 0.0, yaw=math.radians(4.0) * k)
+        bag.odom(T0 + k * PERIOD, 0.0, yaw=math.radians(4.0) * k, child=base)
     return bag, directions
 
 
@@ -249,13 +249,32 @@ def test_mirrored_angles_are_noticed_against_the_odometry_and_the_advice_mends_t
     np.testing.assert_allclose(scan.angles, -directions, atol=1e-6)
 
 
-def test_angles_that_the_mounting_of_a_lidar_upside_down_mirrors_are_no_problem(tmp_path):
-    bag, directions = mirrored_turn()
-    path = bag.tf(T0, "base_link", "laser", quaternion=(1.0, 0.0, 0.0, 0.0)).write(tmp_path)
+@pytest.mark.parametrize("base", ["base_link", "chassis"])
+def test_angles_that_the_mounting_of_a_lidar_upside_down_mirrors_are_no_problem(tmp_path, base):
+    bag, directions = mirrored_turn(base)
+    path = bag.tf(T0, base, "laser", quaternion=(1.0, 0.0, 0.0, 0.0)).write(tmp_path)
     found = inspect_recording(path)
     assert [one.what for one in found.findings if one.level == "problem"] == []
     assert next(iter(found.turns.values())).scale == pytest.approx(1.0, rel=0.03)
     np.testing.assert_allclose(next(RosBag(str(path)).frames()).scan.angles, -directions, atol=1e-6)
+
+
+def test_the_mounting_is_that_on_the_base_of_the_odometry_that_is_used(tmp_path):
+    """A camera has odometry, too; the frame of its lens and the base have another distance to the lidar."""
+    bag = Bag("mcap").tf(T0, "chassis", "laser", 0.2).tf(T0, "chassis", "lens", 0.5)
+    for k in range(20):
+        bag.scan(T0 + k * PERIOD, [2.0, 3.0, 4.0, 5.0, 6.0])
+        bag.odom(T0 + k * PERIOD, 0.1 * k, topic="/camera/odom", child="lens").odom(
+            T0 + k * PERIOD, 0.1 * k, child="chassis"
+        )
+    path = bag.write(tmp_path)
+
+    def mountings(**given):
+        return [(one.base, round(one.x_m, 6)) for one in inspect_recording(path, given=given).frames.mountings]
+
+    assert mountings() == mountings(odometry="/odom") == [("chassis", 0.2)]
+    assert mountings(odometry="/camera/odom") == mountings(base_frame="lens") == [("lens", -0.3)]
+    assert mountings(odometry="none") == []  # the reader then takes the lidar as the base
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from evalkit_datasets.commands.inspect.streams import LaserStream
-from evalkit_datasets.parsing.transforms import TransformTree, with_prefix_of
+from evalkit_datasets.parsing.transforms import TransformTree, own_name, with_prefix_of
 from evalkit_datasets.readers.rosbag import BASE_FRAMES
 
 
@@ -49,8 +49,11 @@ class FrameTree:
     mountings: tuple[LidarMounting, ...] = ()
 
 
-def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream]) -> FrameTree:
-    """Return the tree, and the mounting of each lidar on the first base frame connected to it."""
+def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream], bases: Sequence[str] = ()) -> FrameTree:
+    """Return the tree, and the mounting of each lidar on the first base frame connected to it.
+
+    ``bases``: frames that are tried before those with a usual name.
+    """
     static = [FrameLink(parent, child, True, 1) for child, parents in tree.static.items() for parent in parents]
     moving = [FrameLink(parent, child, False, tree.counts[parent, child]) for parent, child in tree.moving]
     links = tuple(sorted([*static, *moving], key=lambda link: (link.static, link.parent, link.child)))
@@ -59,7 +62,7 @@ def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream]) -> Fram
     for link in links:
         parents.setdefault(link.child, []).append(link.parent)
     contested = {child: tuple(dict.fromkeys(own)) for child, own in parents.items() if len(set(own)) > 1}
-    mountings = [mounting for laser in lasers if (mounting := _find_mounting(tree, laser)) is not None]
+    mountings = [mounting for laser in lasers if (mounting := _find_mounting(tree, laser, bases)) is not None]
     return FrameTree(names, tuple(name for name in names if name not in parents), links, contested, tuple(mountings))
 
 
@@ -69,9 +72,10 @@ def mirror_if_upside_down(laser: LaserStream, tree: FrameTree) -> LaserStream:
     return replace(laser, angles=-laser.angles) if upside_down else laser
 
 
-def _find_mounting(tree: TransformTree, laser: LaserStream) -> LidarMounting | None:
-    """Return None if no base frame is connected to the lidar."""
-    for base in with_prefix_of(laser.frame, BASE_FRAMES):
+def _find_mounting(tree: TransformTree, laser: LaserStream, bases: Sequence[str]) -> LidarMounting | None:
+    """Return None if no base frame is connected to the lidar; frames of its own robot are tried first."""
+    own = [base for base in bases if base in with_prefix_of(laser.frame, [own_name(base)])]
+    for base in dict.fromkeys([*own, *with_prefix_of(laser.frame, BASE_FRAMES), *bases]):
         try:
             mounting = tree.find_mounting(base, laser.frame, int(laser.stamps_ns[0]))
         except ValueError as error:

@@ -63,7 +63,7 @@ def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] |
         streams = _read_streams(path, reader, given or {}, others)
         lidars = tuple(one for one in lidars if one.topic not in others)
         best = _select_lidar(lidars, topic)
-    tree = build_frame_tree(streams.tree, streams.lasers)
+    tree = build_frame_tree(streams.tree, streams.lasers, _list_bases(streams.wheels, given or {}))
     laser = None if best is None else mirror_if_upside_down(streams.lasers[best], tree)
     odometries = tuple(_measure_odometry(wheels, laser) for wheels in streams.wheels)
     turns = {}
@@ -78,6 +78,17 @@ def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] |
         findings.collect_findings(streams, inside, lidars, odometries, turns, turned, tree),
         streams,
     )  # fmt: skip
+
+
+def _list_bases(wheels: Sequence[OdometryStream], given: Mapping[str, Value]) -> list[str]:
+    """Return the frames that the reader may take as the base: a given one, then those of the odometries.
+
+    First the odometry that is given, or the topic "odom"; none if no odometry is used.
+    """
+    base, odometry = (str(given.get(name, default)) for name, default in (("base_frame", ""), ("odometry", "auto")))
+    wanted = "odom" if odometry == "auto" else odometry.lstrip("/")
+    ordered = [] if odometry == "none" else sorted(wheels, key=lambda one: one.topic.lstrip("/") != wanted)
+    return [*([base] if base else []), *(one.child for one in ordered)]
 
 
 def _measure_odometry(wheels: OdometryStream, laser: LaserStream | None) -> OdometryStats:
