@@ -183,7 +183,9 @@ def _choose_mounting(recording: Inspection, lidar: LidarStats, recorded: Pose) -
     near = abs(angle.heading_deg - square) <= max(3.0 * angle.error_deg, MAX_SQUARE_DEG)
     heading = math.radians(square if near else angle.heading_deg)
     why = f"base_from_sensor 0 0 {heading:.4f}: no transform states the mounting; the scans show a heading of {seen}"
-    yield Choice("base_from_sensor", f"0 0 {heading:.4f}", f"{why}{', taken as square' if near else ''}")
+    where = "x and y are unknown, taken as 0: beside a ground truth, give base_from_sensor"
+    value = f"0 0 {heading:.4f}"
+    yield Choice("base_from_sensor", value, f"{why}{', taken as square' if near else ''}; {where}", warns=True)
 
 
 def _measure_mounting(recording: Inspection, lidar: LidarStats) -> MountingAngle | None:
