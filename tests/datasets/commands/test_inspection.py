@@ -341,6 +341,26 @@ def test_stamps_that_are_not_the_times_of_the_scans_are_found_by_the_turns(late_
     assert found.is_shifted is (late_s != 0.0)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.15, -0.15, 0.9])
+def test_turns_at_a_constant_rate_tell_wrong_stamps_where_they_begin_and_end(late_s):
+    """Turns of 1.0 to 2.2 s, and half a second of rest: most pairs of scans lie within a turn or within a rest."""
+    lengths = np.column_stack([np.full(30, 0.5), 1.0 + 0.3 * (np.arange(30) * 7 % 5)])
+    ends = np.cumsum(lengths.ravel())
+    knots = np.column_stack([np.zeros(30), lengths[:, 1] * np.where(np.arange(30) % 3, 0.6, -0.6)]).cumsum(axis=None)
+
+    def heading(at):
+        return np.interp(at, [0.0, *ends], [0.0, *knots])
+
+    times, fine = np.arange(1.0, ends[-1] - 1.0, 0.1), np.arange(0.0, ends[-1], 0.05)
+    rng = np.random.default_rng(6)
+    scans = laser(round_view(heading(times)), seconds(*(times - late_s + 10.0)))
+    poses = np.column_stack([0.0 * fine, 0.0 * fine, heading(fine) + 0.002 * rng.standard_normal(len(fine))])
+    found = compare_turns(OdometryStream("/odom", "odom", "base", seconds(*(fine + 10.0)), poses), scans)
+    assert found.shift_s == pytest.approx(late_s, abs=0.03)
+    assert found.shift_interval == pytest.approx((late_s, late_s), abs=0.06)
+    assert found.is_shifted is (late_s != 0.0)
+
+
 def test_turns_are_not_compared_with_too_few_pairs():
     assert compare_turns(arc(count=5, stop=0), laser(walls(5))) is None
     assert turn_comparison.MIN_PAIRS > 5
