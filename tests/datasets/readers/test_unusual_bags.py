@@ -701,6 +701,64 @@ def test_an_odometry_with_another_clock_is_not_taken(tmp_path, apart_s):
     assert last.odom_from_base.x == pytest.approx(4.9)
 
 
+def write_two_clocks(folder, ahead_s, tf=False, late_s=0.0):
+    """Write 60 s of a robot that drives straight; the odometry's clock is ahead, a scan is recorded late."""
+    bag = Bag("mcap").tf(T0, "base_link", "laser")
+    for at in range(600):
+        stamp = T0 + at * PERIOD
+        bag.scan(stamp - round(ahead_s * 1e9), [2.0, 3.0, 4.0, 5.0, 6.0], recorded=stamp + round(late_s * 1e9))
+        if tf:
+            bag.tf(stamp, "odom", "base_link", 0.05 * at, static=False)
+        else:
+            bag.odom(stamp, 0.05 * at)
+    return bag.write(folder)
+
+
+@pytest.mark.parametrize(("ahead_s", "tf"), [(37.0, False), (37.0, True), (-0.9, False), (0.4, False)])
+def test_clocks_whose_times_overlap_are_told_apart_by_the_times_of_recording(tmp_path, ahead_s, tf):
+    path = write_two_clocks(tmp_path, ahead_s, tf)
+    said = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "two clocks" in one.reason]
+    if abs(ahead_s) < 0.5:  # a recorder may get scans that late
+        assert said == []
+        return
+    side = f"{abs(ahead_s):.2f} s {'ahead of' if ahead_s > 0 else 'behind'} those of the scans: two clocks"
+    topic = "tf" if tf else "/odom"
+    mend = f"give --set stamp_shift_s={ahead_s:.2f}, or record with one clock"
+    assert said == [f"problem: odometry {topic}: by the times of recording, its stamps are {side}; {mend}"]
+    mended = choose_parameters("rosbag", {"path": str(path), "stamp_shift_s": ahead_s})
+    assert not [one for one in mended if one.name == "problem" and "clocks" in one.reason]
+    last = list(RosBag(str(path), stamp_shift_s=ahead_s).frames())[-1]
+    assert last.odom_from_base.x == pytest.approx(29.95)
+
+
+@pytest.mark.parametrize(("late_s", "ahead_s"), [(0.8, 0.0), (0.1, 37.0)])
+def test_turns_tell_the_time_of_scans_better_than_the_times_of_recording(tmp_path, late_s, ahead_s):
+    """Scans that are recorded late have right stamps."""
+    path = turn_to_and_fro(tmp_path, -ahead_s, recorded_s=late_s - ahead_s, time_increment=0.0)
+    said = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "stamp_shift_s" in one.reason]
+    if not ahead_s:
+        assert said == []
+        return
+    shift_s = float(re.search(r"--set stamp_shift_s=(\S*),", said[0])[1])
+    assert (len(said), shift_s) == (1, pytest.approx(-ahead_s, abs=0.02))
+
+
+@pytest.mark.parametrize(("first", "said"), [(0, 0), (4, 0), (6, 1)])
+def test_scans_without_odometry_are_a_warning_where_they_are_many(tmp_path, first, said):
+    """Of 50 scans, ``first`` are taken before the odometry begins."""
+    bag = Bag("mcap").tf(T0, "base_link", "laser")
+    for at in range(50):
+        bag.scan(T0 + at * PERIOD, [2.0, 3.0, 4.0, 5.0, 6.0])
+        if at > first - 1:
+            bag.odom(T0 + at * PERIOD, 0.1 * at)
+    found = [
+        one for one in choose_parameters("rosbag", {"path": str(bag.write(tmp_path))}) if "at their time" in one.reason
+    ]
+    assert [(one.reason.split(":")[0], one.warns) for one in found] == [
+        ("6 of 50 scans have no odometry at their time", True)
+    ] * said
+
+
 def test_an_odometry_with_another_clock_is_no_problem_beside_one_that_can_be_used(tmp_path):
     bag = Bag("mcap").tf(T0, "base_link", "laser")
     for at in range(50):
@@ -714,10 +772,10 @@ def test_an_odometry_with_another_clock_is_no_problem_beside_one_that_can_be_use
     assert [one.level for one in inspect_recording(path).findings if "two clocks" in one.what] == ["warning"]
 
 
-def turn_to_and_fro(folder, late_s, other="", **scan):
+def turn_to_and_fro(folder, late_s, other="", recorded_s=0.0, **scan):
     """Write a lidar that turns to and fro on the spot, five scans a second, each seen ``late_s`` after its stamp.
 
-    The odometry of the topic ``other`` has the times of the scans.
+    The odometry of the topic ``other`` has the times of the scans, which are recorded ``recorded_s`` after them.
     """
     bag, angles = Bag("mcap"), np.radians(np.arange(-180.0, 180.0))
     for k in range(3000):
@@ -728,7 +786,8 @@ def turn_to_and_fro(folder, late_s, other="", **scan):
         ways = angles + math.sin(0.7 * (0.2 * k + late_s))
         room = 3.0 + np.cos(2 * ways) + 0.5 * np.sin(5 * ways) + 0.3 * np.cos(11 * ways + 1.0)
         stated = {"angle_min": -math.pi, "angle_increment": math.radians(1.0), **scan}
-        bag.scan(T0 + 2 * k * PERIOD, room, **stated)
+        stamp = T0 + 2 * k * PERIOD
+        bag.scan(stamp, room, recorded=stamp + round(recorded_s * 1e9), **stated)
     return bag.write(folder)
 
 

@@ -89,16 +89,33 @@ def is_apart(lidar: LidarStats, odometry: OdometryStats) -> bool:
 
 
 def check_clocks(lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats]) -> Iterator[InspectionFinding]:
-    """Report an odometry whose times are not those of any scan: a problem if there is no other."""
-    apart = [one for one in odometries if lidars and all(is_apart(lidar, one) for lidar in lidars)]
-    for one in apart:
+    """Report an odometry whose times are not those of the scans: a problem if there is no other."""
+    apart = {at: what for at, one in enumerate(odometries) if (what := _describe_other_clock(lidars, one))}
+    for at, what in apart.items():
+        one = odometries[at]
+        mend = f"give --set stamp_shift_s={one.clock_shift_s:.2f}, or record" if one.clock_shift_s else "record"
+        if len(apart) == len(odometries):
+            none = "the scans have no wheel odometry; " if _is_apart_of_all(lidars, one) else ""
+            yield problem(f"odometry {one.topic}", what, f"{none}{mend} with one clock")
+        else:
+            yield warning(f"odometry {one.topic}", what, f"use another odometry, or {mend} with one clock")
+
+
+def _is_apart_of_all(lidars: Sequence[LidarStats], odometry: OdometryStats) -> bool:
+    return bool(lidars) and all(is_apart(lidar, odometry) for lidar in lidars)
+
+
+def _describe_other_clock(lidars: Sequence[LidarStats], one: OdometryStats) -> str:
+    """Return how the times of an odometry differ from those of the scans, "" if they do not."""
+    if _is_apart_of_all(lidars, one):
         apart_s = (one.timing.first_ns - lidars[0].timing.first_ns) * 1e-9
         side = "after" if apart_s > 0 else "before"
-        what = f"by its stamps it begins {abs(apart_s):.0f} s {side} the scans, and covers none of them: two clocks?"
-        if len(apart) == len(odometries):
-            yield problem(f"odometry {one.topic}", what, "the scans have no wheel odometry; record with one clock")
-        else:
-            yield warning(f"odometry {one.topic}", what, "use another odometry, or record with one clock")
+        return f"by its stamps it begins {abs(apart_s):.0f} s {side} the scans, and covers none of them: two clocks?"
+    if not one.clock_shift_s:
+        return ""
+    side = "ahead of" if one.clock_shift_s > 0 else "behind"
+    shift_s = abs(one.clock_shift_s)
+    return f"by the times of recording, its stamps are {shift_s:.2f} s {side} those of the scans: two clocks"
 
 
 def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]:
@@ -170,10 +187,12 @@ def check_full_turn(
 
 
 def check_shift(
-    lidars: Sequence[LidarStats], turns: Mapping[str, TurnComparison], turned: str, streams: RecordingStreams
-) -> Iterator[InspectionFinding]:
-    """Warn of scans whose stamps are not the times at which the odometry rotates as they do."""
-    named = ((name.split()[0], turn) for name, turn in turns.items() if turn.is_shifted)
+    lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats], turns: Mapping[str, TurnComparison], turned: str,
+    streams: RecordingStreams,
+) -> Iterator[InspectionFinding]:  # fmt: skip
+    """Warn of scans whose stamps are not the times at which the odometry rotates as they do, if its clock is theirs."""
+    others = {f"{one.topic} {one.child}" for one in odometries if one.clock_shift_s}
+    named = ((name.split()[0], turn) for name, turn in turns.items() if turn.is_shifted and name not in others)
     odometry, turn = next(named, ("", None))
     if turn is None or streams.reader != "rosbag":
         return

@@ -26,6 +26,7 @@ from evalkit_datasets.commands.inspect.repeated_findings import PROBLEM, repeat_
 from evalkit_datasets.commands.inspect.truth_choices import find_truth_files
 from evalkit_datasets.parsing.robots import count_common_spaces
 from evalkit_datasets.parsing.transforms import own_name, with_prefix_of
+from evalkit_datasets.readers import reader_common
 from evalkit_datasets.recordings import catalog, data_sets
 
 TILT_WORDS = ("vertical",)
@@ -33,6 +34,9 @@ MAPPER = "mapper."
 
 MIN_MOUNTING_DEG, MAX_SQUARE_DEG = 5.0, 2.0
 """A smaller heading is not applied; a heading this close to a multiple of 90 deg is taken as that."""
+
+MAX_WITHOUT_ODOMETRY = 0.1
+"""A larger share of the scans without odometry is a warning."""
 
 USUAL_CELL_M, LARGE_CELL_M = 0.05, 0.1
 
@@ -106,6 +110,7 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     choices = [one for one in choices if one.name not in given]
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
     tried = try_reader(recording.streams.reader, {"path": str(recording.path), **values, **given})
+    choices += _tell_scans_without_odometry(recording, tried)
     if "base_from_sensor" not in given and not tried.problem:  # then the recorded mounting is unknown
         choices += _choose_mounting(recording, lidar, tried.mounting)
     if tried.mounting != Pose() and "base_from_sensor" not in given:
@@ -113,6 +118,16 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
         where = f"the lidar is mounted at x {x:.3f} m, y {y:.3f} m, rotated by {yaw_deg:.1f} deg: as recorded"
         choices.append(Choice("base_from_sensor", None, where))
     return tuple(choices), tried
+
+
+def _tell_scans_without_odometry(recording: Inspection, tried: ReaderTrial) -> Iterator[Choice]:
+    """Warn of scans before or after the odometry, where no other clock is known that explains them."""
+    without = tried.notes.get(reader_common.WITHOUT_ODOMETRY, 0)
+    if without <= MAX_WITHOUT_ODOMETRY * tried.scans or any(one.clock_shift_s for one in recording.odometries):
+        return
+    clock = ", or has another clock (give --set stamp_shift_s)" if recording.streams.reader == "rosbag" else ""
+    what = f"{without} of {tried.scans} scans have no odometry at their time: it begins late or ends early{clock}"
+    yield Choice("odometry", None, what, warns=True)
 
 
 def best_lidar(recording: Inspection) -> tuple[LidarStats, str]:

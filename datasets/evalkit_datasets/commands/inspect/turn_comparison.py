@@ -75,6 +75,11 @@ class TurnComparison:
         """Whether the times of the scans are known to be close to those of the odometry."""
         return abs(self.shift_s) < 0.5 * MIN_SHIFT_S
 
+    def shift(self, by_s: float) -> TurnComparison:
+        """Return it for scans whose stamps were ``by_s`` less."""
+        low, high = self.shift_interval
+        return replace(self, shift_s=self.shift_s + by_s, shift_interval=(low + by_s, high + by_s))
+
     @property
     def differs(self) -> bool:
         """Whether the scans rotate more than 15 % more or less than the odometry, or against it, beyond chance."""
