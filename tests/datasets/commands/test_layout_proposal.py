@@ -34,10 +34,12 @@ def path_of(count=80):
     return np.column_stack([2.0 + np.cumsum(drives), np.zeros(count), np.mod(np.cumsum(turns) + 3.0, 6.0) - 3.0])
 
 
-def write_log(path, unit=1000.0, clockwise=False, header="", separator=" ", poses=True, first_ms=65000, code=0):
+def write_log(
+    path, unit=1000.0, clockwise=False, header="", separator=" ", poses=True, first_ms=65000, code=0, decimals=0
+):
     lines = [header] if header else []
     for at, (x, y, theta) in enumerate(path_of()):
-        ranges = np.round(ranges_m(x, theta) * unit)[:: -1 if clockwise else 1]
+        ranges = np.round(ranges_m(x, theta) * unit, decimals)[:: -1 if clockwise else 1]
         ranges = np.roll(ranges, 1) if clockwise else ranges
         ranges[at % 7 :: 10] = code
         own = [f"{x:.4f}", f"{y:.4f}", f"{theta:.5f}"] if poses else []
@@ -92,6 +94,18 @@ def test_centimetres_metres_and_a_code_above_the_ranges_are_told_apart(tmp_path)
     path.write_text("\n".join(rows))
     layout = tomllib.loads(propose_layout(path).toml)
     assert (layout["scan"]["unit"], layout["time"]) == ("m", {"column": 1, "unit": "s"})
+
+
+def test_beams_without_a_return_that_are_inf_are_ranges(tmp_path):
+    """Half of the beams, and the first 30 of every scan, have none."""
+    path = write_log(tmp_path / "drive.csv", unit=1.0, code=math.inf, decimals=3)
+    lines = [line.split() for line in path.read_text().splitlines()]
+    for at, words in enumerate(lines):
+        words[4:34] = ["inf"] * 30
+        words[34 + at % 2 :: 2] = ["inf"] * len(words[34 + at % 2 :: 2])
+    path.write_text("\n".join(map(" ".join, lines)))
+    scan = tomllib.loads(propose_layout(path).toml)["scan"]
+    assert (scan["first"], scan["beams"], scan["unit"]) == (5, 360, "m")
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,7 @@ def _find_ranges(rows: Floats) -> tuple[int, int]:
     """Return the first column and the number of the longest block whose neighbours are alike and never negative."""
     one, other = rows[:, :-1], rows[:, 1:]
     with np.errstate(invalid="ignore", divide="ignore"):
-        both = (one > 0.0) & (other > 0.0)
+        both = (one > 0.0) & (other > 0.0) & np.isfinite(one) & np.isfinite(other)
         alike = both & (np.abs(one - other) < NEAR * np.maximum(one, other))
     counts = both.sum(axis=0)
     near = (counts < 3) | (alike.sum(axis=0) >= 0.5 * counts)
@@ -121,9 +121,11 @@ def _find_time(rows: Floats, columns: list[int]) -> tuple[int, str, int, float] 
     """Return column, unit, range of its counter (0: no wraps) and period (s) of the most regular rising column."""
     found = []
     for at in columns:
+        if not np.isfinite(rows[:, at]).all():
+            continue
         steps = np.diff(rows[:, at])
         back: Bools = np.asarray(steps < 0.0)
-        if back.mean() > 0.02 or (steps <= 0.0).mean() > MAX_REPEATED or not np.isfinite(steps).all():
+        if back.mean() > 0.02 or (steps <= 0.0).mean() > MAX_REPEATED:
             continue
         middle = float(np.median(steps[steps > 0.0]))
         unit = next((name for name, (low, high) in PERIODS.items() if low <= middle <= high), None)
