@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from evalkit.cli import app
 from evalkit.plugins import registry
+from evalkit_datasets.commands.inspect.inspector import inspect_recording
 from evalkit_datasets.commands.inspect.layout_proposal import propose_layout
 from evalkit_datasets.parsing.columns_layout import layout_from_table
 from evalkit_datasets.readers.columns import Columns
@@ -35,14 +36,16 @@ def path_of(count=80):
 
 
 def write_log(
-    path, unit=1000.0, clockwise=False, header="", separator=" ", poses=True, first_ms=65000, code=0, decimals=0
-):
+    path, unit=1000.0, clockwise=False, header="", separator=" ", poses=True, first_ms=65000, code=0, decimals=0,
+    headings=None, count=80,
+):  # fmt: skip
     lines = [header] if header else []
-    for at, (x, y, theta) in enumerate(path_of()):
+    for at, (x, y, theta) in enumerate(path_of(count)):
         ranges = np.round(ranges_m(x, theta) * unit, decimals)[:: -1 if clockwise else 1]
         ranges = np.roll(ranges, 1) if clockwise else ranges
         ranges[at % 7 :: 10] = code
-        own = [f"{x:.4f}", f"{y:.4f}", f"{theta:.5f}"] if poses else []
+        heading = theta if headings is None else headings[at]
+        own = [f"{x:.4f}", f"{y:.4f}", f"{heading:.5f}"] if poses else []
         lines.append(separator.join([str((first_ms + 100 * at) % 65536), *own, *(f"{r:g}" for r in ranges)]))
     path.write_text("\n".join(lines) + "\n")
     return path
@@ -94,6 +97,30 @@ def test_centimetres_metres_and_a_code_above_the_ranges_are_told_apart(tmp_path)
     path.write_text("\n".join(rows))
     layout = tomllib.loads(propose_layout(path).toml)
     assert (layout["scan"]["unit"], layout["time"]) == ("m", {"column": 1, "unit": "s"})
+
+
+def test_headings_in_degrees_are_found_and_many_turns_in_radians_are_not_taken_for_them(tmp_path):
+    """The turns of the second log add up to three."""
+    for count, unit, scale in ((80, "deg", 180.0 / math.pi), (220, "rad", 1.0)):
+        theta = np.unwrap(path_of(count)[:, 2], period=6.0)
+        path = write_log(tmp_path / f"{unit}.log", headings=scale * theta, count=count)
+        assert np.abs(scale * theta).max() > 4.0 * math.pi
+        proposal = propose_layout(path)
+        pose = tomllib.loads(proposal.toml)["pose"]
+        assert pose == {"x": 2, "y": 3, "heading": 4, **({"heading_unit": "deg"} if unit == "deg" else {})}
+        assert "direction not checked" not in proposal.toml
+        path.with_name(f"{unit}.log.toml").write_text(proposal.toml)
+        assert CliRunner().invoke(app, ["inspect", str(path)]).exit_code == 0
+
+
+def test_jumps_of_headings_in_degrees_that_are_read_as_radians_name_the_key(tmp_path):
+    path = write_log(tmp_path / "a.log", headings=np.degrees(path_of()[:, 2]))
+    layout = propose_layout(path).toml.replace('heading_unit = "deg"\n', "")
+    path.with_name("a.log.toml").write_text(layout)
+    said = [one.advice for one in inspect_recording(path).findings if "jump" in one.what]
+    key = 'if its headings are in deg, write heading_unit = "deg" in [pose]; else '
+    assert said
+    assert all(one.startswith(key) for one in said)
 
 
 def test_beams_without_a_return_that_are_inf_are_ranges(tmp_path):

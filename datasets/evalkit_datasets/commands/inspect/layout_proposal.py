@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.errors import EvalkitError
 from evalkit.core.se2 import Floats
 from evalkit.io.text_lines import iter_lines
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
 from evalkit_datasets.commands.inspect.turn_comparison import compare_turns
-from evalkit_datasets.parsing.columns_layout import LENGTH_UNITS, split_columns
+from evalkit_datasets.parsing.columns_layout import ANGLE_UNITS, LENGTH_UNITS, split_columns
 from evalkit_datasets.readers.columns import EXPECTED, Columns
 
 MAX_LINES, MIN_LINES, MAX_VALUES = 3000, 10, 2_000_000
@@ -31,6 +32,12 @@ PERIODS = {"s": (0.008, 2.0), "ms": (8.0, 2000.0), "us": (8e3, 2e6), "ns": (8e6,
 
 MAX_REPEATED = 0.1
 """Share of lines with the time of the line before: a log may repeat lines."""
+
+MAX_HEADING = 4.0 * math.pi
+"""Headings beyond two turns are in deg, unless the scans show that the robot turned so far."""
+
+MAX_LINE_TURN = math.radians(60.0)
+"""No robot turns by more from line to line."""
 
 MEDIAN_M = (0.3, 20.0)
 """Median range of a room or a hall."""
@@ -71,8 +78,12 @@ def propose_layout(path: Path) -> LayoutProposal | None:
     reasons = [f"column {at + 1} increases by {period_s:.3g} s a line: the time, in {unit}", *why]
     pose = _find_pose(rows, [one for one in others if one != at])
     if pose is not None:
-        layout["pose"] = {"x": pose + 1, "y": pose + 2, "heading": pose + 3}
-        reasons.append(f"columns {pose + 1} to {pose + 3} change smoothly: odometry, x, y and heading")
+        at, unit = pose
+        layout["pose"] = {"x": at + 1, "y": at + 2, "heading": at + 3}
+        reasons.append(f"columns {at + 1} to {at + 3} change smoothly: odometry, x, y and heading")
+        if unit == "deg" and not _turned_in_rad(path, layout):
+            layout["pose"]["heading_unit"] = "deg"
+            reasons.append("headings of more than two turns in rad: taken as deg")
     elif counters := _find_counters(rows, [one for one in others if one != at]):
         named = " and ".join(str(one + 1) for one in counters)
         reasons.append(
@@ -171,18 +182,27 @@ def _describe_ranges(ranges: Floats) -> tuple[dict[str, Any], list[str]]:
     return scan, why
 
 
-def _find_pose(rows: Floats, columns: list[int]) -> int | None:
-    """Return the first of three neighbouring columns that are a smooth path and its heading (rad), None without."""
-    for at in columns:
-        if not {at + 1, at + 2} <= set(columns):
-            continue
-        x, y, heading = rows[:, at : at + 3].T
-        if (rows[:, at : at + 3] == np.round(rows[:, at : at + 3])).all() or np.abs(heading).max() > 4.0 * math.pi:
-            continue
-        steps = np.hypot(np.diff(x), np.diff(y))
-        if steps.max(initial=0.0) < 2.0 and steps.sum() > 0.1:
-            return at
+def _find_pose(rows: Floats, columns: list[int]) -> tuple[int, str] | None:
+    """Return the first of three neighbouring columns that are a smooth path and its heading, and its unit.
+
+    Headings in rad are found first; None if there is no path.
+    """
+    for unit in ANGLE_UNITS:
+        for at in columns:
+            if {at + 1, at + 2} <= set(columns) and _is_path(rows[:, at : at + 3], unit):
+                return at, unit
     return None
+
+
+def _is_path(poses: Floats, unit: str) -> bool:
+    """Return whether poses (N, 3) are a smooth path with headings in a unit."""
+    x, y, heading = poses.T
+    if (poses == np.round(poses)).all() or (unit == "rad" and np.abs(heading).max() > MAX_HEADING):
+        return False
+    turns = np.abs(se2.wrap(np.diff(heading) * ANGLE_UNITS[unit]))
+    steps = np.hypot(np.diff(x), np.diff(y))
+    smooth = unit == "rad" or (np.ptp(heading) > MAX_HEADING and turns.max(initial=0.0) < MAX_LINE_TURN)
+    return bool(smooth and steps.max(initial=0.0) < 2.0 and steps.sum() > 0.1)
 
 
 def _find_counters(rows: Floats, columns: list[int]) -> list[int]:
@@ -228,6 +248,16 @@ def _compare_turns(path: Path, layout: dict[str, Any]) -> float | None:
                         first.range_max_m)  # fmt: skip
     found = compare_turns(OdometryStream("columns", "odom", "base", stamps, poses), laser)
     return None if found is None else found.scale
+
+
+def _turned_in_rad(path: Path, layout: dict[str, Any]) -> bool:
+    """Return whether the scans turn as much as headings in rad do, to either side, and not as those in deg."""
+
+    def is_alike(unit: str) -> bool:
+        turn = _compare_turns(path, {**layout, "pose": {**layout["pose"], "heading_unit": unit}})
+        return turn is not None and 0.5 < abs(turn) < 1.5
+
+    return is_alike("rad") and not is_alike("deg")
 
 
 def _format_toml(layout: dict[str, Any], reasons: list[str]) -> Iterator[str]:

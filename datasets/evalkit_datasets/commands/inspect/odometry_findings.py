@@ -66,7 +66,11 @@ def check_odometry(
         )
     for one in () if streams.poses_from else odometries:
         about = f"odometry {one.topic}" + (f" ({one.child})" if one.topic == "tf" else "")
-        yield from _check_motion(one, about) if one.unit is None else _check_unit(one.unit, about, streams.reader)
+        yield from (
+            _check_motion(one, about, streams.reader)
+            if one.unit is None
+            else _check_unit(one.unit, about, streams.reader)
+        )
         yield from _check_twist(one, about)
         yield from _check_turning(turns.get(f"{one.topic} {one.child}"), about)
 
@@ -118,21 +122,22 @@ def _describe_other_clock(lidars: Sequence[LidarStats], one: OdometryStats) -> s
     return f"by the times of recording, its stamps are {shift_s:.2f} s {side} those of the scans: two clocks"
 
 
-def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]:
+def _check_motion(one: OdometryStats, about: str, reader: str) -> Iterator[InspectionFinding]:
     if not one.like_wheels:
         what = (
             f"sideways slip is {100 * one.sideways:.1f} % of a step, without exact standstills: not wheels of a "
             "differential drive, but poses of a filter or scan matcher (or an omnidirectional base)"
         )
         yield warning(about, what, "use odometry = 'none' unless it is known to be wheel odometry")
+    heading = 'if its headings are in deg, write heading_unit = "deg" in [pose]; else ' if reader == "columns" else ""
     if left := one.jump_count - one.taken_out:
         what = f"{_describe_jumps(one, left, taken_out=False)}: a guess across a jump is wrong"
-        advice = "cut the recording there (start, limit), or use odometry = 'none'"
+        advice = f"{heading}cut the recording there (start, limit), or use odometry = 'none'"
         yield InspectionFinding("problem" if one.like_wheels else "warning", about, what, advice)
     if one.taken_out:
         jumps = _describe_jumps(one, one.taken_out, taken_out=True)
         what = f"{jumps}: taken out when the recording is read, as if the robot had stood meanwhile"
-        yield warning(about, what, "cut the recording there (start, limit) if it moved")
+        yield warning(about, what, f"{heading}cut the recording there (start, limit) if it moved")
     if one.timing.gap_count and one.timing.gaps[0].length_s > 1.0:
         what = f"{format_count(one.timing.gap_count, 'gap')}, the longest {one.timing.gaps[0].length_s:.2f} s"
         yield note(about, f"{what}; poses in between are interpolated")
