@@ -38,6 +38,7 @@ from evalkit_datasets.parsing.truth_files import TruthPaths
 from evalkit_datasets.readers import reader_common
 
 BASE_FRAMES = ("base_link", "base_footprint", "base")
+NO_MOUNTING = "no transform from the base to the lidar, identity used"
 
 
 class RosBag:
@@ -207,7 +208,7 @@ class RosBag:
                 f"no transforms from it to '{sensor}'; frames: {known}",
                 "use another frame, or set parameter 'base_from_sensor'",
             )
-        self._counts["no transform from the base to the lidar, identity used"] = 1
+        self._counts[NO_MOUNTING] = 1
         return Mounting(Pose())
 
     def _move_to_base(self, contents: Contents, odometry: Trajectory, child: str, base: str) -> Trajectory:

@@ -23,7 +23,11 @@ class FrameLink:
 
 @dataclass(frozen=True, slots=True)
 class LidarMounting:
-    """Pose of a lidar on a base, seen from above (m, m, deg). ``problem``: why it cannot be used, "" if it can."""
+    """Pose of a lidar on a base, seen from above (m, m, deg). ``problem``: why it cannot be used, "" if it can.
+
+    ``unlinked``: the frame of the odometry if no transform leads from it to the lidar, which is on another base; the
+    reader then takes neither the pose nor the direction of the angles from the tree.
+    """
 
     base: str
     sensor: str
@@ -32,6 +36,7 @@ class LidarMounting:
     theta_deg: float = 0.0
     mirrored: bool = False
     problem: str = ""
+    unlinked: str = ""
 
     def __str__(self) -> str:
         where = self.problem or f"x {self.x_m:.3f} m, y {self.y_m:.3f} m, rotated by {self.theta_deg:.1f} deg"
@@ -75,12 +80,15 @@ def mirror_if_upside_down(laser: LaserStream, tree: FrameTree) -> LaserStream:
 def _find_mounting(tree: TransformTree, laser: LaserStream, bases: Sequence[str]) -> LidarMounting | None:
     """Return None if no base frame is connected to the lidar; frames of its own robot are tried first."""
     own = [base for base in bases if base in with_prefix_of(laser.frame, [own_name(base)])]
-    for base in dict.fromkeys([*own, *with_prefix_of(laser.frame, BASE_FRAMES), *bases]):
+    frames = list(dict.fromkeys([*own, *with_prefix_of(laser.frame, BASE_FRAMES), *bases]))
+    for base in frames:
         try:
             mounting = tree.find_mounting(base, laser.frame, int(laser.stamps_ns[0]))
         except ValueError as error:
             return LidarMounting(base, laser.frame, problem=str(error))
         if mounting is not None and base in tree.frames():
-            pose = mounting.base_from_sensor
-            return LidarMounting(base, laser.frame, pose.x, pose.y, math.degrees(pose.theta), mounting.mirrored)
+            pose, unlinked = mounting.base_from_sensor, frames[0] if own and base not in bases else ""
+            mirrored = mounting.mirrored and not unlinked
+            theta_deg = math.degrees(pose.theta)
+            return LidarMounting(base, laser.frame, pose.x, pose.y, theta_deg, mirrored, unlinked=unlinked)
     return None

@@ -224,7 +224,7 @@ def check_direction(streams: RecordingStreams, turned: str, tree: FrameTree) -> 
 
     ``turned``: the lidar that was compared with an odometry, "" if none.
     """
-    stated = {mounting.sensor for mounting in tree.mountings if not mounting.problem}
+    stated = {mounting.sensor for mounting in tree.mountings if not mounting.problem and not mounting.unlinked}
     unknown = [laser.topic for laser in streams.lasers if laser.frame not in stated and laser.topic != turned]
     if not unknown or streams.reader not in DIRECTION_REMEDIES:
         return

@@ -27,6 +27,7 @@ from evalkit_datasets.commands.inspect.truth_choices import find_truth_files
 from evalkit_datasets.parsing.robots import count_common_spaces
 from evalkit_datasets.parsing.transforms import own_name, with_prefix_of
 from evalkit_datasets.readers import reader_common
+from evalkit_datasets.readers.rosbag import NO_MOUNTING
 from evalkit_datasets.recordings import catalog, data_sets
 
 TILT_WORDS = ("vertical",)
@@ -112,7 +113,7 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     tried = try_reader(recording.streams.reader, {"path": str(recording.path), **values, **given})
     choices += _tell_scans_without_odometry(recording, tried)
     if "base_from_sensor" not in given and not tried.problem:  # then the recorded mounting is unknown
-        choices += _choose_mounting(recording, lidar, tried.mounting)
+        choices += _choose_mounting(recording, lidar, tried)
     if tried.mounting != Pose() and "base_from_sensor" not in given:
         x, y, yaw_deg = tried.mounting.x, tried.mounting.y, math.degrees(tried.mounting.theta)
         where = f"the lidar is mounted at x {x:.3f} m, y {y:.3f} m, rotated by {yaw_deg:.1f} deg: as recorded"
@@ -177,30 +178,42 @@ def _choose_for_bag(recording: Inspection, lidar: LidarStats) -> Iterator[Choice
         yield Choice("base_frame", named.child, f"base frame {named.child}: that of this odometry")
 
 
-def _choose_mounting(recording: Inspection, lidar: LidarStats, recorded: Pose) -> Iterator[Choice]:
+def _choose_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTrial) -> Iterator[Choice]:
     """Choose the heading that straight drives show where nothing states it; say where it contradicts what is stated."""
-    angle = _measure_mounting(recording, lidar)
+    angle, missing = _measure_mounting(recording, lidar), _describe_missing_mounting(recording, lidar, tried)
     if angle is None:
-        if recording.streams.reader == "rosbag" and lidar.frame not in recording.frames.names:
-            why = "the lidar is taken as the base: no transform states its mounting, and no straight drive shows it"
+        if missing:
+            why = f"the lidar is taken as the base: {missing}, and no straight drive shows it"
             yield Choice("base_from_sensor", None, f"{why}; beside a ground truth, give base_from_sensor")
         return
-    off_deg = math.degrees(float(wrap(math.radians(angle.heading_deg) - recorded.theta)))
-    if abs(off_deg) < MIN_MOUNTING_DEG:
+    off_deg = math.degrees(float(wrap(math.radians(angle.heading_deg) - tried.mounting.theta)))
+    if abs(off_deg) < MIN_MOUNTING_DEG and not missing:
         return
     seen = f"{angle.heading_deg:.0f} deg (standard error {angle.error_deg:.1f} deg) on {angle.pairs} straight drives"
-    stated = recorded != Pose() or any(mounting.sensor == lidar.frame for mounting in recording.frames.mountings)
-    if stated or recording.streams.reader != "rosbag":
-        what = f"lidar heading {math.degrees(recorded.theta):.0f} deg, as recorded, but the scans show {seen}: check it"
-        yield Choice("base_from_sensor", None, what, warns=True)
+    if not missing:
+        stated = f"lidar heading {math.degrees(tried.mounting.theta):.0f} deg, as recorded"
+        yield Choice("base_from_sensor", None, f"{stated}, but the scans show {seen}: check it", warns=True)
         return
     square = 90.0 * round(angle.heading_deg / 90.0)
-    near = abs(angle.heading_deg - square) <= max(3.0 * angle.error_deg, MAX_SQUARE_DEG)
+    near = (
+        abs(angle.heading_deg - square) <= max(3.0 * angle.error_deg, MAX_SQUARE_DEG) or abs(off_deg) < MIN_MOUNTING_DEG
+    )
     heading = math.radians(square if near else angle.heading_deg)
-    why = f"base_from_sensor 0 0 {heading:.4f}: no transform states the mounting; the scans show a heading of {seen}"
+    why = f"base_from_sensor 0 0 {heading:.4f}: {missing}; the scans show a heading of {seen}"
     where = "x and y are unknown, taken as 0: beside a ground truth, give base_from_sensor"
     value = f"0 0 {heading:.4f}"
     yield Choice("base_from_sensor", value, f"{why}{', taken as square' if near else ''}; {where}", warns=True)
+
+
+def _describe_missing_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTrial) -> str:
+    """Return that no transform in a bag states the mounting on the base that the reader takes, "" if one does."""
+    mounting = next((one for one in recording.frames.mountings if one.sensor == lidar.frame), None)
+    known = mounting is not None or tried.mounting != Pose()
+    if recording.streams.reader != "rosbag" or (known and NO_MOUNTING not in tried.notes):
+        return ""
+    if mounting is not None and mounting.unlinked:
+        return f"no transform from '{mounting.unlinked}' to '{lidar.frame}' (it is on '{mounting.base}')"
+    return "no transform states the mounting"
 
 
 def _measure_mounting(recording: Inspection, lidar: LidarStats) -> MountingAngle | None:
