@@ -306,7 +306,7 @@ SPEC = DatasetSpec(
             "sweep_s",
             0.0,
             "s",
-            "time from the first beam to the last where a scan's time_increment is 0 or less",
+            "time from the first beam to the last, where a scan's time_increment is 0 or wrong; 0: as recorded",
             low=0.0,
             high=10.0,
         ),

@@ -694,6 +694,18 @@ def write_columns(folder):
     return path
 
 
+def test_a_sweep_of_a_text_log_that_is_longer_than_the_time_between_scans_names_its_key(tmp_path):
+    path = write_columns(tmp_path)
+    layout = path.with_name("drive.csv.toml")
+    for turned_s in (0.1, 0.3):
+        text = layout.read_text(encoding="utf-8").replace("[pose]", f"turned_s = {turned_s}\n[pose]")
+        path.with_name("drive.csv.toml").write_text(text, encoding="utf-8")
+        said = [one.advice for one in inspect_recording(path).findings if one.level == "problem"]
+        layout.write_text(text.replace(f"turned_s = {turned_s}\n", ""), encoding="utf-8")
+        mend = "if the lidar turns once a scan, write turned_s = 0.05 in [scan] of the layout"  # half a turn
+        assert said == [mend] * (turned_s > 0.15)
+
+
 RECORDINGS = {
     "odometry": lambda folder: log(folder, *drive()),
     "a code": lambda folder: log(folder, *drive(code=30.0)),

@@ -202,8 +202,8 @@ def test_a_direction_that_cannot_be_checked_is_a_warning_unless_something_states
 def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_comparison(tmp_path, scale, period, said):
     bag = Bag("mcap")
     for k in range(12):
-        low_high = {"range_min": 0.001 * scale, "range_max": 30.0 * scale, "angle_increment": 0.01}
-        bag.scan(T0 + k * period, scale * np.linspace(2.0, 4.0 + 0.01 * k, 200), **low_high)
+        given = {"range_min": 0.001 * scale, "range_max": 30.0 * scale, "angle_increment": 0.01}
+        bag.scan(T0 + k * period, scale * np.linspace(2.0, 4.0 + 0.01 * k, 200), time_increment=0.0005, **given)
     path = bag.write(tmp_path)
     recording = inspect_recording(path)
     found = [finding for finding in recording.findings if finding.level == "problem"]
@@ -220,7 +220,8 @@ def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_compariso
 def test_millimetres_beyond_a_maximum_in_metres_are_noticed(tmp_path):
     bag = Bag("mcap")
     for k in range(12):
-        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), range_max=12.0, angle_increment=0.01)
+        given = {"range_max": 12.0, "angle_increment": 0.01, "time_increment": 0.0005}
+        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), **given)
     (found,) = [one for one in inspect_recording(bag.write(tmp_path)).findings if one.level == "problem"]
     assert (
         found.what == "100 % of the ranges lie beyond the maximum of 12 m: millimetres or centimetres taken for metres?"
@@ -798,6 +799,19 @@ def test_half_a_revolution_whose_time_is_not_stated_is_no_wrong_stamp(tmp_path):
     assert said.endswith("if the lidar turns once a scan: --set sweep_s=0.2")
     mended = choose_parameters("rosbag", {"path": str(path), "sweep_s": 0.2})
     assert not [one for one in mended if "stamps of" in one.reason]
+
+
+def test_a_time_increment_that_cannot_be_right_is_a_problem_and_no_wrong_stamp(tmp_path):
+    """Its driver writes the time of a revolution as that between two beams."""
+    path = turn_to_and_fro(tmp_path, 0.1, time_increment=0.2)
+
+    def tell(**given):
+        found = choose_parameters("rosbag", {"path": str(path), **given})
+        return [one.reason for one in found if "time_increment" in one.reason or "stamps of" in one.reason]
+
+    what = "a scan takes 71.8 s by its time_increment, but the next begins after 0.2 s"
+    assert tell() == [f"problem: /scan: {what}; if the lidar turns once a scan, give --set sweep_s=0.2"]
+    assert tell(sweep_s=0.2) == []
 
 
 def test_scans_that_agree_with_one_odometry_have_no_wrong_stamps(tmp_path):

@@ -38,15 +38,22 @@ MAX_BEYOND = 0.5
 MIN_RATE_HZ, MAX_RATE_HZ, MIN_RATED = 0.02, 500.0, 10
 """Scans per second beyond which the unit of time is doubted, of at least so many scans."""
 
+SWEEP_REMEDIES = {
+    "rosbag": "give --set sweep_s={sweep_s}",
+    "columns": "write turned_s = {sweep_s} in [scan] of the layout",
+}
+"""How the time of a sweep is stated, by reader; other formats have none."""
+
 MAX_SECTORS = 3
 """Sectors of the robot's own body that are listed."""
 
 
-def check_lidars(lidars: Sequence[LidarStats]) -> Iterator[InspectionFinding]:
+def check_lidars(lidars: Sequence[LidarStats], reader: str) -> Iterator[InspectionFinding]:
     """Report what is wrong or notable with the scans of each lidar."""
     for lidar in lidars:
         yield from _check_units(lidar)
         yield from _check_times(lidar)
+        yield from _check_sweep(lidar, reader)
         yield from _check_ranges(lidar)
         yield from check_body(lidar)
     if len(lidars) > 1:
@@ -70,16 +77,23 @@ def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
         yield InspectionFinding("warning" if longest.length_s > 1.0 else "note", about, what)
     if found.period_s and found.jitter_s > 0.2 * found.period_s:
         yield note(about, f"the period of {found.period_s:.3f} s has a jitter of {found.jitter_s:.3f} s")
-    if lidar.may_be_swept:
-        what = (
-            f"time_increment is 0 or less: the motion within the scans, {found.period_s:.2g} s apart, is not corrected"
-        )
-        mend = f"set sweep_s = {lidar.revolution_s:.2g} of the reader, and mend its driver"
-        yield warning(about, what, f"if the lidar turns once a scan, {mend}")
     if lidar.unstamped:
         yield warning(about, f"{lidar.unstamped} scans have no stamp; the time of recording is used")
     if lidar.clock is not None:
         yield from _check_clock(lidar.clock, about, lidar.kind == LOG_LINES)
+
+
+def _check_sweep(lidar: LidarStats, reader: str) -> Iterator[InspectionFinding]:
+    """Report a time from the first beam to the last that is missing, or that cannot be right."""
+    period_s = lidar.timing.period_s
+    if lidar.may_be_swept:
+        what = f"time_increment is 0 or less: the motion within the scans, {period_s:.2g} s apart, is not corrected"
+        mend = f"set sweep_s = {lidar.revolution_s:.2g} of the reader, and mend its driver"
+        yield warning(lidar.topic, what, f"if the lidar turns once a scan, {mend}")
+    if lidar.is_sweep_too_long and lidar.timing.rate_hz <= MAX_RATE_HZ and reader in SWEEP_REMEDIES:
+        what = f"a scan takes {lidar.sweep_s:.3g} s by its time_increment, but the next begins after {period_s:.2g} s"
+        mend = SWEEP_REMEDIES[reader].format(sweep_s=f"{lidar.revolution_s:.2g}")
+        yield problem(lidar.topic, what, f"if the lidar turns once a scan, {mend}")
 
 
 def _check_steps_back(found: StreamTiming, about: str) -> Iterator[InspectionFinding]:

@@ -199,7 +199,8 @@ def check_shift(
     others = {f"{one.topic} {one.child}" for one in odometries if one.clock_shift_s}
     named = ((name.split()[0], turn) for name, turn in turns.items() if turn.is_shifted and name not in others)
     odometry, turn = next(named, ("", None))
-    if turn is None or streams.reader != "rosbag":
+    lidar = next((one for one in lidars if one.topic == turned), None)
+    if turn is None or lidar is None or lidar.is_sweep_too_long or streams.reader != "rosbag":
         return
     low, high = sorted(abs(value) for value in turn.shift_interval)
     side = "later" if turn.shift_s > 0.0 else "earlier"
@@ -210,7 +211,6 @@ def check_shift(
     if agreeing := [name.split()[0] for name, other in turns.items() if other.agrees_in_time]:
         yield warning(STAMPS, f"{what}, but {agreeing[0]} agrees with them", f"use --set odometry={agreeing[0]}")
         return
-    lidar = next(one for one in lidars if one.topic == turned)
     if lidar.sweep_s == 0.0 and 0.0 < turn.shift_s < 0.5 * lidar.revolution_s + MAX_OFFSET_S:
         sweep = f"if the lidar turns once a scan: --set sweep_s={lidar.revolution_s:.2g}"
         yield warning(STAMPS, f"{what}: the middle of a revolution, whose time_increment is 0 or less", sweep)
