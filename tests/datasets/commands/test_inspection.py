@@ -4,6 +4,7 @@ import gzip
 import json
 import math
 import os
+import re
 import shlex
 import tomllib
 import tracemalloc
@@ -615,6 +616,11 @@ def test_errors_of_invalid_files_are_those_of_the_readers(tmp_path):
     (tmp_path / "true.tum").write_text("1.0 0 0 0 0 0 0 1\n")
     with pytest.raises(BadData, match=r"with its recording: evalkit compare RECORDING --ground-truth .*true\.tum"):
         inspect_recording(tmp_path / "true.tum")
+    (tmp_path / "notes.txt").write_text("some words\n")
+    with pytest.raises(BadData, match=r"notes\.txt\.toml \(tables \[time\] and \[scan\], see docs/pages/") as told:
+        inspect_recording(tmp_path / "notes.txt")
+    page = Path(__file__).parents[3] / re.search(r"see (\S+)\)", str(told.value))[1]
+    assert "[scan]" in page.read_text(encoding="utf-8")
     (tmp_path / "empty").mkdir()
     with pytest.raises(BadData, match=r"without metadata\.yaml"):
         inspect_recording(tmp_path / "empty")

@@ -66,7 +66,7 @@ def _describe_text(path: Path) -> tuple[str, str]:
         return _describe_graph(path)
     rows = [split_columns(line) for line in islice(iter_lines(path, EXPECTED), LINES)]
     numeric = [words for words in rows if words and all(map(is_number, words))]
-    layout = f"describe its columns in {path.name}.toml (tables [time] and [scan], see evalkit list columns)"
+    layout = f"describe its columns in {path.name}.toml (tables [time] and [scan], see docs/pages/text-log.md)"
     if len(numeric) > LINES // 4 and min(map(len, numeric)) >= MIN_TRAJECTORY_COLUMNS:
         what = f"text of {len(numeric[0])} columns of numbers without ranges that were recognised"
         return (
