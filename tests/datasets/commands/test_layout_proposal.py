@@ -144,6 +144,15 @@ def test_a_file_without_ranges_and_time_gives_no_layout(text, tmp_path):
     assert propose_layout(path) is None
 
 
+def test_a_log_with_decimal_commas_gets_no_layout_of_twice_the_columns(tmp_path):
+    path = write_log(tmp_path / "drive.csv", separator=";", unit=1.0, decimals=3)
+    assert propose_layout(path) is not None
+    path.write_text(path.read_text().replace(".", ","))
+    result = CliRunner().invoke(app, ["inspect", str(path)])
+    assert propose_layout(path) is None
+    assert "its numbers have a decimal comma; write them with a point" in str(result.exception)
+
+
 def test_inspect_prints_the_layout_as_one_block_that_can_be_saved(tmp_path):
     path = write_log(tmp_path / "drive.log")
     result = CliRunner().invoke(app, ["inspect", str(path)])

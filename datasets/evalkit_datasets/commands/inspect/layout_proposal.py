@@ -19,7 +19,7 @@ from evalkit.core.se2 import Floats
 from evalkit.io.text_lines import iter_lines
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
 from evalkit_datasets.commands.inspect.turn_comparison import compare_turns
-from evalkit_datasets.parsing.columns_layout import ANGLE_UNITS, LENGTH_UNITS, split_columns
+from evalkit_datasets.parsing.columns_layout import ANGLE_UNITS, LENGTH_UNITS, has_decimal_comma, split_columns
 from evalkit_datasets.readers.columns import EXPECTED, Columns
 
 MAX_LINES, MIN_LINES, MAX_VALUES = 3000, 10, 2_000_000
@@ -94,10 +94,15 @@ def propose_layout(path: Path) -> LayoutProposal | None:
 
 
 def _read_rows(path: Path) -> tuple[int, Floats]:
-    """Return the number of header lines, and the numbers (N, C) of the first lines with the most frequent length."""
+    """Return the number of header lines, and the numbers (N, C) of the first lines with the most frequent length.
+
+    None of a log with decimal commas.
+    """
     lines: list[Floats] = []
     header = values = 0
     for line in iter_lines(path, EXPECTED):
+        if has_decimal_comma(line):
+            return 0, np.zeros((0, 0))
         words = split_columns(line)[:MAX_COLUMNS]
         try:
             lines.append(np.array(words, dtype=np.float64))
