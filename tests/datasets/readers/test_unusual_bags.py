@@ -1,7 +1,9 @@
 """Bags without laser scans or without an index: point clouds, messages of other types, files cut short."""
 
+import dataclasses
 import math
 import re
+import shlex
 import sqlite3
 import sys
 from contextlib import closing
@@ -11,8 +13,12 @@ import numpy as np
 import pytest
 
 from evalkit.core.errors import BadData, BadParameter
+from evalkit_datasets.commands.inspect import lidar_findings
 from evalkit_datasets.commands.inspect.inspector import inspect_recording
+from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
+from evalkit_datasets.commands.inspect.range_stats import RangeStats
 from evalkit_datasets.commands.inspect.suggested_config import choose_parameters, suggest_config
+from evalkit_datasets.commands.inspect.timing import measure_timing
 from evalkit_datasets.parsing.cloud_slice import CloudSlice
 from evalkit_datasets.readers.rosbag import RosBag
 
@@ -215,6 +221,61 @@ def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_compariso
         fields = found[0].advice.split("'")[1].removeprefix("fields=")
         scan = next(RosBag(str(path), fields=fields).frames()).scan
         np.testing.assert_allclose(scan.ranges, np.linspace(2.0, 4.0, 200), atol=1e-4)
+
+
+def suggested(path):
+    """Return the parameters of the suggested command that mend something, and how many problems are left with them."""
+    advice = suggest_config(inspect_recording(path))
+    words = dict(word.partition("=")[::2] for word in shlex.split(advice.command) if "=" in word)
+    mends = {name: value for name, value in advice.parameters.items() if name in words and name != "odometry"}
+    found = choose_parameters("rosbag", {"path": str(path), **mends})
+    return mends, sum(one.reason.startswith("problem") for one in found)
+
+
+def test_the_suggested_command_mends_what_has_one_mend(tmp_path):
+    folders = [tmp_path / name for name in ("scans", "mirrored", "clocks", "sweep")]
+    for folder in folders:
+        folder.mkdir()
+    bag = Bag("mcap")
+    for k in range(12):  # in mm and deg
+        given = {"angle_min": -99.5, "angle_increment": 1.0, "range_max": 30000.0, "time_increment": 0.0005}
+        bag.scan(T0 + k * PERIOD, np.linspace(2000.0, 4000.0 + 10.0 * k, 200), **given)
+    path = bag.write(folders[0])
+    assert suggested(path) == ({"fields": f"{FIELDS} range_unit=mm angle_unit=deg"}, 0)
+    assert "[mapper]" not in suggest_config(inspect_recording(path)).table  # no cells by wrong ranges and angles
+    assert suggested(mirrored_turn()[0].write(folders[1])) == ({"fields": f"{FIELDS} clockwise"}, 0)
+    assert suggested(write_two_clocks(folders[2], 37.0)) == ({"stamp_shift_s": 37.0}, 0)
+    assert suggested(turn_to_and_fro(folders[3], 0.1, time_increment=0.2)) == ({"sweep_s": 0.2}, 0)
+
+
+def test_the_suggested_command_mends_nothing_where_the_mend_is_not_known(tmp_path):
+    """Ranges of 800 may be 0.8 m or 8 m; an odometry that contradicts the other is not mended by the lidar's angles."""
+    bag = Bag("mcap")
+    for k in range(12):
+        given = {"angle_increment": 0.03, "range_max": 30000.0, "time_increment": 0.0005}
+        bag.scan(T0 + k * PERIOD, np.linspace(700.0, 900.0 + k, 200), **given)
+    (tmp_path / "unit").mkdir()
+    path = bag.write(tmp_path / "unit")
+    assert suggested(path) == ({}, 1)
+    assert "[mapper]" not in suggest_config(inspect_recording(path)).table
+    bag, _ = mirrored_turn()
+    for k in range(40):
+        bag.odom(T0 + k * PERIOD, 0.0, yaw=-math.radians(4.0) * k, topic="/visual")
+    assert suggested(bag.write(tmp_path)) == ({}, 1)
+
+
+@pytest.mark.parametrize("reader", ["rosbag", "columns", "carmen"])
+def test_the_advice_on_units_is_that_of_the_reader(reader):
+    stats = {one.name: 0 for one in dataclasses.fields(LidarStats)}
+    ranges = {one.name: 0 for one in dataclasses.fields(RangeStats)} | {"median_m": 3000.0}
+    lidar = LidarStats(**{**stats, "topic": "/scan", "beams": 360, "step_deg": 57.3, "returns": RangeStats(**ranges),
+                          "timing": measure_timing(np.arange(20) * 10)})  # fmt: skip
+    said = [one.advice for one in lidar_findings._check_units(lidar, reader)]
+    assert len(said) == 3
+    for advice in said:
+        assert bool(advice) is (reader != "carmen")
+        assert ("--set" in advice or "recording" in advice) is (reader == "rosbag")
+        assert ("layout" in advice) is (reader == "columns")
 
 
 def test_millimetres_beyond_a_maximum_in_metres_are_noticed(tmp_path):

@@ -72,7 +72,7 @@ def check_odometry(
             else _check_unit(one.unit, about, streams.reader)
         )
         yield from _check_twist(one, about)
-        yield from _check_turning(turns.get(f"{one.topic} {one.child}"), about)
+        yield from _check_turning(turns.get(f"{one.topic} {one.child}"), about, streams.reader)
 
 
 def check_standing(lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats]) -> Iterator[InspectionFinding]:
@@ -97,10 +97,12 @@ def check_clocks(lidars: Sequence[LidarStats], odometries: Sequence[OdometryStat
     apart = {at: what for at, one in enumerate(odometries) if (what := _describe_other_clock(lidars, one))}
     for at, what in apart.items():
         one = odometries[at]
-        mend = f"give --set stamp_shift_s={one.clock_shift_s:.2f}, or record" if one.clock_shift_s else "record"
+        shift_s = f"{one.clock_shift_s:.2f}"
+        mend = f"give --set stamp_shift_s={shift_s}, or record" if one.clock_shift_s else "record"
         if len(apart) == len(odometries):
             none = "the scans have no wheel odometry; " if _is_apart_of_all(lidars, one) else ""
-            yield problem(f"odometry {one.topic}", what, f"{none}{mend} with one clock")
+            value = ("stamp_shift_s", float(shift_s)) if one.clock_shift_s else None
+            yield problem(f"odometry {one.topic}", what, f"{none}{mend} with one clock", value)
         else:
             yield warning(f"odometry {one.topic}", what, f"use another odometry, or {mend} with one clock")
 
@@ -153,8 +155,10 @@ def _check_unit(found: LengthUnit, about: str, reader: str) -> Iterator[Inspecti
         what = f"its lengths are in {found.unit}, not in m: the scans move {share} times less"
     else:
         what = "it drives faster than any vehicle with a 2D lidar: mm or cm taken for m?"
-    mend = UNIT_REMEDIES.get(reader, "convert its poses to m, or use odometry = 'none'")
-    yield problem(about, f"{what} ({found.driving_m_s:.0f} m/s, median)", mend.format(unit=found.unit or "mm"))
+    advice = UNIT_REMEDIES.get(reader, "convert its poses to m, or use odometry = 'none'")
+    what = f"{what} ({found.driving_m_s:.0f} m/s, median)"
+    mend = ("odometry_unit", found.unit) if found.unit else None
+    yield problem(about, what, advice.format(unit=found.unit or "mm"), mend)
 
 
 def _describe_jumps(one: OdometryStats, count: int, taken_out: bool) -> str:
@@ -163,12 +167,12 @@ def _describe_jumps(one: OdometryStats, count: int, taken_out: bool) -> str:
     return f"{format_count(count, 'jump')}, such as {example}"
 
 
-def _check_turning(turn: TurnComparison | None, about: str) -> Iterator[InspectionFinding]:
+def _check_turning(turn: TurnComparison | None, about: str, reader: str) -> Iterator[InspectionFinding]:
     if turn is not None and turn.differs:
         what = f"the scans rotate {turn.scale:.2f} times as much as the odometry ({turn.pairs} turns)"
         if turn.scale < 0.0:
-            mend = f"a bag: --set '{FIELDS} clockwise'; a text log: clockwise = true in [scan]"
-            yield problem(about, f"{what}: the lidar's angles are mirrored, or the odometry's heading", mend)
+            what = f"{what}: the lidar's angles are mirrored, or the odometry's heading"
+            yield problem(about, what, DIRECTION_REMEDIES.get(reader, ""), ("fields", "clockwise"))
         else:
             yield warning(about, what, "check wheel base and clock")
     elif turn is not None and turn.spread_deg > 1.5 and not turn.driving:

@@ -19,6 +19,7 @@ from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.lidar_findings import is_default_code
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
+from evalkit_datasets.commands.inspect.mended_inspection import inspect_mended
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
 from evalkit_datasets.commands.inspect.odometry_findings import is_apart
 from evalkit_datasets.commands.inspect.reader_trial import ReaderTrial, find_fields, try_reader
@@ -70,7 +71,13 @@ def suggest_config(recording: Inspection, given: Mapping[str, Value] | None = No
     """
     if not recording.lidars:
         return None
-    choices, tried = _choose(recording, given or {})
+    lidar = _select_lidar(recording, given or {})
+    recording, mends = inspect_mended(recording, given or {}, lidar.topic)
+    choices, tried = _choose(recording, {**(given or {}), **mends})
+    choices = (
+        *(Choice(name, value, f"{name} {value}: mends a problem above") for name, value in mends.items()),
+        *choices,
+    )
     reader = recording.streams.reader
     chosen = {one.name: one.value for one in choices if one.value is not None} | dict(given or {})
     parameters = {"path": str(recording.path)} | {k: v for k, v in chosen.items() if not k.startswith(MAPPER)}
@@ -99,15 +106,16 @@ def choose_parameters(reader: str, given: Mapping[str, Value]) -> tuple[Choice, 
 
 def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Choice, ...], ReaderTrial]:
     """Return the choices beside the given parameters, and the result of opening the recording with both."""
-    topic = str(given.get("topic", "")).lstrip("/")
-    lidar = next((one for one in recording.lidars if one.topic.lstrip("/") == topic), best_lidar(recording)[0])
+    lidar = _select_lidar(recording, given)
     choosers: Mapping[str, Callable[[Inspection], Iterator[Choice]]] = {
         "carmen": _choose_for_log,
         "rosbag": partial(_choose_for_bag, lidar=lidar),
     }
     choose = choosers.get(recording.streams.reader, _choose_for_columns)
     choices = [*repeat_problems(recording, given), *choose(recording), *find_truth_files(recording, given)]
-    choices += [*repeat_body(lidar, given), *repeat_sweep(recording, lidar, given), *_choose_cells(lidar)]
+    choices += [*repeat_body(lidar, given), *repeat_sweep(recording, lidar, given)]
+    if not any(one.level == "problem" and one.about == lidar.topic for one in recording.findings):
+        choices += _choose_cells(lidar)
     choices = [one for one in choices if one.name not in given]
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
     tried = try_reader(recording.streams.reader, {"path": str(recording.path), **values, **given})
@@ -119,6 +127,11 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
         where = f"the lidar is mounted at x {x:.3f} m, y {y:.3f} m, rotated by {yaw_deg:.1f} deg: as recorded"
         choices.append(Choice("base_from_sensor", None, where))
     return tuple(choices), tried
+
+
+def _select_lidar(recording: Inspection, given: Mapping[str, Value]) -> LidarStats:
+    topic = str(given.get("topic", "")).lstrip("/")
+    return next((one for one in recording.lidars if one.topic.lstrip("/") == topic), best_lidar(recording)[0])
 
 
 def _tell_scans_without_odometry(recording: Inspection, tried: ReaderTrial) -> Iterator[Choice]:
