@@ -78,11 +78,12 @@ def propose_layout(path: Path) -> LayoutProposal | None:
     reasons = [f"column {at + 1} increases by {period_s:.3g} s a line: the time, in {unit}", *why]
     pose = _find_pose(rows, [one for one in others if one != at])
     if pose is not None:
-        at, unit = pose
-        layout["pose"] = {"x": at + 1, "y": at + 2, "heading": at + 3}
-        reasons.append(f"columns {at + 1} to {at + 3} change smoothly: odometry, x, y and heading")
-        if unit == "deg" and not _turned_in_rad(path, layout):
-            layout["pose"]["heading_unit"] = "deg"
+        x, angle_unit = pose
+        columns: dict[str, Any] = {"x": x + 1, "y": x + 2, "heading": x + 3}
+        layout["pose"] = columns
+        reasons.append(f"columns {x + 1} to {x + 3} change smoothly: odometry, x, y and heading")
+        if angle_unit == "deg" and not _turned_in_rad(path, layout):
+            columns["heading_unit"] = "deg"
             reasons.append("headings of more than two turns in rad: taken as deg")
     elif counters := _find_counters(rows, [one for one in others if one != at]):
         named = " and ".join(str(one + 1) for one in counters)
