@@ -132,6 +132,7 @@ def build_sequence_card(sequence: SequenceSpec, runs: Sequence[RunRecord]) -> Se
         spec.published,
         build_settings(sequence.parameters, spec.parameters, "set for this sequence"),
         sequence.warnings,
+        spec.seeded,
     )
 
 

@@ -45,6 +45,23 @@ def test_a_reader_learns_how_evalkit_gets_on_the_path_before_the_first_command(p
     assert ". .venv/bin/activate" in text[: first.start()]
 
 
+def find_links(page):
+    """Return the targets of a page's links to files, relative to it, with those out of other files."""
+    links = re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))
+    return {link for link in links if "://" not in link}
+
+
+@pytest.mark.checkout
+def test_the_readme_links_the_pages_and_says_which_links_are_dead_in_a_clone():
+    pages = ROOT / "docs" / "pages"
+    links = find_links(ROOT / "README.md")
+    assert {f"docs/pages/{name}.md" for name in ("index", "tutorial", "recording", "which-matcher")} <= links
+    assert [link for link in links if not (ROOT / link).exists()] == []
+    dead = {link for page in pages.glob("*.md") for link in find_links(page) if not (pages / link).exists()}
+    said = set(re.findall(r"`(\w+/)`", README.split("links to ")[1].split(" are dead")[0].replace("\n", " ")))
+    assert {f"{link.split('/')[0]}/" for link in dead} == said
+
+
 @pytest.mark.parametrize("line", COMMANDS)
 def test_every_command_and_option_of_the_readme_exists(line):
     words = shlex.split(line, comments=True)[1:]

@@ -53,6 +53,27 @@ class IgnoresTheGuess(Sound):
 class Inverse(answer_faults.Inverse, Sound): ...
 
 
+class InverseOffByACell(Inverse):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        return replace(match, target_from_source=match.target_from_source @ Pose(0.05, 0.0, 0.0))
+
+
+class Correction(Sound):
+    """The motion relative to the guess, from the right or from the left."""
+
+    from_left = False
+
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        back, answer = guess.inverse(), match.target_from_source
+        return replace(match, target_from_source=answer @ back if self.from_left else back @ answer)
+
+
+class LeftCorrection(Correction):
+    from_left = True
+
+
 class Degrees(answer_faults.Degrees, Sound): ...
 
 

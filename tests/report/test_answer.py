@@ -55,6 +55,19 @@ def three(runs):
     ]
 
 
+def test_an_answer_without_a_recording_that_counts_says_so(build, three):
+    def told(runs, *simulated):
+        made = build(runs)
+        cards = {label: replace(card, simulated=label in simulated) for label, card in made.sequences.items()}
+        return [text for text in pills(replace(made, sequences=cards)) if "simulated" in text]
+
+    assert told(three, "room", "lab", "hall") == ["only simulated data count"]
+    assert told(three, "room", "lab") == []
+    single = [run for run in three if run.sequence != "hall" or run.method == "a"]
+    assert told(single, "room", "lab") == ["only simulated data count"]  # one method alone is no comparison
+    assert told([run for run in three if run.method == "a"], "room", "lab", "hall") == []  # nothing counts
+
+
 def test_the_winner_is_named_with_its_counts_cost_losses_and_the_cheapest(build, three):
     found = answer(build(three))
     assert found.title == "Take a: best or tied on 2 of 3 data sets; next best: b, 1 of 3."

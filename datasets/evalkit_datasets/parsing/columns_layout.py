@@ -27,6 +27,13 @@ ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
 MAX_COLUMNS = 100_000
 
 _SEPARATORS = bytes.maketrans(b",;\t", b"   ")
+MIN_DECIMALS = 3
+"""Fewer numbers with a comma in a line may as well be separated by it."""
+
+_DECIMAL_COMMA = re.compile(rb"[-+]?\d+,\d+([eE][-+]?\d+)?")
+DECIMAL_COMMA = "its numbers have a decimal comma", "write them with a point: sed 's/,/./g' {file}"
+"""What is wrong with such a log, and what to do with the ``file``."""
+
 _EMPTY = re.compile(rb"(^|[,;])(?=[ \t]*[,;])")
 
 
@@ -139,6 +146,18 @@ def split_columns(line: bytes) -> list[bytes]:
     [b'1.5', b'2', b'nan', b'3']
     """
     return _EMPTY.sub(rb"\1nan", line).translate(_SEPARATORS).split()
+
+
+def has_decimal_comma(line: bytes) -> bool:
+    """Return whether numbers of a line, between semicolons or tabs, have a decimal comma: all that have a comma.
+
+    >>> has_decimal_comma(b"12;0,5;-3,25;4,0"), has_decimal_comma(b"12;0,5,7,-3;25"), has_decimal_comma(b"12;0.5,7")
+    (True, False, False)
+    """
+    if b"," not in line or b"." in line or not (b";" in line or b"\t" in line):
+        return False
+    fields = [field.strip() for field in line.replace(b"\t", b";").split(b";") if b"," in field]
+    return len(fields) >= MIN_DECIMALS and all(map(_DECIMAL_COMMA.fullmatch, fields))
 
 
 def is_described(path: Path) -> bool:

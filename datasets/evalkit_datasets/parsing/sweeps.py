@@ -98,7 +98,7 @@ class MessageFields:
 class SweepOptions:
     """How messages become sweeps: the slice of a point cloud, and the fields of messages of other types.
 
-    ``sweep_s``: time from the first beam to the last (s) of scans that do not say it; 0: they are taken at once. Clouds
+    ``sweep_s``: time from the first beam to the last (s), whatever the scans say; 0: as they say. Clouds
     have no order of beams, and are always taken at once. ``range_min_m``: the least minimum of a sweep's ranges.
     ``stamp_shift_s``: added to the stamps.
     """
@@ -180,7 +180,8 @@ def parse_sweep(message: Any, kind: str, recorded_ns: int, options: SweepOptions
     if is_cloud:
         return replace(sweep, stamp_ns=stamp_ns)
     low = raise_range_min_m("rosbag", sweep.range_min_m, options.range_min_m, sweep.range_max_m)
-    increment_ns = sweep.time_increment_ns or round(options.sweep_s * 1e9 / (len(sweep.ranges) - 1))
+    given_ns = round(options.sweep_s * 1e9 / (len(sweep.ranges) - 1))
+    increment_ns = given_ns or sweep.time_increment_ns
     return replace(sweep, stamp_ns=stamp_ns, range_min_m=low, time_increment_ns=increment_ns)
 
 

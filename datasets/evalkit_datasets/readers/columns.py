@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -27,10 +28,12 @@ from evalkit_datasets.parsing.buffers import sort_by_rank
 from evalkit_datasets.parsing.carmen_parser import is_carmen
 from evalkit_datasets.parsing.columns_layout import (
     ANGLE_UNITS,
+    DECIMAL_COMMA,
     LENGTH_UNITS,
     TIME_DIGITS,
     ColumnsLayout,
     TickColumns,
+    has_decimal_comma,
     is_described,
     layout_from_table,
     read_layout,
@@ -128,6 +131,11 @@ class Columns:
         comment = self._layout.comment.encode()
         for number, line in enumerate(iter_lines(self._path, EXPECTED), start=1):
             if number > self._layout.header_lines and not (comment and line.startswith(comment)):
+                if has_decimal_comma(line):
+                    what, remedy = DECIMAL_COMMA
+                    raise BadData(
+                        str(self._path), f"line {number}", what, remedy.format(file=shlex.quote(str(self._path)))
+                    )
                 words = split_columns(line)
                 if len(words) < self._layout.min_columns and line.rstrip().endswith((b",", b";")):
                     words.append(b"nan")  # the last column is empty

@@ -20,6 +20,9 @@ from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.specs import Choice
 from evalkit_datasets.parsing import truth_files
 
+WITHOUT_ODOMETRY = "scans without odometry at their time"
+"""Name of a defect in the notes of a reader."""
+
 HOLD_NS = 50_000_000
 """Up to this long outside the odometry a scan gets its nearest pose: a robot moves millimetres in that time."""
 
@@ -107,7 +110,7 @@ def count_odometry_gaps(odometry: Trajectory, stamps_ns: Stamps) -> dict[str, in
     outside = (stamps_ns < first) | (stamps_ns > last)
     far = (stamps_ns < first - HOLD_NS) | (stamps_ns > last + HOLD_NS)
     return {
-        "scans without odometry at their time": int(far.sum()),
+        WITHOUT_ODOMETRY: int(far.sum()),
         "scans up to 50 ms outside the odometry, given its nearest pose": int((outside & ~far).sum()),
         "scans in a gap of the odometry over 1 s": int(_is_in_gap(odometry, stamps_ns[~outside]).sum()),
     }

@@ -38,6 +38,7 @@ from evalkit_datasets.parsing.truth_files import TruthPaths
 from evalkit_datasets.readers import reader_common
 
 BASE_FRAMES = ("base_link", "base_footprint", "base")
+NO_MOUNTING = "no transform from the base to the lidar, identity used"
 
 
 class RosBag:
@@ -207,7 +208,7 @@ class RosBag:
                 f"no transforms from it to '{sensor}'; frames: {known}",
                 "use another frame, or set parameter 'base_from_sensor'",
             )
-        self._counts["no transform from the base to the lidar, identity used"] = 1
+        self._counts[NO_MOUNTING] = 1
         return Mounting(Pose())
 
     def _move_to_base(self, contents: Contents, odometry: Trajectory, child: str, base: str) -> Trajectory:
@@ -305,7 +306,7 @@ SPEC = DatasetSpec(
             "sweep_s",
             0.0,
             "s",
-            "time from the first beam to the last where a scan's time_increment is 0 or less",
+            "time from the first beam to the last, where a scan's time_increment is 0 or wrong; 0: as recorded",
             low=0.0,
             high=10.0,
         ),

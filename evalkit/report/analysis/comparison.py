@@ -50,7 +50,7 @@ class SequenceCard:
     """Description of a sequence: ``summary`` of its data set, ``settings`` of this sequence.
 
     ``truth``: how the ground truth was obtained. ``degenerate``: why the geometry does not determine the pose.
-    ``warnings``: doubts about the data of a recording, as its reader found them.
+    ``warnings``: doubts about the data of a recording, as its reader found them. ``simulated``: it is no recording.
     """
 
     summary: str
@@ -63,6 +63,7 @@ class SequenceCard:
     published: tuple[Published, ...] = ()
     settings: tuple[Setting, ...] = ()
     warnings: tuple[str, ...] = ()
+    simulated: bool = False
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ import gzip
 import json
 import math
 import os
+import re
 import shlex
 import tomllib
 import tracemalloc
@@ -341,6 +342,26 @@ def test_stamps_that_are_not_the_times_of_the_scans_are_found_by_the_turns(late_
     assert found.is_shifted is (late_s != 0.0)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.15, -0.15, 0.9])
+def test_turns_at_a_constant_rate_tell_wrong_stamps_where_they_begin_and_end(late_s):
+    """Turns of 1.0 to 2.2 s, and half a second of rest: most pairs of scans lie within a turn or within a rest."""
+    lengths = np.column_stack([np.full(30, 0.5), 1.0 + 0.3 * (np.arange(30) * 7 % 5)])
+    ends = np.cumsum(lengths.ravel())
+    knots = np.column_stack([np.zeros(30), lengths[:, 1] * np.where(np.arange(30) % 3, 0.6, -0.6)]).cumsum(axis=None)
+
+    def heading(at):
+        return np.interp(at, [0.0, *ends], [0.0, *knots])
+
+    times, fine = np.arange(1.0, ends[-1] - 1.0, 0.1), np.arange(0.0, ends[-1], 0.05)
+    rng = np.random.default_rng(6)
+    scans = laser(round_view(heading(times)), seconds(*(times - late_s + 10.0)))
+    poses = np.column_stack([0.0 * fine, 0.0 * fine, heading(fine) + 0.002 * rng.standard_normal(len(fine))])
+    found = compare_turns(OdometryStream("/odom", "odom", "base", seconds(*(fine + 10.0)), poses), scans)
+    assert found.shift_s == pytest.approx(late_s, abs=0.03)
+    assert found.shift_interval == pytest.approx((late_s, late_s), abs=0.06)
+    assert found.is_shifted is (late_s != 0.0)
+
+
 def test_turns_are_not_compared_with_too_few_pairs():
     assert compare_turns(arc(count=5, stop=0), laser(walls(5))) is None
     assert turn_comparison.MIN_PAIRS > 5
@@ -595,6 +616,11 @@ def test_errors_of_invalid_files_are_those_of_the_readers(tmp_path):
     (tmp_path / "true.tum").write_text("1.0 0 0 0 0 0 0 1\n")
     with pytest.raises(BadData, match=r"with its recording: evalkit compare RECORDING --ground-truth .*true\.tum"):
         inspect_recording(tmp_path / "true.tum")
+    (tmp_path / "notes.txt").write_text("some words\n")
+    with pytest.raises(BadData, match=r"notes\.txt\.toml \(tables \[time\] and \[scan\], see docs/pages/") as told:
+        inspect_recording(tmp_path / "notes.txt")
+    page = Path(__file__).parents[3] / re.search(r"see (\S+)\)", str(told.value))[1]
+    assert "[scan]" in page.read_text(encoding="utf-8")
     (tmp_path / "empty").mkdir()
     with pytest.raises(BadData, match=r"without metadata\.yaml"):
         inspect_recording(tmp_path / "empty")
@@ -672,6 +698,18 @@ def write_columns(folder):
         "header_lines = 1\n[time]\ncolumn = 1\n[scan]\nfirst = 5\nstep_deg = 1\n[pose]\nx = 2\ny = 3\nheading = 4\n"
     )
     return path
+
+
+def test_a_sweep_of_a_text_log_that_is_longer_than_the_time_between_scans_names_its_key(tmp_path):
+    path = write_columns(tmp_path)
+    layout = path.with_name("drive.csv.toml")
+    for turned_s in (0.1, 0.3):
+        text = layout.read_text(encoding="utf-8").replace("[pose]", f"turned_s = {turned_s}\n[pose]")
+        path.with_name("drive.csv.toml").write_text(text, encoding="utf-8")
+        said = [one.advice for one in inspect_recording(path).findings if one.level == "problem"]
+        layout.write_text(text.replace(f"turned_s = {turned_s}\n", ""), encoding="utf-8")
+        mend = "if the lidar turns once a scan, write turned_s = 0.05 in [scan] of the layout"  # half a turn
+        assert said == [mend] * (turned_s > 0.15)
 
 
 RECORDINGS = {

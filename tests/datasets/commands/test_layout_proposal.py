@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from evalkit.cli import app
 from evalkit.plugins import registry
+from evalkit_datasets.commands.inspect.inspector import inspect_recording
 from evalkit_datasets.commands.inspect.layout_proposal import propose_layout
 from evalkit_datasets.parsing.columns_layout import layout_from_table
 from evalkit_datasets.readers.columns import Columns
@@ -34,13 +35,17 @@ def path_of(count=80):
     return np.column_stack([2.0 + np.cumsum(drives), np.zeros(count), np.mod(np.cumsum(turns) + 3.0, 6.0) - 3.0])
 
 
-def write_log(path, unit=1000.0, clockwise=False, header="", separator=" ", poses=True, first_ms=65000, code=0):
+def write_log(
+    path, unit=1000.0, clockwise=False, header="", separator=" ", poses=True, first_ms=65000, code=0, decimals=0,
+    headings=None, count=80,
+):  # fmt: skip
     lines = [header] if header else []
-    for at, (x, y, theta) in enumerate(path_of()):
-        ranges = np.round(ranges_m(x, theta) * unit)[:: -1 if clockwise else 1]
+    for at, (x, y, theta) in enumerate(path_of(count)):
+        ranges = np.round(ranges_m(x, theta) * unit, decimals)[:: -1 if clockwise else 1]
         ranges = np.roll(ranges, 1) if clockwise else ranges
         ranges[at % 7 :: 10] = code
-        own = [f"{x:.4f}", f"{y:.4f}", f"{theta:.5f}"] if poses else []
+        heading = theta if headings is None else headings[at]
+        own = [f"{x:.4f}", f"{y:.4f}", f"{heading:.5f}"] if poses else []
         lines.append(separator.join([str((first_ms + 100 * at) % 65536), *own, *(f"{r:g}" for r in ranges)]))
     path.write_text("\n".join(lines) + "\n")
     return path
@@ -94,6 +99,42 @@ def test_centimetres_metres_and_a_code_above_the_ranges_are_told_apart(tmp_path)
     assert (layout["scan"]["unit"], layout["time"]) == ("m", {"column": 1, "unit": "s"})
 
 
+def test_headings_in_degrees_are_found_and_many_turns_in_radians_are_not_taken_for_them(tmp_path):
+    """The turns of the second log add up to three."""
+    for count, unit, scale in ((80, "deg", 180.0 / math.pi), (220, "rad", 1.0)):
+        theta = np.unwrap(path_of(count)[:, 2], period=6.0)
+        path = write_log(tmp_path / f"{unit}.log", headings=scale * theta, count=count)
+        assert np.abs(scale * theta).max() > 4.0 * math.pi
+        proposal = propose_layout(path)
+        pose = tomllib.loads(proposal.toml)["pose"]
+        assert pose == {"x": 2, "y": 3, "heading": 4, **({"heading_unit": "deg"} if unit == "deg" else {})}
+        assert "direction not checked" not in proposal.toml
+        path.with_name(f"{unit}.log.toml").write_text(proposal.toml)
+        assert CliRunner().invoke(app, ["inspect", str(path)]).exit_code == 0
+
+
+def test_jumps_of_headings_in_degrees_that_are_read_as_radians_name_the_key(tmp_path):
+    path = write_log(tmp_path / "a.log", headings=np.degrees(path_of()[:, 2]))
+    layout = propose_layout(path).toml.replace('heading_unit = "deg"\n', "")
+    path.with_name("a.log.toml").write_text(layout)
+    said = [one.advice for one in inspect_recording(path).findings if "jump" in one.what]
+    key = 'if its headings are in deg, write heading_unit = "deg" in [pose]; else '
+    assert said
+    assert all(one.startswith(key) for one in said)
+
+
+def test_beams_without_a_return_that_are_inf_are_ranges(tmp_path):
+    """Half of the beams, and the first 30 of every scan, have none."""
+    path = write_log(tmp_path / "drive.csv", unit=1.0, code=math.inf, decimals=3)
+    lines = [line.split() for line in path.read_text().splitlines()]
+    for at, words in enumerate(lines):
+        words[4:34] = ["inf"] * 30
+        words[34 + at % 2 :: 2] = ["inf"] * len(words[34 + at % 2 :: 2])
+    path.write_text("\n".join(map(" ".join, lines)))
+    scan = tomllib.loads(propose_layout(path).toml)["scan"]
+    assert (scan["first"], scan["beams"], scan["unit"]) == (5, 360, "m")
+
+
 @pytest.mark.parametrize(
     "text", ["some words\n" * 50, "1 2 3\n" * 50, ("5 " * 40 + "\n") * 50, "FLASER 3 1 1 1 0\n" * 50]
 )
@@ -101,6 +142,15 @@ def test_a_file_without_ranges_and_time_gives_no_layout(text, tmp_path):
     path = tmp_path / "file.txt"
     path.write_text(text)
     assert propose_layout(path) is None
+
+
+def test_a_log_with_decimal_commas_gets_no_layout_of_twice_the_columns(tmp_path):
+    path = write_log(tmp_path / "drive.csv", separator=";", unit=1.0, decimals=3)
+    assert propose_layout(path) is not None
+    path.write_text(path.read_text().replace(".", ","))
+    result = CliRunner().invoke(app, ["inspect", str(path)])
+    assert propose_layout(path) is None
+    assert "its numbers have a decimal comma; write them with a point" in str(result.exception)
 
 
 def test_inspect_prints_the_layout_as_one_block_that_can_be_saved(tmp_path):

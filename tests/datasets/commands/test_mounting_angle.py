@@ -1,7 +1,9 @@
 """The heading of a lidar on its base, measured on drives whose mounting is known."""
 
 import math
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +14,13 @@ from evalkit_datasets.commands.datasets.example_bag import write_example
 from evalkit_datasets.commands.inspect.frame_tree import FrameTree
 from evalkit_datasets.commands.inspect.inspector import inspect_recording
 from evalkit_datasets.commands.inspect.mounting_angle import estimate_motion, estimate_mounting_angle
+from evalkit_datasets.commands.inspect.reader_trial import ReaderTrial
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
 from evalkit_datasets.commands.inspect.suggested_config import _choose_mounting, best_lidar, choose_parameters
 from evalkit_datasets.commands.inspect.turn_comparison import compare_turns
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "readers"))
+from test_rosbag import T0, Bag
 
 ANGLES = np.radians(np.arange(0.0, 360.0, 0.5))
 
@@ -81,22 +87,57 @@ def test_the_heading_is_applied_where_nothing_states_it(tmp_path):
     found = inspect_recording(bag)
     lidar = best_lidar(found)[0]
     (stated,) = found.frames.mountings
-    assert list(_choose_mounting(found, lidar, Pose(0.0, 0.0, math.radians(stated.theta_deg)))) == []
+    recorded = ReaderTrial(mounting=Pose(0.0, 0.0, math.radians(stated.theta_deg)))
+    assert list(_choose_mounting(found, lidar, recorded)) == []
     lasers = [replace(laser, angles=-laser.angles) for laser in found.streams.lasers]  # as sent by one upside down
     frames = replace(found.frames, mountings=(replace(stated, mirrored=True),))
     upside_down = replace(found, frames=frames, streams=replace(found.streams, lasers=lasers))
-    assert list(_choose_mounting(upside_down, lidar, Pose(0.0, 0.0, math.radians(stated.theta_deg)))) == []
-    (choice,) = _choose_mounting(replace(found, frames=FrameTree((), (), (), ())), lidar, Pose())
+    assert list(_choose_mounting(upside_down, lidar, recorded)) == []
+    (choice,) = _choose_mounting(replace(found, frames=FrameTree((), (), (), ())), lidar, ReaderTrial())
     x, y, theta = map(float, str(choice.value).split())
     assert (choice.name, x, y) == ("base_from_sensor", 0.0, 0.0)
     assert math.degrees(theta) == pytest.approx(-30.0, abs=1.5)
     assert "no transform states the mounting" in choice.reason
-    (warning,) = _choose_mounting(found, lidar, Pose(0.0, 0.0, math.pi / 2.0))
+    assert choice.reason.endswith("; x and y are unknown, taken as 0: beside a ground truth, give base_from_sensor")
+    assert choice.warns  # on the page, too: nothing in the recording shows them
+    (warning,) = _choose_mounting(found, lidar, ReaderTrial(mounting=Pose(0.0, 0.0, math.pi / 2.0)))
     assert (warning.value, warning.warns) == (None, True)
     assert "lidar heading 90 deg, as recorded, but the scans show -30 deg" in warning.reason
     absent = str(tmp_path / "nothing.tum")  # the bag is not opened: what it says of the mounting is unknown
     chosen = choose_parameters("rosbag", {"path": str(bag), "ground_truth": absent})
     assert not [one.reason for one in chosen if one.name == "base_from_sensor"]
+
+
+@pytest.mark.parametrize(("heading_deg", "value"), [(90.0, "0 0 1.5708"), (0.0, "0 0 0.0000")])
+def test_a_mounting_on_another_base_than_that_of_the_odometry_is_not_called_recorded(tmp_path, heading_deg, value):
+    wheels, laser = drive(heading_deg)
+    half = math.radians(heading_deg) / 2.0
+    bag = Bag("mcap").tf(T0, "base_link", "laser", 0.2, quaternion=(0.0, 0.0, math.sin(half), math.cos(half)))
+    for stamp, (x, y, yaw), row in zip(wheels.stamps_ns, wheels.poses, laser.ranges, strict=True):
+        bag.odom(T0 + int(stamp), x, y, yaw, child="base_footprint")
+        bag.scan(T0 + int(stamp), row, angle_min=0.0, angle_increment=float(ANGLES[1]))
+    found = choose_parameters("rosbag", {"path": str(bag.write(tmp_path))})
+    (said,) = [one for one in found if one.name == "base_from_sensor"]
+    why = "no transform from 'base_footprint' to 'laser' (it is on 'base_link'); the scans show a heading of"
+    assert said.reason.startswith(f"base_from_sensor {value}: {why} {heading_deg:.0f} deg")
+    assert (said.value, said.warns) == (value, True)
+
+
+def test_scans_with_another_number_of_beams_than_the_first_are_left_out():
+    wheels, laser = drive(37.0)
+    rows = [row if at % 26 < 13 else row[:-1] for at, row in enumerate(laser.ranges)]  # every other straight drive
+    found, whole = (
+        estimate_mounting_angle(wheels, replace(laser, scans=ScanSample(each))) for each in (rows, laser.ranges)
+    )
+    assert found.heading_deg == pytest.approx(37.0, abs=2.0)
+    assert 12 <= found.pairs < whole.pairs
+    wheels, laser = drive_arcs(-1.0)
+    assert (
+        compare_turns(
+            wheels, replace(laser, scans=ScanSample(row[: -1 - at // 6] for at, row in enumerate(laser.ranges)))
+        )
+        is None
+    )
 
 
 def test_scans_that_do_not_tell_have_no_translation():

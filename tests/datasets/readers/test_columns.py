@@ -7,6 +7,7 @@ import pytest
 
 from evalkit.core.errors import BadData, DataMissing
 from evalkit.plugins import registry
+from evalkit_datasets.commands.inspect.inspector import inspect_recording
 from evalkit_datasets.parsing.columns_layout import TickColumns, layout_from_table
 from evalkit_datasets.readers.columns import Columns, integrate_ticks
 
@@ -32,6 +33,24 @@ def test_units_no_return_and_limits(tmp_path):
     np.testing.assert_array_equal(frame.scan.ranges, [np.inf, np.nan, 2.5, np.inf])
     assert frame.scan.time_increment_ns == 10_000_000
     assert frame.odom_from_base is None
+
+
+@pytest.mark.parametrize(("separator", "point"), [(";", ","), ("\t", ","), (";", "."), (",", ".")])
+def test_a_decimal_comma_is_an_error_that_names_it(tmp_path, separator, point):
+    numbers = [["0.5", "2.25", "3", "-0.75"], ["1.5", "2.5", "3.5", "0"]]
+    text = "".join(separator.join(row).replace(".", point) + "\n" for row in numbers)
+    if point == ",":
+        with pytest.raises(BadData, match=r"line 1: its numbers have a decimal comma; .* sed 's/,/\./g' \S*a\.txt"):
+            read(tmp_path, text, PLAIN)
+        with pytest.raises(BadData, match="its numbers have a decimal comma"):
+            inspect_recording(tmp_path / "a.txt")
+    else:
+        np.testing.assert_array_equal(read(tmp_path, text, PLAIN)[1][0].scan.ranges[:2], [2.25, 3.0])
+
+
+def test_pairs_separated_by_commas_between_semicolons_have_no_decimal_comma(tmp_path):
+    _, (frame,) = read(tmp_path, "1;2,3,4;5,6\n", PLAIN)
+    assert frame.scan.ranges.tolist() == [2.0, 3.0, 4.0, 5.0, 6.0]
 
 
 def test_clockwise_angles_become_counter_clockwise(tmp_path):

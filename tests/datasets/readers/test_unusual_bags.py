@@ -1,7 +1,9 @@
 """Bags without laser scans or without an index: point clouds, messages of other types, files cut short."""
 
+import dataclasses
 import math
 import re
+import shlex
 import sqlite3
 import sys
 from contextlib import closing
@@ -11,8 +13,12 @@ import numpy as np
 import pytest
 
 from evalkit.core.errors import BadData, BadParameter
+from evalkit_datasets.commands.inspect import lidar_findings
 from evalkit_datasets.commands.inspect.inspector import inspect_recording
+from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
+from evalkit_datasets.commands.inspect.range_stats import RangeStats
 from evalkit_datasets.commands.inspect.suggested_config import choose_parameters, suggest_config
+from evalkit_datasets.commands.inspect.timing import measure_timing
 from evalkit_datasets.parsing.cloud_slice import CloudSlice
 from evalkit_datasets.readers.rosbag import RosBag
 
@@ -202,8 +208,8 @@ def test_a_direction_that_cannot_be_checked_is_a_warning_unless_something_states
 def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_comparison(tmp_path, scale, period, said):
     bag = Bag("mcap")
     for k in range(12):
-        low_high = {"range_min": 0.001 * scale, "range_max": 30.0 * scale, "angle_increment": 0.01}
-        bag.scan(T0 + k * period, scale * np.linspace(2.0, 4.0 + 0.01 * k, 200), **low_high)
+        given = {"range_min": 0.001 * scale, "range_max": 30.0 * scale, "angle_increment": 0.01}
+        bag.scan(T0 + k * period, scale * np.linspace(2.0, 4.0 + 0.01 * k, 200), time_increment=0.0005, **given)
     path = bag.write(tmp_path)
     recording = inspect_recording(path)
     found = [finding for finding in recording.findings if finding.level == "problem"]
@@ -217,17 +223,73 @@ def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_compariso
         np.testing.assert_allclose(scan.ranges, np.linspace(2.0, 4.0, 200), atol=1e-4)
 
 
+def suggested(path):
+    """Return the parameters of the suggested command that mend something, and how many problems are left with them."""
+    advice = suggest_config(inspect_recording(path))
+    words = dict(word.partition("=")[::2] for word in shlex.split(advice.command) if "=" in word)
+    mends = {name: value for name, value in advice.parameters.items() if name in words and name != "odometry"}
+    found = choose_parameters("rosbag", {"path": str(path), **mends})
+    return mends, sum(one.reason.startswith("problem") for one in found)
+
+
+def test_the_suggested_command_mends_what_has_one_mend(tmp_path):
+    folders = [tmp_path / name for name in ("scans", "mirrored", "clocks", "sweep")]
+    for folder in folders:
+        folder.mkdir()
+    bag = Bag("mcap")
+    for k in range(12):  # in mm and deg
+        given = {"angle_min": -99.5, "angle_increment": 1.0, "range_max": 30000.0, "time_increment": 0.0005}
+        bag.scan(T0 + k * PERIOD, np.linspace(2000.0, 4000.0 + 10.0 * k, 200), **given)
+    path = bag.write(folders[0])
+    assert suggested(path) == ({"fields": f"{FIELDS} range_unit=mm angle_unit=deg"}, 0)
+    assert "[mapper]" not in suggest_config(inspect_recording(path)).table  # no cells by wrong ranges and angles
+    assert suggested(mirrored_turn()[0].write(folders[1])) == ({"fields": f"{FIELDS} clockwise"}, 0)
+    assert suggested(write_two_clocks(folders[2], 37.0)) == ({"stamp_shift_s": 37.0}, 0)
+    assert suggested(turn_to_and_fro(folders[3], 0.1, time_increment=0.2)) == ({"sweep_s": 0.2}, 0)
+
+
+def test_the_suggested_command_mends_nothing_where_the_mend_is_not_known(tmp_path):
+    """Ranges of 800 may be 0.8 m or 8 m; an odometry that contradicts the other is not mended by the lidar's angles."""
+    bag = Bag("mcap")
+    for k in range(12):
+        given = {"angle_increment": 0.03, "range_max": 30000.0, "time_increment": 0.0005}
+        bag.scan(T0 + k * PERIOD, np.linspace(700.0, 900.0 + k, 200), **given)
+    (tmp_path / "unit").mkdir()
+    path = bag.write(tmp_path / "unit")
+    assert suggested(path) == ({}, 1)
+    assert "[mapper]" not in suggest_config(inspect_recording(path)).table
+    bag, _ = mirrored_turn()
+    for k in range(40):
+        bag.odom(T0 + k * PERIOD, 0.0, yaw=-math.radians(4.0) * k, topic="/visual")
+    assert suggested(bag.write(tmp_path)) == ({}, 1)
+
+
+@pytest.mark.parametrize("reader", ["rosbag", "columns", "carmen"])
+def test_the_advice_on_units_is_that_of_the_reader(reader):
+    stats = {one.name: 0 for one in dataclasses.fields(LidarStats)}
+    ranges = {one.name: 0 for one in dataclasses.fields(RangeStats)} | {"median_m": 3000.0}
+    lidar = LidarStats(**{**stats, "topic": "/scan", "beams": 360, "step_deg": 57.3, "returns": RangeStats(**ranges),
+                          "timing": measure_timing(np.arange(20) * 10)})  # fmt: skip
+    said = [one.advice for one in lidar_findings._check_units(lidar, reader)]
+    assert len(said) == 3
+    for advice in said:
+        assert bool(advice) is (reader != "carmen")
+        assert ("--set" in advice or "recording" in advice) is (reader == "rosbag")
+        assert ("layout" in advice) is (reader == "columns")
+
+
 def test_millimetres_beyond_a_maximum_in_metres_are_noticed(tmp_path):
     bag = Bag("mcap")
     for k in range(12):
-        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), range_max=12.0, angle_increment=0.01)
+        given = {"range_max": 12.0, "angle_increment": 0.01, "time_increment": 0.0005}
+        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), **given)
     (found,) = [one for one in inspect_recording(bag.write(tmp_path)).findings if one.level == "problem"]
     assert (
         found.what == "100 % of the ranges lie beyond the maximum of 12 m: millimetres or centimetres taken for metres?"
     )
 
 
-def mirrored_turn():
+def mirrored_turn(base="base_link"):
     """A lidar turns on the spot in a room, with clockwise angles written as if they were counter-clockwise."""
     bag = Bag("mcap")
     directions = np.linspace(-1.5, 1.5, 301)
@@ -235,7 +297,7 @@ def mirrored_turn():
         way = -directions + math.radians(4.0) * k
         room = 3.0 + np.cos(2 * way) + 0.5 * np.sin(5 * way) + 0.3 * np.cos(11 * way + 1.0)
         bag.scan(T0 + k * PERIOD, room, angle_min=-1.5, angle_max=1.5, angle_increment=0.01, time_increment=0.0)
-        bag.odom(T0 + k * PERIOD, 0.0, yaw=math.radians(4.0) * k)
+        bag.odom(T0 + k * PERIOD, 0.0, yaw=math.radians(4.0) * k, child=base)
     return bag, directions
 
 
@@ -249,13 +311,32 @@ def test_mirrored_angles_are_noticed_against_the_odometry_and_the_advice_mends_t
     np.testing.assert_allclose(scan.angles, -directions, atol=1e-6)
 
 
-def test_angles_that_the_mounting_of_a_lidar_upside_down_mirrors_are_no_problem(tmp_path):
-    bag, directions = mirrored_turn()
-    path = bag.tf(T0, "base_link", "laser", quaternion=(1.0, 0.0, 0.0, 0.0)).write(tmp_path)
+@pytest.mark.parametrize("base", ["base_link", "chassis"])
+def test_angles_that_the_mounting_of_a_lidar_upside_down_mirrors_are_no_problem(tmp_path, base):
+    bag, directions = mirrored_turn(base)
+    path = bag.tf(T0, base, "laser", quaternion=(1.0, 0.0, 0.0, 0.0)).write(tmp_path)
     found = inspect_recording(path)
     assert [one.what for one in found.findings if one.level == "problem"] == []
     assert next(iter(found.turns.values())).scale == pytest.approx(1.0, rel=0.03)
     np.testing.assert_allclose(next(RosBag(str(path)).frames()).scan.angles, -directions, atol=1e-6)
+
+
+def test_the_mounting_is_that_on_the_base_of_the_odometry_that_is_used(tmp_path):
+    """A camera has odometry, too; the frame of its lens and the base have another distance to the lidar."""
+    bag = Bag("mcap").tf(T0, "chassis", "laser", 0.2).tf(T0, "chassis", "lens", 0.5)
+    for k in range(20):
+        bag.scan(T0 + k * PERIOD, [2.0, 3.0, 4.0, 5.0, 6.0])
+        bag.odom(T0 + k * PERIOD, 0.1 * k, topic="/camera/odom", child="lens").odom(
+            T0 + k * PERIOD, 0.1 * k, child="chassis"
+        )
+    path = bag.write(tmp_path)
+
+    def mountings(**given):
+        return [(one.base, round(one.x_m, 6)) for one in inspect_recording(path, given=given).frames.mountings]
+
+    assert mountings() == mountings(odometry="/odom") == [("chassis", 0.2)]
+    assert mountings(odometry="/camera/odom") == mountings(base_frame="lens") == [("lens", -0.3)]
+    assert mountings(odometry="none") == []  # the reader then takes the lidar as the base
 
 
 @pytest.mark.parametrize(
@@ -682,6 +763,64 @@ def test_an_odometry_with_another_clock_is_not_taken(tmp_path, apart_s):
     assert last.odom_from_base.x == pytest.approx(4.9)
 
 
+def write_two_clocks(folder, ahead_s, tf=False, late_s=0.0):
+    """Write 60 s of a robot that drives straight; the odometry's clock is ahead, a scan is recorded late."""
+    bag = Bag("mcap").tf(T0, "base_link", "laser")
+    for at in range(600):
+        stamp = T0 + at * PERIOD
+        bag.scan(stamp - round(ahead_s * 1e9), [2.0, 3.0, 4.0, 5.0, 6.0], recorded=stamp + round(late_s * 1e9))
+        if tf:
+            bag.tf(stamp, "odom", "base_link", 0.05 * at, static=False)
+        else:
+            bag.odom(stamp, 0.05 * at)
+    return bag.write(folder)
+
+
+@pytest.mark.parametrize(("ahead_s", "tf"), [(37.0, False), (37.0, True), (-0.9, False), (0.4, False)])
+def test_clocks_whose_times_overlap_are_told_apart_by_the_times_of_recording(tmp_path, ahead_s, tf):
+    path = write_two_clocks(tmp_path, ahead_s, tf)
+    said = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "two clocks" in one.reason]
+    if abs(ahead_s) < 0.5:  # a recorder may get scans that late
+        assert said == []
+        return
+    side = f"{abs(ahead_s):.2f} s {'ahead of' if ahead_s > 0 else 'behind'} those of the scans: two clocks"
+    topic = "tf" if tf else "/odom"
+    mend = f"give --set stamp_shift_s={ahead_s:.2f}, or record with one clock"
+    assert said == [f"problem: odometry {topic}: by the times of recording, its stamps are {side}; {mend}"]
+    mended = choose_parameters("rosbag", {"path": str(path), "stamp_shift_s": ahead_s})
+    assert not [one for one in mended if one.name == "problem" and "clocks" in one.reason]
+    last = list(RosBag(str(path), stamp_shift_s=ahead_s).frames())[-1]
+    assert last.odom_from_base.x == pytest.approx(29.95)
+
+
+@pytest.mark.parametrize(("late_s", "ahead_s"), [(0.8, 0.0), (0.1, 37.0)])
+def test_turns_tell_the_time_of_scans_better_than_the_times_of_recording(tmp_path, late_s, ahead_s):
+    """Scans that are recorded late have right stamps."""
+    path = turn_to_and_fro(tmp_path, -ahead_s, recorded_s=late_s - ahead_s, time_increment=0.0)
+    said = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "stamp_shift_s" in one.reason]
+    if not ahead_s:
+        assert said == []
+        return
+    shift_s = float(re.search(r"--set stamp_shift_s=(\S*),", said[0])[1])
+    assert (len(said), shift_s) == (1, pytest.approx(-ahead_s, abs=0.02))
+
+
+@pytest.mark.parametrize(("first", "said"), [(0, 0), (4, 0), (6, 1)])
+def test_scans_without_odometry_are_a_warning_where_they_are_many(tmp_path, first, said):
+    """Of 50 scans, ``first`` are taken before the odometry begins."""
+    bag = Bag("mcap").tf(T0, "base_link", "laser")
+    for at in range(50):
+        bag.scan(T0 + at * PERIOD, [2.0, 3.0, 4.0, 5.0, 6.0])
+        if at > first - 1:
+            bag.odom(T0 + at * PERIOD, 0.1 * at)
+    found = [
+        one for one in choose_parameters("rosbag", {"path": str(bag.write(tmp_path))}) if "at their time" in one.reason
+    ]
+    assert [(one.reason.split(":")[0], one.warns) for one in found] == [
+        ("6 of 50 scans have no odometry at their time", True)
+    ] * said
+
+
 def test_an_odometry_with_another_clock_is_no_problem_beside_one_that_can_be_used(tmp_path):
     bag = Bag("mcap").tf(T0, "base_link", "laser")
     for at in range(50):
@@ -695,10 +834,10 @@ def test_an_odometry_with_another_clock_is_no_problem_beside_one_that_can_be_use
     assert [one.level for one in inspect_recording(path).findings if "two clocks" in one.what] == ["warning"]
 
 
-def turn_to_and_fro(folder, late_s, other="", **scan):
+def turn_to_and_fro(folder, late_s, other="", recorded_s=0.0, **scan):
     """Write a lidar that turns to and fro on the spot, five scans a second, each seen ``late_s`` after its stamp.
 
-    The odometry of the topic ``other`` has the times of the scans.
+    The odometry of the topic ``other`` has the times of the scans, which are recorded ``recorded_s`` after them.
     """
     bag, angles = Bag("mcap"), np.radians(np.arange(-180.0, 180.0))
     for k in range(3000):
@@ -709,7 +848,8 @@ def turn_to_and_fro(folder, late_s, other="", **scan):
         ways = angles + math.sin(0.7 * (0.2 * k + late_s))
         room = 3.0 + np.cos(2 * ways) + 0.5 * np.sin(5 * ways) + 0.3 * np.cos(11 * ways + 1.0)
         stated = {"angle_min": -math.pi, "angle_increment": math.radians(1.0), **scan}
-        bag.scan(T0 + 2 * k * PERIOD, room, **stated)
+        stamp = T0 + 2 * k * PERIOD
+        bag.scan(stamp, room, recorded=stamp + round(recorded_s * 1e9), **stated)
     return bag.write(folder)
 
 
@@ -720,6 +860,19 @@ def test_half_a_revolution_whose_time_is_not_stated_is_no_wrong_stamp(tmp_path):
     assert said.endswith("if the lidar turns once a scan: --set sweep_s=0.2")
     mended = choose_parameters("rosbag", {"path": str(path), "sweep_s": 0.2})
     assert not [one for one in mended if "stamps of" in one.reason]
+
+
+def test_a_time_increment_that_cannot_be_right_is_a_problem_and_no_wrong_stamp(tmp_path):
+    """Its driver writes the time of a revolution as that between two beams."""
+    path = turn_to_and_fro(tmp_path, 0.1, time_increment=0.2)
+
+    def tell(**given):
+        found = choose_parameters("rosbag", {"path": str(path), **given})
+        return [one.reason for one in found if "time_increment" in one.reason or "stamps of" in one.reason]
+
+    what = "a scan takes 71.8 s by its time_increment, but the next begins after 0.2 s"
+    assert tell() == [f"problem: /scan: {what}; if the lidar turns once a scan, give --set sweep_s=0.2"]
+    assert tell(sweep_s=0.2) == []
 
 
 def test_scans_that_agree_with_one_odometry_have_no_wrong_stamps(tmp_path):

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.core.se2 import Stamps
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, RecordingStreams, ScanSample, Topic
 from evalkit_datasets.parsing import bag_file, rosbag_parser
 from evalkit_datasets.parsing.robots import find_foreign_topics
@@ -38,6 +39,22 @@ class _TopicContent:
     twists: array[float] = field(default_factory=lambda: array("d"))
 
 
+class _RecordedTimes:
+    """Times of recording of the poses in tf, by the frames of the odometry."""
+
+    def __init__(self) -> None:
+        self._times: dict[tuple[str, str], array[int]] = {}
+
+    def note(self, tree: TransformTree, recorded_ns: int) -> None:
+        """Give all poses that are new in the tree this time."""
+        for pair, path in tree.paths.items():
+            own = self._times.setdefault(pair, array("q"))
+            own.extend([recorded_ns] * (len(path) - len(own)))
+
+    def of(self, pair: tuple[str, str]) -> Stamps:
+        return np.asarray(self._times[pair])
+
+
 def read_bag_streams(
     path: Path, left_out: frozenset[str] = frozenset(), options: SweepOptions = NO_OPTIONS
 ) -> RecordingStreams:
@@ -46,7 +63,7 @@ def read_bag_streams(
     ``options``: how the user reads the scans; its fields are those of LaserScan messages.
     """
     taken: dict[str, _TopicContent] = {}
-    tree = Contents()
+    tree, tf_recorded_ns = Contents(), _RecordedTimes()
     with bag_file.open_bag(path) as reader:
         tree.tree.near_ns, tree.tree.odometry_parents = int(reader.start_time), frozenset({ODOMETRY_FRAME})
         seconds = max((reader.end_time - reader.start_time) * 1e-9, 0.0)
@@ -63,6 +80,7 @@ def read_bag_streams(
             message = reader.deserialize(raw, connection.msgtype)
             if connection.msgtype in rosbag_parser.TRANSFORMS:
                 rosbag_parser.add_transforms(tree, message, connection.topic.endswith("tf_static"))
+                tf_recorded_ns.note(tree.tree, int(recorded_ns))
                 continue
             fields = options.fields if connection.msgtype == LASER_SCAN else unusual.get(connection.topic)
             own = taken.get(connection.topic)
@@ -80,7 +98,7 @@ def read_bag_streams(
         "rosbag",
         topics,
         [_make_laser_stream(name, own, own.first) for name, own in sorted(taken.items()) if own.first is not None],
-        [*wheels, *_find_tf_odometry(tree.tree)],
+        [*wheels, *_find_tf_odometry(tree.tree, tf_recorded_ns)],
         tree.tree,
         damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()),
         damage=damage,
@@ -167,10 +185,10 @@ def _make_odometry_stream(own: _TopicContent) -> OdometryStream:
     )
 
 
-def _find_tf_odometry(tree: TransformTree) -> list[OdometryStream]:
+def _find_tf_odometry(tree: TransformTree, recorded: _RecordedTimes) -> list[OdometryStream]:
     """Return the odometry in tf: the moving children of its frame."""
     return [
-        OdometryStream("tf", parent, child, path.stamps_ns, path.poses)
+        OdometryStream("tf", parent, child, path.stamps_ns, path.poses, recorded_ns=recorded.of((parent, child)))
         for (parent, child), path in sorted(tree.paths.items())
         if len(path) >= MIN_TF_POSES
     ]

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
+from evalkit.plugins.parameters import Value
+
 Level = Literal["problem", "warning", "note"]
 
 MAX_OFFSET_S = 0.02
@@ -17,12 +19,17 @@ FIELDS = "fields=ranges=ranges first=angle_min step=angle_increment"
 
 @dataclass(frozen=True, slots=True)
 class InspectionFinding:
-    """A defect or notable property: severity, stream, observation, and what to do ("" if nothing)."""
+    """A defect or notable property: severity, stream, observation, and what to do ("" if nothing).
+
+    ``mend``: name and value of the parameter of the bag reader that mends a problem, None unless there is just one; of
+    ``fields``, the word to add.
+    """
 
     level: Level
     about: str
     what: str
     advice: str = ""
+    mend: tuple[str, Value] | None = None
 
 
 problem = partial(InspectionFinding, "problem")

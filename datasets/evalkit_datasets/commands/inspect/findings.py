@@ -34,11 +34,18 @@ def collect_findings(
     ``turns``: how the odometries turn against the lidar ``turned``, "" if none does.
     """
     rank: dict[Level, int] = {"problem": 0, "warning": 1, "note": 2}
-    found = [*_check_file(streams, inside), *check_lidars(lidars), *check_scan_steps(odometries, streams),
-             *check_odometry(odometries, turns, streams), *check_standing(lidars, odometries),
-             *check_full_turn(lidars, turns, streams), *check_shift(lidars, turns, turned, streams),
-             *check_clocks(lidars, odometries),
-             *check_direction(streams, turned, tree), *_check_frames(tree, streams)]  # fmt: skip
+    found = [
+        *_check_file(streams, inside),
+        *check_lidars(lidars, streams.reader),
+        *check_scan_steps(odometries, streams),
+        *check_odometry(odometries, turns, streams),
+        *check_standing(lidars, odometries),
+        *check_full_turn(lidars, turns, streams),
+        *check_shift(lidars, odometries, turns, turned, streams),
+        *check_clocks(lidars, odometries),
+        *check_direction(streams, turned, tree),
+        *_check_frames(tree, streams),
+    ]
     return tuple(sorted(found, key=lambda finding: rank[finding.level]))
 
 

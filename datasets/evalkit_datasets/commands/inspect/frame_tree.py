@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from evalkit_datasets.commands.inspect.streams import LaserStream
-from evalkit_datasets.parsing.transforms import TransformTree, with_prefix_of
+from evalkit_datasets.parsing.transforms import TransformTree, own_name, with_prefix_of
 from evalkit_datasets.readers.rosbag import BASE_FRAMES
 
 
@@ -23,7 +23,11 @@ class FrameLink:
 
 @dataclass(frozen=True, slots=True)
 class LidarMounting:
-    """Pose of a lidar on a base, seen from above (m, m, deg). ``problem``: why it cannot be used, "" if it can."""
+    """Pose of a lidar on a base, seen from above (m, m, deg). ``problem``: why it cannot be used, "" if it can.
+
+    ``unlinked``: the frame of the odometry if no transform leads from it to the lidar, which is on another base; the
+    reader then takes neither the pose nor the direction of the angles from the tree.
+    """
 
     base: str
     sensor: str
@@ -32,6 +36,7 @@ class LidarMounting:
     theta_deg: float = 0.0
     mirrored: bool = False
     problem: str = ""
+    unlinked: str = ""
 
     def __str__(self) -> str:
         where = self.problem or f"x {self.x_m:.3f} m, y {self.y_m:.3f} m, rotated by {self.theta_deg:.1f} deg"
@@ -49,8 +54,11 @@ class FrameTree:
     mountings: tuple[LidarMounting, ...] = ()
 
 
-def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream]) -> FrameTree:
-    """Return the tree, and the mounting of each lidar on the first base frame connected to it."""
+def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream], bases: Sequence[str] = ()) -> FrameTree:
+    """Return the tree, and the mounting of each lidar on the first base frame connected to it.
+
+    ``bases``: frames that are tried before those with a usual name.
+    """
     static = [FrameLink(parent, child, True, 1) for child, parents in tree.static.items() for parent in parents]
     moving = [FrameLink(parent, child, False, tree.counts[parent, child]) for parent, child in tree.moving]
     links = tuple(sorted([*static, *moving], key=lambda link: (link.static, link.parent, link.child)))
@@ -59,7 +67,7 @@ def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream]) -> Fram
     for link in links:
         parents.setdefault(link.child, []).append(link.parent)
     contested = {child: tuple(dict.fromkeys(own)) for child, own in parents.items() if len(set(own)) > 1}
-    mountings = [mounting for laser in lasers if (mounting := _find_mounting(tree, laser)) is not None]
+    mountings = [mounting for laser in lasers if (mounting := _find_mounting(tree, laser, bases)) is not None]
     return FrameTree(names, tuple(name for name in names if name not in parents), links, contested, tuple(mountings))
 
 
@@ -69,14 +77,18 @@ def mirror_if_upside_down(laser: LaserStream, tree: FrameTree) -> LaserStream:
     return replace(laser, angles=-laser.angles) if upside_down else laser
 
 
-def _find_mounting(tree: TransformTree, laser: LaserStream) -> LidarMounting | None:
-    """Return None if no base frame is connected to the lidar."""
-    for base in with_prefix_of(laser.frame, BASE_FRAMES):
+def _find_mounting(tree: TransformTree, laser: LaserStream, bases: Sequence[str]) -> LidarMounting | None:
+    """Return None if no base frame is connected to the lidar; frames of its own robot are tried first."""
+    own = [base for base in bases if base in with_prefix_of(laser.frame, [own_name(base)])]
+    frames = list(dict.fromkeys([*own, *with_prefix_of(laser.frame, BASE_FRAMES), *bases]))
+    for base in frames:
         try:
             mounting = tree.find_mounting(base, laser.frame, int(laser.stamps_ns[0]))
         except ValueError as error:
             return LidarMounting(base, laser.frame, problem=str(error))
         if mounting is not None and base in tree.frames():
-            pose = mounting.base_from_sensor
-            return LidarMounting(base, laser.frame, pose.x, pose.y, math.degrees(pose.theta), mounting.mirrored)
+            pose, unlinked = mounting.base_from_sensor, frames[0] if own and base not in bases else ""
+            mirrored = mounting.mirrored and not unlinked
+            theta_deg = math.degrees(pose.theta)
+            return LidarMounting(base, laser.frame, pose.x, pose.y, theta_deg, mirrored, unlinked=unlinked)
     return None

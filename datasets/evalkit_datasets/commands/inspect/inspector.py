@@ -17,7 +17,7 @@ from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats, meas
 from evalkit_datasets.commands.inspect.odometry_unit import find_length_unit, scale_lengths
 from evalkit_datasets.commands.inspect.range_stats import measure_ranges
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, RecordingStreams, Topic
-from evalkit_datasets.commands.inspect.timing import measure_clock_offset, measure_timing
+from evalkit_datasets.commands.inspect.timing import MIN_CLOCK_STEP_S, ClockOffset, measure_clock_offset, measure_timing
 from evalkit_datasets.commands.inspect.turn_comparison import TurnComparison, compare_turns
 from evalkit_datasets.parsing import bag_file, carmen_parser
 from evalkit_datasets.parsing.columns_layout import is_described
@@ -63,26 +63,54 @@ def inspect_recording(path: Path, reader: str = "", given: Mapping[str, Value] |
         streams = _read_streams(path, reader, given or {}, others)
         lidars = tuple(one for one in lidars if one.topic not in others)
         best = _select_lidar(lidars, topic)
-    tree = build_frame_tree(streams.tree, streams.lasers)
+    tree = build_frame_tree(streams.tree, streams.lasers, _list_bases(streams.wheels, given or {}))
     laser = None if best is None else mirror_if_upside_down(streams.lasers[best], tree)
-    odometries = tuple(_measure_odometry(wheels, laser) for wheels in streams.wheels)
-    turns = {}
+    odometries, turns = [], {}
     for wheels in streams.wheels:
-        comparison = None if laser is None else compare_turns(wheels, laser)
+        stats, comparison = _measure_odometry(wheels, laser, None if best is None else lidars[best].clock)
+        odometries.append(stats)
         if comparison is not None:
             turns[f"{wheels.topic} {wheels.child}"] = comparison
     inside, turned = _describe_truth_inside(streams), streams.lasers[best or 0].topic if turns else ""
     return Inspection(
-        path, streams.kind, _count_bytes(path), tuple(streams.topics), lidars, odometries, turns, tree,
+        path, streams.kind, _count_bytes(path), tuple(streams.topics), lidars, tuple(odometries), turns, tree,
         streams.poses_from, inside, tuple(streams.remarks),
         findings.collect_findings(streams, inside, lidars, odometries, turns, turned, tree),
         streams,
     )  # fmt: skip
 
 
-def _measure_odometry(wheels: OdometryStream, laser: LaserStream | None) -> OdometryStats:
+def _list_bases(wheels: Sequence[OdometryStream], given: Mapping[str, Value]) -> list[str]:
+    """Return the frames that the reader may take as the base: a given one, then those of the odometries.
+
+    First the odometry that is given, or the topic "odom"; none if no odometry is used.
+    """
+    base, odometry = (str(given.get(name, default)) for name, default in (("base_frame", ""), ("odometry", "auto")))
+    wanted = "odom" if odometry == "auto" else odometry.lstrip("/")
+    ordered = [] if odometry == "none" else sorted(wheels, key=lambda one: one.topic.lstrip("/") != wanted)
+    return [*([base] if base else []), *(one.child for one in ordered)]
+
+
+def _measure_odometry(
+    wheels: OdometryStream, laser: LaserStream | None, clock: ClockOffset | None
+) -> tuple[OdometryStats, TurnComparison | None]:
+    """Return the statistics of an odometry and its turns against a lidar with its clock, None if they show nothing.
+
+    Where the times of recording show that the lidar has another clock, the turns are compared with that mended.
+    """
     found = measure_odometry(wheels)
-    return replace(found, unit=find_length_unit(wheels, laser, found.driving_m_s))
+    found = replace(found, unit=find_length_unit(wheels, laser, found.driving_m_s))
+    if laser is None:
+        return found, None
+    turns = compare_turns(wheels, laser)
+    apart_s = 0.0 if clock is None or found.clock is None else found.clock.median_s - clock.median_s
+    if abs(apart_s) < MIN_CLOCK_STEP_S or (turns is not None and turns.agrees_in_time):
+        return found, turns
+    turns = compare_turns(wheels, replace(laser, stamps_ns=laser.stamps_ns + round(apart_s * 1e9)))
+    if turns is not None:
+        turns = turns.shift(apart_s)
+        apart_s = turns.shift_s if math.isfinite(turns.shift_s) else apart_s
+    return replace(found, clock_shift_s=apart_s), turns
 
 
 def find_reader_name(path: Path) -> str:

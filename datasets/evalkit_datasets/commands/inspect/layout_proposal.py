@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.errors import EvalkitError
 from evalkit.core.se2 import Floats
 from evalkit.io.text_lines import iter_lines
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
 from evalkit_datasets.commands.inspect.turn_comparison import compare_turns
-from evalkit_datasets.parsing.columns_layout import LENGTH_UNITS, split_columns
+from evalkit_datasets.parsing.columns_layout import ANGLE_UNITS, LENGTH_UNITS, has_decimal_comma, split_columns
 from evalkit_datasets.readers.columns import EXPECTED, Columns
 
 MAX_LINES, MIN_LINES, MAX_VALUES = 3000, 10, 2_000_000
@@ -31,6 +32,12 @@ PERIODS = {"s": (0.008, 2.0), "ms": (8.0, 2000.0), "us": (8e3, 2e6), "ns": (8e6,
 
 MAX_REPEATED = 0.1
 """Share of lines with the time of the line before: a log may repeat lines."""
+
+MAX_HEADING = 4.0 * math.pi
+"""Headings beyond two turns are in deg, unless the scans show that the robot turned so far."""
+
+MAX_LINE_TURN = math.radians(60.0)
+"""No robot turns by more from line to line."""
 
 MEDIAN_M = (0.3, 20.0)
 """Median range of a room or a hall."""
@@ -71,8 +78,13 @@ def propose_layout(path: Path) -> LayoutProposal | None:
     reasons = [f"column {at + 1} increases by {period_s:.3g} s a line: the time, in {unit}", *why]
     pose = _find_pose(rows, [one for one in others if one != at])
     if pose is not None:
-        layout["pose"] = {"x": pose + 1, "y": pose + 2, "heading": pose + 3}
-        reasons.append(f"columns {pose + 1} to {pose + 3} change smoothly: odometry, x, y and heading")
+        x, angle_unit = pose
+        columns: dict[str, Any] = {"x": x + 1, "y": x + 2, "heading": x + 3}
+        layout["pose"] = columns
+        reasons.append(f"columns {x + 1} to {x + 3} change smoothly: odometry, x, y and heading")
+        if angle_unit == "deg" and not _turned_in_rad(path, layout):
+            columns["heading_unit"] = "deg"
+            reasons.append("headings of more than two turns in rad: taken as deg")
     elif counters := _find_counters(rows, [one for one in others if one != at]):
         named = " and ".join(str(one + 1) for one in counters)
         reasons.append(
@@ -83,10 +95,15 @@ def propose_layout(path: Path) -> LayoutProposal | None:
 
 
 def _read_rows(path: Path) -> tuple[int, Floats]:
-    """Return the number of header lines, and the numbers (N, C) of the first lines with the most frequent length."""
+    """Return the number of header lines, and the numbers (N, C) of the first lines with the most frequent length.
+
+    None of a log with decimal commas.
+    """
     lines: list[Floats] = []
     header = values = 0
     for line in iter_lines(path, EXPECTED):
+        if has_decimal_comma(line):
+            return 0, np.zeros((0, 0))
         words = split_columns(line)[:MAX_COLUMNS]
         try:
             lines.append(np.array(words, dtype=np.float64))
@@ -105,7 +122,7 @@ def _find_ranges(rows: Floats) -> tuple[int, int]:
     """Return the first column and the number of the longest block whose neighbours are alike and never negative."""
     one, other = rows[:, :-1], rows[:, 1:]
     with np.errstate(invalid="ignore", divide="ignore"):
-        both = (one > 0.0) & (other > 0.0)
+        both = (one > 0.0) & (other > 0.0) & np.isfinite(one) & np.isfinite(other)
         alike = both & (np.abs(one - other) < NEAR * np.maximum(one, other))
     counts = both.sum(axis=0)
     near = (counts < 3) | (alike.sum(axis=0) >= 0.5 * counts)
@@ -121,9 +138,11 @@ def _find_time(rows: Floats, columns: list[int]) -> tuple[int, str, int, float] 
     """Return column, unit, range of its counter (0: no wraps) and period (s) of the most regular rising column."""
     found = []
     for at in columns:
+        if not np.isfinite(rows[:, at]).all():
+            continue
         steps = np.diff(rows[:, at])
         back: Bools = np.asarray(steps < 0.0)
-        if back.mean() > 0.02 or (steps <= 0.0).mean() > MAX_REPEATED or not np.isfinite(steps).all():
+        if back.mean() > 0.02 or (steps <= 0.0).mean() > MAX_REPEATED:
             continue
         middle = float(np.median(steps[steps > 0.0]))
         unit = next((name for name, (low, high) in PERIODS.items() if low <= middle <= high), None)
@@ -169,18 +188,27 @@ def _describe_ranges(ranges: Floats) -> tuple[dict[str, Any], list[str]]:
     return scan, why
 
 
-def _find_pose(rows: Floats, columns: list[int]) -> int | None:
-    """Return the first of three neighbouring columns that are a smooth path and its heading (rad), None without."""
-    for at in columns:
-        if not {at + 1, at + 2} <= set(columns):
-            continue
-        x, y, heading = rows[:, at : at + 3].T
-        if (rows[:, at : at + 3] == np.round(rows[:, at : at + 3])).all() or np.abs(heading).max() > 4.0 * math.pi:
-            continue
-        steps = np.hypot(np.diff(x), np.diff(y))
-        if steps.max(initial=0.0) < 2.0 and steps.sum() > 0.1:
-            return at
+def _find_pose(rows: Floats, columns: list[int]) -> tuple[int, str] | None:
+    """Return the first of three neighbouring columns that are a smooth path and its heading, and its unit.
+
+    Headings in rad are found first; None if there is no path.
+    """
+    for unit in ANGLE_UNITS:
+        for at in columns:
+            if {at + 1, at + 2} <= set(columns) and _is_path(rows[:, at : at + 3], unit):
+                return at, unit
     return None
+
+
+def _is_path(poses: Floats, unit: str) -> bool:
+    """Return whether poses (N, 3) are a smooth path with headings in a unit."""
+    x, y, heading = poses.T
+    if (poses == np.round(poses)).all() or (unit == "rad" and np.abs(heading).max() > MAX_HEADING):
+        return False
+    turns = np.abs(se2.wrap(np.diff(heading) * ANGLE_UNITS[unit]))
+    steps = np.hypot(np.diff(x), np.diff(y))
+    smooth = unit == "rad" or (np.ptp(heading) > MAX_HEADING and turns.max(initial=0.0) < MAX_LINE_TURN)
+    return bool(smooth and steps.max(initial=0.0) < 2.0 and steps.sum() > 0.1)
 
 
 def _find_counters(rows: Floats, columns: list[int]) -> list[int]:
@@ -226,6 +254,16 @@ def _compare_turns(path: Path, layout: dict[str, Any]) -> float | None:
                         first.range_max_m)  # fmt: skip
     found = compare_turns(OdometryStream("columns", "odom", "base", stamps, poses), laser)
     return None if found is None else found.scale
+
+
+def _turned_in_rad(path: Path, layout: dict[str, Any]) -> bool:
+    """Return whether the scans turn as much as headings in rad do, to either side, and not as those in deg."""
+
+    def is_alike(unit: str) -> bool:
+        turn = _compare_turns(path, {**layout, "pose": {**layout["pose"], "heading_unit": unit}})
+        return turn is not None and 0.5 < abs(turn) < 1.5
+
+    return is_alike("rad") and not is_alike("deg")
 
 
 def _format_toml(layout: dict[str, Any], reasons: list[str]) -> Iterator[str]:

@@ -38,15 +38,41 @@ MAX_BEYOND = 0.5
 MIN_RATE_HZ, MAX_RATE_HZ, MIN_RATED = 0.02, 500.0, 10
 """Scans per second beyond which the unit of time is doubted, of at least so many scans."""
 
+SURE_MILLIMETRES = 2000.0
+"""Median range read as m from which it is in mm: in cm it would be 20 m, that of no room or hall."""
+
+UNIT_REMEDIES = {
+    "rosbag": {
+        "too long": f"give --set '{FIELDS} range_unit=mm'",
+        "too short": "record metres",
+        "angles": f"give --set '{FIELDS} angle_unit=deg'",
+        "times": "use the time of recording",
+    },
+    "columns": {
+        "too long": 'write unit = "mm" in [scan] of the layout',
+        "too short": 'write unit = "m" in [scan] of the layout',
+        "angles": "check step_deg in [scan] of the layout",
+        "times": "check unit in [time] of the layout: s, ms, us or ns",
+    },
+}
+"""How units of a lidar are stated, by reader; other formats define them."""
+
+SWEEP_REMEDIES = {
+    "rosbag": "give --set sweep_s={sweep_s}",
+    "columns": "write turned_s = {sweep_s} in [scan] of the layout",
+}
+"""How the time of a sweep is stated, by reader; other formats have none."""
+
 MAX_SECTORS = 3
 """Sectors of the robot's own body that are listed."""
 
 
-def check_lidars(lidars: Sequence[LidarStats]) -> Iterator[InspectionFinding]:
+def check_lidars(lidars: Sequence[LidarStats], reader: str) -> Iterator[InspectionFinding]:
     """Report what is wrong or notable with the scans of each lidar."""
     for lidar in lidars:
-        yield from _check_units(lidar)
+        yield from _check_units(lidar, reader)
         yield from _check_times(lidar)
+        yield from _check_sweep(lidar, reader)
         yield from _check_ranges(lidar)
         yield from check_body(lidar)
     if len(lidars) > 1:
@@ -70,16 +96,24 @@ def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
         yield InspectionFinding("warning" if longest.length_s > 1.0 else "note", about, what)
     if found.period_s and found.jitter_s > 0.2 * found.period_s:
         yield note(about, f"the period of {found.period_s:.3f} s has a jitter of {found.jitter_s:.3f} s")
-    if lidar.may_be_swept:
-        what = (
-            f"time_increment is 0 or less: the motion within the scans, {found.period_s:.2g} s apart, is not corrected"
-        )
-        mend = f"set sweep_s = {lidar.revolution_s:.2g} of the reader, and mend its driver"
-        yield warning(about, what, f"if the lidar turns once a scan, {mend}")
     if lidar.unstamped:
         yield warning(about, f"{lidar.unstamped} scans have no stamp; the time of recording is used")
     if lidar.clock is not None:
         yield from _check_clock(lidar.clock, about, lidar.kind == LOG_LINES)
+
+
+def _check_sweep(lidar: LidarStats, reader: str) -> Iterator[InspectionFinding]:
+    """Report a time from the first beam to the last that is missing, or that cannot be right."""
+    period_s = lidar.timing.period_s
+    if lidar.may_be_swept:
+        what = f"time_increment is 0 or less: the motion within the scans, {period_s:.2g} s apart, is not corrected"
+        mend = f"set sweep_s = {lidar.revolution_s:.2g} of the reader, and mend its driver"
+        yield warning(lidar.topic, what, f"if the lidar turns once a scan, {mend}")
+    if lidar.is_sweep_too_long and lidar.timing.rate_hz <= MAX_RATE_HZ and reader in SWEEP_REMEDIES:
+        what = f"a scan takes {lidar.sweep_s:.3g} s by its time_increment, but the next begins after {period_s:.2g} s"
+        sweep_s = f"{lidar.revolution_s:.2g}"
+        advice = f"if the lidar turns once a scan, {SWEEP_REMEDIES[reader].format(sweep_s=sweep_s)}"
+        yield problem(lidar.topic, what, advice, ("sweep_s", float(sweep_s)))
 
 
 def _check_steps_back(found: StreamTiming, about: str) -> Iterator[InspectionFinding]:
@@ -122,23 +156,26 @@ def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[Inspecti
         yield warning(about, f"its clock drifts from the recorder's by {found.drift_ppm:.0f} ppm")
 
 
-def _check_units(lidar: LidarStats) -> Iterator[InspectionFinding]:
+def _check_units(lidar: LidarStats, reader: str) -> Iterator[InspectionFinding]:
     """Check whether ranges and times have the order of magnitude of a lidar's."""
     middle, rate, beyond = lidar.returns.median_m, lidar.timing.rate_hz, lidar.returns.beyond_maximum
+    remedies = UNIT_REMEDIES.get(reader, {})
     if middle > MAX_MEDIAN_M or beyond > MAX_BEYOND:
         far = f"{100 * beyond:.0f} % of the ranges lie beyond the maximum of {lidar.range_max_m or 0.0:g} m"
         what = f"the median range is {middle:.0f} m" if beyond <= MAX_BEYOND else far
-        advice = f"a bag: --set '{FIELDS} range_unit=mm'; a text log: unit = \"mm\" in [scan]"
-        yield problem(lidar.topic, f"{what}: millimetres or centimetres taken for metres?", advice)
+        mend = ("fields", "range_unit=mm") if middle > SURE_MILLIMETRES else None
+        what = f"{what}: millimetres or centimetres taken for metres?"
+        yield problem(lidar.topic, what, remedies.get("too long", ""), mend)
     elif 0.0 < middle < MIN_MEDIAN_M:
         what = f"the median range is {1e3 * middle:.1f} mm: metres taken for millimetres?"
-        yield problem(lidar.topic, what, 'a bag: record metres; a text log: unit = "m" in [scan]')
+        yield problem(lidar.topic, what, remedies.get("too short", ""))
     if abs(lidar.step_deg) * (lidar.beams - 1) > MAX_VIEW_DEG:
         what = f"{lidar.beams} beams {abs(lidar.step_deg):.3g} deg apart are more than a full turn"
-        yield problem(lidar.topic, f"{what}: degrees taken for radians?", f"a bag: --set '{FIELDS} angle_unit=deg'")
+        what, mend = f"{what}: degrees taken for radians?", ("fields", "angle_unit=deg")
+        yield problem(lidar.topic, what, remedies.get("angles", ""), mend)
     if lidar.timing.usable and lidar.timing.count > MIN_RATED and not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
         what = f"{rate:.3g} scans per second: stamps in another unit than they are read in?"
-        yield problem(lidar.topic, what, "a bag: use the time of recording; a text log: unit in [time] (s, ms, us, ns)")
+        yield problem(lidar.topic, what, remedies.get("times", ""))
 
 
 def _check_ranges(lidar: LidarStats) -> Iterator[InspectionFinding]:

@@ -10,6 +10,9 @@ from evalkit_datasets.commands.inspect.timing import ClockOffset, StreamTiming
 MIN_SWEEP_S, MAX_SWEEP_S = 0.04, 0.5
 """Periods (s) of scans within which a robot moves visibly, and that are a revolution: longer ones leave scans out."""
 
+MAX_SWEEP_PERIODS = 1.5
+"""A sweep of more periods of the scans is stated wrongly."""
+
 
 @dataclass(frozen=True, slots=True)
 class LidarStats:
@@ -41,6 +44,11 @@ class LidarStats:
         """Whether its messages state no time between beams, and its scans may each be a revolution."""
         stated = self.sweep_s != 0.0 or not self.kind.endswith("LaserScan")
         return not stated and MIN_SWEEP_S <= self.timing.period_s <= MAX_SWEEP_S
+
+    @property
+    def is_sweep_too_long(self) -> bool:
+        """Whether its scans would end after the next ones have begun, by the time between beams in its messages."""
+        return self.timing.period_s > 0.0 and self.sweep_s > MAX_SWEEP_PERIODS * self.timing.period_s
 
     @property
     def limits(self) -> str:

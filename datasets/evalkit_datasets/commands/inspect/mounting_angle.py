@@ -73,10 +73,12 @@ def estimate_mounting_angle(wheels: OdometryStream, laser: LaserStream) -> Mount
 def estimate_motion(one: Floats, other: Floats, angles: Floats) -> Floats | None:
     """Return the motion (3,) of a lidar between two scans (B,) in its own frame (m, m, rad); None if they do not tell.
 
+    Scans with other numbers of beams than ``angles`` (B,) do not tell.
+
     The range flow of Jaimez et al. (Planar odometry from a radial laser scanner, ICRA 2016, eq. 5): linear in the
     motion, solved by least squares with Cauchy weights.
     """
-    if len(one) != len(other) or len(one) < MIN_BEAMS:
+    if not len(one) == len(other) == len(angles) or len(one) < MIN_BEAMS:
         return None
     step = float(np.median(np.diff(angles)))
     (first, before), (second, after) = _fit_lines(one, step), _fit_lines(other, step)

@@ -66,9 +66,13 @@ def check_odometry(
         )
     for one in () if streams.poses_from else odometries:
         about = f"odometry {one.topic}" + (f" ({one.child})" if one.topic == "tf" else "")
-        yield from _check_motion(one, about) if one.unit is None else _check_unit(one.unit, about, streams.reader)
+        yield from (
+            _check_motion(one, about, streams.reader)
+            if one.unit is None
+            else _check_unit(one.unit, about, streams.reader)
+        )
         yield from _check_twist(one, about)
-        yield from _check_turning(turns.get(f"{one.topic} {one.child}"), about)
+        yield from _check_turning(turns.get(f"{one.topic} {one.child}"), about, streams.reader)
 
 
 def check_standing(lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats]) -> Iterator[InspectionFinding]:
@@ -89,33 +93,53 @@ def is_apart(lidar: LidarStats, odometry: OdometryStats) -> bool:
 
 
 def check_clocks(lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats]) -> Iterator[InspectionFinding]:
-    """Report an odometry whose times are not those of any scan: a problem if there is no other."""
-    apart = [one for one in odometries if lidars and all(is_apart(lidar, one) for lidar in lidars)]
-    for one in apart:
+    """Report an odometry whose times are not those of the scans: a problem if there is no other."""
+    apart = {at: what for at, one in enumerate(odometries) if (what := _describe_other_clock(lidars, one))}
+    for at, what in apart.items():
+        one = odometries[at]
+        shift_s = f"{one.clock_shift_s:.2f}"
+        mend = f"give --set stamp_shift_s={shift_s}, or record" if one.clock_shift_s else "record"
+        if len(apart) == len(odometries):
+            none = "the scans have no wheel odometry; " if _is_apart_of_all(lidars, one) else ""
+            value = ("stamp_shift_s", float(shift_s)) if one.clock_shift_s else None
+            yield problem(f"odometry {one.topic}", what, f"{none}{mend} with one clock", value)
+        else:
+            yield warning(f"odometry {one.topic}", what, f"use another odometry, or {mend} with one clock")
+
+
+def _is_apart_of_all(lidars: Sequence[LidarStats], odometry: OdometryStats) -> bool:
+    return bool(lidars) and all(is_apart(lidar, odometry) for lidar in lidars)
+
+
+def _describe_other_clock(lidars: Sequence[LidarStats], one: OdometryStats) -> str:
+    """Return how the times of an odometry differ from those of the scans, "" if they do not."""
+    if _is_apart_of_all(lidars, one):
         apart_s = (one.timing.first_ns - lidars[0].timing.first_ns) * 1e-9
         side = "after" if apart_s > 0 else "before"
-        what = f"by its stamps it begins {abs(apart_s):.0f} s {side} the scans, and covers none of them: two clocks?"
-        if len(apart) == len(odometries):
-            yield problem(f"odometry {one.topic}", what, "the scans have no wheel odometry; record with one clock")
-        else:
-            yield warning(f"odometry {one.topic}", what, "use another odometry, or record with one clock")
+        return f"by its stamps it begins {abs(apart_s):.0f} s {side} the scans, and covers none of them: two clocks?"
+    if not one.clock_shift_s:
+        return ""
+    side = "ahead of" if one.clock_shift_s > 0 else "behind"
+    shift_s = abs(one.clock_shift_s)
+    return f"by the times of recording, its stamps are {shift_s:.2f} s {side} those of the scans: two clocks"
 
 
-def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]:
+def _check_motion(one: OdometryStats, about: str, reader: str) -> Iterator[InspectionFinding]:
     if not one.like_wheels:
         what = (
             f"sideways slip is {100 * one.sideways:.1f} % of a step, without exact standstills: not wheels of a "
             "differential drive, but poses of a filter or scan matcher (or an omnidirectional base)"
         )
         yield warning(about, what, "use odometry = 'none' unless it is known to be wheel odometry")
+    heading = 'if its headings are in deg, write heading_unit = "deg" in [pose]; else ' if reader == "columns" else ""
     if left := one.jump_count - one.taken_out:
         what = f"{_describe_jumps(one, left, taken_out=False)}: a guess across a jump is wrong"
-        advice = "cut the recording there (start, limit), or use odometry = 'none'"
+        advice = f"{heading}cut the recording there (start, limit), or use odometry = 'none'"
         yield InspectionFinding("problem" if one.like_wheels else "warning", about, what, advice)
     if one.taken_out:
         jumps = _describe_jumps(one, one.taken_out, taken_out=True)
         what = f"{jumps}: taken out when the recording is read, as if the robot had stood meanwhile"
-        yield warning(about, what, "cut the recording there (start, limit) if it moved")
+        yield warning(about, what, f"{heading}cut the recording there (start, limit) if it moved")
     if one.timing.gap_count and one.timing.gaps[0].length_s > 1.0:
         what = f"{format_count(one.timing.gap_count, 'gap')}, the longest {one.timing.gaps[0].length_s:.2f} s"
         yield note(about, f"{what}; poses in between are interpolated")
@@ -131,8 +155,10 @@ def _check_unit(found: LengthUnit, about: str, reader: str) -> Iterator[Inspecti
         what = f"its lengths are in {found.unit}, not in m: the scans move {share} times less"
     else:
         what = "it drives faster than any vehicle with a 2D lidar: mm or cm taken for m?"
-    mend = UNIT_REMEDIES.get(reader, "convert its poses to m, or use odometry = 'none'")
-    yield problem(about, f"{what} ({found.driving_m_s:.0f} m/s, median)", mend.format(unit=found.unit or "mm"))
+    advice = UNIT_REMEDIES.get(reader, "convert its poses to m, or use odometry = 'none'")
+    what = f"{what} ({found.driving_m_s:.0f} m/s, median)"
+    mend = ("odometry_unit", found.unit) if found.unit else None
+    yield problem(about, what, advice.format(unit=found.unit or "mm"), mend)
 
 
 def _describe_jumps(one: OdometryStats, count: int, taken_out: bool) -> str:
@@ -141,12 +167,12 @@ def _describe_jumps(one: OdometryStats, count: int, taken_out: bool) -> str:
     return f"{format_count(count, 'jump')}, such as {example}"
 
 
-def _check_turning(turn: TurnComparison | None, about: str) -> Iterator[InspectionFinding]:
+def _check_turning(turn: TurnComparison | None, about: str, reader: str) -> Iterator[InspectionFinding]:
     if turn is not None and turn.differs:
         what = f"the scans rotate {turn.scale:.2f} times as much as the odometry ({turn.pairs} turns)"
         if turn.scale < 0.0:
-            mend = f"a bag: --set '{FIELDS} clockwise'; a text log: clockwise = true in [scan]"
-            yield problem(about, f"{what}: the lidar's angles are mirrored, or the odometry's heading", mend)
+            what = f"{what}: the lidar's angles are mirrored, or the odometry's heading"
+            yield problem(about, what, DIRECTION_REMEDIES.get(reader, ""), ("fields", "clockwise"))
         else:
             yield warning(about, what, "check wheel base and clock")
     elif turn is not None and turn.spread_deg > 1.5 and not turn.driving:
@@ -170,12 +196,15 @@ def check_full_turn(
 
 
 def check_shift(
-    lidars: Sequence[LidarStats], turns: Mapping[str, TurnComparison], turned: str, streams: RecordingStreams
-) -> Iterator[InspectionFinding]:
-    """Warn of scans whose stamps are not the times at which the odometry rotates as they do."""
-    named = ((name.split()[0], turn) for name, turn in turns.items() if turn.is_shifted)
+    lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats], turns: Mapping[str, TurnComparison], turned: str,
+    streams: RecordingStreams,
+) -> Iterator[InspectionFinding]:  # fmt: skip
+    """Warn of scans whose stamps are not the times at which the odometry rotates as they do, if its clock is theirs."""
+    others = {f"{one.topic} {one.child}" for one in odometries if one.clock_shift_s}
+    named = ((name.split()[0], turn) for name, turn in turns.items() if turn.is_shifted and name not in others)
     odometry, turn = next(named, ("", None))
-    if turn is None or streams.reader != "rosbag":
+    lidar = next((one for one in lidars if one.topic == turned), None)
+    if turn is None or lidar is None or lidar.is_sweep_too_long or streams.reader != "rosbag":
         return
     low, high = sorted(abs(value) for value in turn.shift_interval)
     side = "later" if turn.shift_s > 0.0 else "earlier"
@@ -186,7 +215,6 @@ def check_shift(
     if agreeing := [name.split()[0] for name, other in turns.items() if other.agrees_in_time]:
         yield warning(STAMPS, f"{what}, but {agreeing[0]} agrees with them", f"use --set odometry={agreeing[0]}")
         return
-    lidar = next(one for one in lidars if one.topic == turned)
     if lidar.sweep_s == 0.0 and 0.0 < turn.shift_s < 0.5 * lidar.revolution_s + MAX_OFFSET_S:
         sweep = f"if the lidar turns once a scan: --set sweep_s={lidar.revolution_s:.2g}"
         yield warning(STAMPS, f"{what}: the middle of a revolution, whose time_increment is 0 or less", sweep)
@@ -200,7 +228,7 @@ def check_direction(streams: RecordingStreams, turned: str, tree: FrameTree) -> 
 
     ``turned``: the lidar that was compared with an odometry, "" if none.
     """
-    stated = {mounting.sensor for mounting in tree.mountings if not mounting.problem}
+    stated = {mounting.sensor for mounting in tree.mountings if not mounting.problem and not mounting.unlinked}
     unknown = [laser.topic for laser in streams.lasers if laser.frame not in stated and laser.topic != turned]
     if not unknown or streams.reader not in DIRECTION_REMEDIES:
         return

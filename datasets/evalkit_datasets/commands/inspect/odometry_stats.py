@@ -83,6 +83,7 @@ class OdometryStats:
     ``driving_m_s``: median speed while it moves, 0 if it never does. ``unit``: of its lengths if they are not metres.
     ``median_step_m``, ``largest_turn_deg``: between consecutive stamps. ``taken_out``: how many of the ``jump_count``
     jumps the reader takes out; ``jumps``: some of them, first those that it does not, the longest first.
+    ``clock_shift_s``: to add to the stamps of the scans where they are of another clock by the times of recording.
     """
 
     topic: str
@@ -107,6 +108,7 @@ class OdometryStats:
     fastest_deg_s: float = 0.0
     driving_m_s: float = 0.0
     unit: LengthUnit | None = None
+    clock_shift_s: float = 0.0
 
     @property
     def like_wheels(self) -> bool:

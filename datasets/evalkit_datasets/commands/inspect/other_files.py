@@ -10,7 +10,7 @@ import numpy as np
 
 from evalkit.io.g2o import read_g2o
 from evalkit.io.text_lines import is_number, iter_lines, iter_plain_blocks
-from evalkit_datasets.parsing.columns_layout import split_columns
+from evalkit_datasets.parsing.columns_layout import DECIMAL_COMMA, has_decimal_comma, split_columns
 
 EXPECTED = "a recording"
 LINES, BYTES = 200, 4096
@@ -64,9 +64,12 @@ def _describe_text(path: Path) -> tuple[str, str]:
     lines = [line.split() for line in islice(iter_lines(path, EXPECTED), LINES)]
     if any(words and words[0] in GRAPH for words in lines):
         return _describe_graph(path)
+    if any(map(has_decimal_comma, islice(iter_lines(path, EXPECTED), LINES))):
+        what, remedy = DECIMAL_COMMA
+        return what, remedy.format(file=shlex.quote(str(path)))
     rows = [split_columns(line) for line in islice(iter_lines(path, EXPECTED), LINES)]
     numeric = [words for words in rows if words and all(map(is_number, words))]
-    layout = f"describe its columns in {path.name}.toml (tables [time] and [scan], see evalkit list columns)"
+    layout = f"describe its columns in {path.name}.toml (tables [time] and [scan], see docs/pages/text-log.md)"
     if len(numeric) > LINES // 4 and min(map(len, numeric)) >= MIN_TRAJECTORY_COLUMNS:
         what = f"text of {len(numeric[0])} columns of numbers without ranges that were recognised"
         return (

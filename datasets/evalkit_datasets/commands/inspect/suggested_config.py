@@ -19,6 +19,7 @@ from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.lidar_findings import is_default_code
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
+from evalkit_datasets.commands.inspect.mended_inspection import inspect_mended
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
 from evalkit_datasets.commands.inspect.odometry_findings import is_apart
 from evalkit_datasets.commands.inspect.reader_trial import ReaderTrial, find_fields, try_reader
@@ -26,6 +27,8 @@ from evalkit_datasets.commands.inspect.repeated_findings import PROBLEM, repeat_
 from evalkit_datasets.commands.inspect.truth_choices import find_truth_files
 from evalkit_datasets.parsing.robots import count_common_spaces
 from evalkit_datasets.parsing.transforms import own_name, with_prefix_of
+from evalkit_datasets.readers import reader_common
+from evalkit_datasets.readers.rosbag import NO_MOUNTING
 from evalkit_datasets.recordings import catalog, data_sets
 
 TILT_WORDS = ("vertical",)
@@ -33,6 +36,9 @@ MAPPER = "mapper."
 
 MIN_MOUNTING_DEG, MAX_SQUARE_DEG = 5.0, 2.0
 """A smaller heading is not applied; a heading this close to a multiple of 90 deg is taken as that."""
+
+MAX_WITHOUT_ODOMETRY = 0.1
+"""A larger share of the scans without odometry is a warning."""
 
 USUAL_CELL_M, LARGE_CELL_M = 0.05, 0.1
 
@@ -65,7 +71,13 @@ def suggest_config(recording: Inspection, given: Mapping[str, Value] | None = No
     """
     if not recording.lidars:
         return None
-    choices, tried = _choose(recording, given or {})
+    lidar = _select_lidar(recording, given or {})
+    recording, mends = inspect_mended(recording, given or {}, lidar.topic)
+    choices, tried = _choose(recording, {**(given or {}), **mends})
+    choices = (
+        *(Choice(name, value, f"{name} {value}: mends a problem above") for name, value in mends.items()),
+        *choices,
+    )
     reader = recording.streams.reader
     chosen = {one.name: one.value for one in choices if one.value is not None} | dict(given or {})
     parameters = {"path": str(recording.path)} | {k: v for k, v in chosen.items() if not k.startswith(MAPPER)}
@@ -94,25 +106,42 @@ def choose_parameters(reader: str, given: Mapping[str, Value]) -> tuple[Choice, 
 
 def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Choice, ...], ReaderTrial]:
     """Return the choices beside the given parameters, and the result of opening the recording with both."""
-    topic = str(given.get("topic", "")).lstrip("/")
-    lidar = next((one for one in recording.lidars if one.topic.lstrip("/") == topic), best_lidar(recording)[0])
+    lidar = _select_lidar(recording, given)
     choosers: Mapping[str, Callable[[Inspection], Iterator[Choice]]] = {
         "carmen": _choose_for_log,
         "rosbag": partial(_choose_for_bag, lidar=lidar),
     }
     choose = choosers.get(recording.streams.reader, _choose_for_columns)
     choices = [*repeat_problems(recording, given), *choose(recording), *find_truth_files(recording, given)]
-    choices += [*repeat_body(lidar, given), *repeat_sweep(recording, lidar, given), *_choose_cells(lidar)]
+    choices += [*repeat_body(lidar, given), *repeat_sweep(recording, lidar, given)]
+    if not any(one.level == "problem" and one.about == lidar.topic for one in recording.findings):
+        choices += _choose_cells(lidar)
     choices = [one for one in choices if one.name not in given]
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
     tried = try_reader(recording.streams.reader, {"path": str(recording.path), **values, **given})
+    choices += _tell_scans_without_odometry(recording, tried)
     if "base_from_sensor" not in given and not tried.problem:  # then the recorded mounting is unknown
-        choices += _choose_mounting(recording, lidar, tried.mounting)
+        choices += _choose_mounting(recording, lidar, tried)
     if tried.mounting != Pose() and "base_from_sensor" not in given:
         x, y, yaw_deg = tried.mounting.x, tried.mounting.y, math.degrees(tried.mounting.theta)
         where = f"the lidar is mounted at x {x:.3f} m, y {y:.3f} m, rotated by {yaw_deg:.1f} deg: as recorded"
         choices.append(Choice("base_from_sensor", None, where))
     return tuple(choices), tried
+
+
+def _select_lidar(recording: Inspection, given: Mapping[str, Value]) -> LidarStats:
+    topic = str(given.get("topic", "")).lstrip("/")
+    return next((one for one in recording.lidars if one.topic.lstrip("/") == topic), best_lidar(recording)[0])
+
+
+def _tell_scans_without_odometry(recording: Inspection, tried: ReaderTrial) -> Iterator[Choice]:
+    """Warn of scans before or after the odometry, where no other clock is known that explains them."""
+    without = tried.notes.get(reader_common.WITHOUT_ODOMETRY, 0)
+    if without <= MAX_WITHOUT_ODOMETRY * tried.scans or any(one.clock_shift_s for one in recording.odometries):
+        return
+    clock = ", or has another clock (give --set stamp_shift_s)" if recording.streams.reader == "rosbag" else ""
+    what = f"{without} of {tried.scans} scans have no odometry at their time: it begins late or ends early{clock}"
+    yield Choice("odometry", None, what, warns=True)
 
 
 def best_lidar(recording: Inspection) -> tuple[LidarStats, str]:
@@ -162,28 +191,42 @@ def _choose_for_bag(recording: Inspection, lidar: LidarStats) -> Iterator[Choice
         yield Choice("base_frame", named.child, f"base frame {named.child}: that of this odometry")
 
 
-def _choose_mounting(recording: Inspection, lidar: LidarStats, recorded: Pose) -> Iterator[Choice]:
+def _choose_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTrial) -> Iterator[Choice]:
     """Choose the heading that straight drives show where nothing states it; say where it contradicts what is stated."""
-    angle = _measure_mounting(recording, lidar)
+    angle, missing = _measure_mounting(recording, lidar), _describe_missing_mounting(recording, lidar, tried)
     if angle is None:
-        if recording.streams.reader == "rosbag" and lidar.frame not in recording.frames.names:
-            why = "the lidar is taken as the base: no transform states its mounting, and no straight drive shows it"
+        if missing:
+            why = f"the lidar is taken as the base: {missing}, and no straight drive shows it"
             yield Choice("base_from_sensor", None, f"{why}; beside a ground truth, give base_from_sensor")
         return
-    off_deg = math.degrees(float(wrap(math.radians(angle.heading_deg) - recorded.theta)))
-    if abs(off_deg) < MIN_MOUNTING_DEG:
+    off_deg = math.degrees(float(wrap(math.radians(angle.heading_deg) - tried.mounting.theta)))
+    if abs(off_deg) < MIN_MOUNTING_DEG and not missing:
         return
     seen = f"{angle.heading_deg:.0f} deg (standard error {angle.error_deg:.1f} deg) on {angle.pairs} straight drives"
-    stated = recorded != Pose() or any(mounting.sensor == lidar.frame for mounting in recording.frames.mountings)
-    if stated or recording.streams.reader != "rosbag":
-        what = f"lidar heading {math.degrees(recorded.theta):.0f} deg, as recorded, but the scans show {seen}: check it"
-        yield Choice("base_from_sensor", None, what, warns=True)
+    if not missing:
+        stated = f"lidar heading {math.degrees(tried.mounting.theta):.0f} deg, as recorded"
+        yield Choice("base_from_sensor", None, f"{stated}, but the scans show {seen}: check it", warns=True)
         return
     square = 90.0 * round(angle.heading_deg / 90.0)
-    near = abs(angle.heading_deg - square) <= max(3.0 * angle.error_deg, MAX_SQUARE_DEG)
+    near = (
+        abs(angle.heading_deg - square) <= max(3.0 * angle.error_deg, MAX_SQUARE_DEG) or abs(off_deg) < MIN_MOUNTING_DEG
+    )
     heading = math.radians(square if near else angle.heading_deg)
-    why = f"base_from_sensor 0 0 {heading:.4f}: no transform states the mounting; the scans show a heading of {seen}"
-    yield Choice("base_from_sensor", f"0 0 {heading:.4f}", f"{why}{', taken as square' if near else ''}")
+    why = f"base_from_sensor 0 0 {heading:.4f}: {missing}; the scans show a heading of {seen}"
+    where = "x and y are unknown, taken as 0: beside a ground truth, give base_from_sensor"
+    value = f"0 0 {heading:.4f}"
+    yield Choice("base_from_sensor", value, f"{why}{', taken as square' if near else ''}; {where}", warns=True)
+
+
+def _describe_missing_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTrial) -> str:
+    """Return that no transform in a bag states the mounting on the base that the reader takes, "" if one does."""
+    mounting = next((one for one in recording.frames.mountings if one.sensor == lidar.frame), None)
+    known = mounting is not None or tried.mounting != Pose()
+    if recording.streams.reader != "rosbag" or (known and NO_MOUNTING not in tried.notes):
+        return ""
+    if mounting is not None and mounting.unlinked:
+        return f"no transform from '{mounting.unlinked}' to '{lidar.frame}' (it is on '{mounting.base}')"
+    return "no transform states the mounting"
 
 
 def _measure_mounting(recording: Inspection, lidar: LidarStats) -> MountingAngle | None:

@@ -116,10 +116,16 @@ def check_direction(fixture: RegistrationFixture) -> str:
     pair = clear_pair()
     answer = fixture.register(pair)
     truth, inverse = pair.truth, pair.truth.inverse()
+    right = f"target_from_source is {format_pose(truth)}"
+    for step in (pair.guess.inverse() @ truth, truth @ pair.guess.inverse()):
+        if distance_m(answer, step) <= EXACT_M:
+            raise RuleBroken(f"{format_pose(answer)} is the correction of the guess {format_pose(pair.guess)}; {right}")
     if distance_m(answer, inverse) >= distance_m(answer, truth):
         return f"{format_pose(answer)} maps source points into the target frame"
     if math.dist(answer.row[:2], inverse.row[:2]) < math.dist(answer.row[:2], truth.row[:2]):
-        raise RuleBroken(f"{format_pose(answer)} is source_from_target; target_from_source is {format_pose(truth)}")
+        is_inverse = distance_m(answer, inverse) <= EXACT_M
+        near = "is source_from_target" if is_inverse else f"is nearer to source_from_target, {format_pose(inverse)}"
+        raise RuleBroken(f"{format_pose(answer)} {near}; {right}")
     return f"x and y of {format_pose(answer)} are nearer to those of target_from_source, {format_pose(truth)}"
 
 

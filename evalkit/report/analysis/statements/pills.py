@@ -51,6 +51,7 @@ def compute_pills(
     pills = [
         *(Pill(f"{sequence.label}: {text}") for sequence in sequences for text in sequence.card.warnings),
         *(_describe_degenerate(comparison, sequence) for sequence in sequences if sequence.card.degenerate),
+        _describe_simulated(one for one in sequences if one.label in counted),
         _describe_known_map(comparison, sequences),
         *_group("lost the track on", _find_lost(sequences), _find_lost_by_geometry(sequences)),
         *_group("did not finish", _find_broken(runs)),
@@ -61,6 +62,12 @@ def compute_pills(
         _count_runs(runs),
     ]
     return tuple(pill for pill in pills if pill is not None)
+
+
+def _describe_simulated(counted: Iterable[SequenceAnalysis]) -> Pill | None:
+    """Return that no recording is among the sequences that the answer counts; None if one is, or nothing counts."""
+    simulated = [one.card.simulated for one in counted]
+    return Pill("only simulated data count") if simulated and all(simulated) else None
 
 
 def _describe_known_map(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> Pill | None:

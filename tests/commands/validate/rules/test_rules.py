@@ -137,7 +137,10 @@ def test_every_shipped_back_end_follows_every_rule_that_needs_no_other_process_o
         (faulty.Identity, "metres", "0.3 m was returned as 0"),
         (faulty.Identity, "equivariance", "from the answer moved with the target"),
         (faulty.IgnoresTheGuess, "equivariance", "from the answer moved with the target"),
-        (faulty.Inverse, "direction", "is source_from_target"),
+        (faulty.Inverse, "direction", "rad. is source_from_target; target_from_source is"),
+        (faulty.InverseOffByACell, "direction", "is nearer to source_from_target, .*; target_from_source is"),
+        (faulty.Correction, "direction", "is the correction of the guess .0.335 m, .*; target_from_source is"),
+        (faulty.LeftCorrection, "direction", "is the correction of the guess .0.335 m, "),
         (faulty.Degrees, "radians", r"as -1.66\d+, that is 17.19 - 3 \* 2 pi: is the angle in degrees\?"),
         (faulty.Clockwise, "radians", "it has the wrong sign"),
         (faulty.Millimetres, "metres", "0.3 m was returned as 300: the answer is in millimetres"),
@@ -211,6 +214,12 @@ def test_an_answer_in_degrees_is_not_taken_for_the_inverse():
     one = result_of(faulty.Degrees, "direction")
     assert one.outcome == "passed"
     assert one.observed.endswith("rad) are nearer to those of target_from_source, (0.300 m, 0.000 m, 0.3000 rad)")
+
+
+def test_only_an_answer_near_that_of_the_wheels_is_asked_whether_the_scans_are_used(few_calls):
+    said = result_of(faulty.Backwards, "moves").observed
+    assert said.startswith("wheel odometry 20 % too long is 60 cm off at 4 m, the answer")
+    assert "are the scans used" not in said
 
 
 def test_an_exception_for_too_few_points_is_allowed_and_observed():
