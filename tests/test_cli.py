@@ -403,7 +403,7 @@ def test_an_interrupt_keeps_finished_runs_and_leaves_no_process(experiment, tmp_
     os.killpg(process.pid, ending)  # to the whole foreground process group, like a terminal
     _, err = process.communicate(timeout=600.0)
     assert process.returncode == 128 + ending
-    assert "interrupted; finished runs are kept: repeat the command with --resume to continue" in err
+    assert "finished runs are kept: repeat the command with --resume to continue\nevalkit: interrupted\n" in err
     assert "Traceback" not in err
     assert [run.parent.name.rsplit("-", 1)[0] for run in folder.glob("runs/*/result.json")] == ["straight-none"]
     assert not list(folder.glob("runs/straight-raise-*"))

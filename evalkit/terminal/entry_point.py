@@ -17,7 +17,7 @@ from evalkit.terminal.console import err
 def run(app: Callable[[], Any]) -> None:
     """Run a program; an EvalkitError or an error of the system becomes one line on standard error and exit code 2.
 
-    SIGTERM ends it as Ctrl-C does, with exit code 143 instead of 130.
+    SIGTERM ends it as Ctrl-C does, with exit code 143 instead of 130; both print "interrupted".
     """
     os.environ["MPLBACKEND"] = "agg"  # commands draw into files only
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else importing NumPy takes 0.3 s of CPU time to start threads
@@ -35,9 +35,10 @@ def run(app: Callable[[], Any]) -> None:
         _require_text(sys.argv[1:])
         app()
     except SystemExit as ended:
-        if terminated and ended.code == 128 + signal.SIGINT:
-            sys.exit(128 + signal.SIGTERM)
-        raise
+        if ended.code != 128 + signal.SIGINT:
+            raise
+        err.print("evalkit: interrupted", style="red")
+        sys.exit(128 + (signal.SIGTERM if terminated else signal.SIGINT))
     except EvalkitError as error:
         _exit(str(error))
     except OSError as error:

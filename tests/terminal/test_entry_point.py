@@ -57,7 +57,7 @@ def test_the_exit_code_tells_the_signal_that_ended_a_command(called, number, exp
         except KeyboardInterrupt:  # as typer does
             sys.exit(130)
 
-    assert called(app)[0] == expected
+    assert called(app) == (expected, "evalkit: interrupted")
 
 
 def test_an_error_of_the_system_without_a_path_is_not_hidden():
