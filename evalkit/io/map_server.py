@@ -128,8 +128,9 @@ def find_map_image(path: Path) -> Path | None:
 
 def _read_settings(path: Path) -> dict[str, Any]:
     """Return the keys of the YAML file, checked, with defaults filled in."""
-    from ruamel.yaml import YAML  # noqa: PLC0415 - heavy, and used for maps only
-    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415 - heavy, and used for maps only
+
+    from evalkit.io.plain_yaml import make_yaml  # noqa: PLC0415 - as above
 
     content = read_bytes(path, "the YAML file of a map")
     if len(content) > MAX_YAML_BYTES:
@@ -139,7 +140,7 @@ def _read_settings(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise _no_yaml_error(path, f"no UTF-8 text at byte {error.start}") from None
     try:
-        loaded = YAML(typ="safe", pure=True).load(text)
+        loaded = make_yaml().load(text)
     except (YAMLError, ValueError, RecursionError) as error:
         raise BadData(
             str(path), "", f"not valid YAML ({' '.join(str(error).split())[:100]})", "save the map again"
@@ -151,8 +152,8 @@ def _read_settings(path: Path) -> dict[str, Any]:
         if key not in known:
             raise _no_yaml_error(path, f"missing key '{key}'")
     for key in ("image", "mode"):
-        if not isinstance(known[key], str):  # value not shown: nested aliases can be arbitrarily long
-            raise BadData(str(path), key, "not a string", "give the YAML file of a map")
+        if not isinstance(known[key], str):
+            raise BadData(str(path), key, f"{brief(known[key])} is not a string", "give the YAML file of a map")
     if known["mode"] not in MODES:
         raise BadData(str(path), "mode", f"{brief(known['mode'])} is no mode", f"expected one of {', '.join(MODES)}")
     return known | _check_geometry(path, known)

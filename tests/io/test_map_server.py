@@ -88,6 +88,8 @@ def test_a_png_equals_the_pgm_with_the_same_grey_values(tmp_path, mode):
 
 LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}, *a{k - 1}]\n" for k in range(1, 41))
 """Two words, doubled forty times: a terabyte when written out."""
+MERGED = "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k} {{<<: [{', '.join(12 * [f'*a{k - 1}'])}]}}\n" for k in range(1, 12))
+"""Merge keys multiply: a key is copied 12 to the power of 11 times."""
 
 
 @pytest.mark.parametrize(
@@ -113,9 +115,9 @@ LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}, *a{k - 1}]\n" 
         (b"P5 1 1 255\n\0", "image: " + "[" * 1000, "not valid YAML"),
         (b"P5 1 1 255\n\0", "#" * 5000 + YAML, "this is not the YAML file of a map ("),
         (b"P5 1 1 255\n\0", "# t x y\n" + "1.5 0 0 0 0 0 0 1\n" * 9, "not the YAML file of a map (it has no keys)"),
-        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("map.pgm", "*a40"), "image: not a string"),
-        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("trinary", "*a40"), "mode: not a string"),
-        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("0.05", "*a40"), "not a number"),
+        (b"P5 1 1 255\n\0", YAML.replace("map.pgm", "[map.pgm]"), "image: ['map.pgm'] is not a string"),
+        (b"P5 1 1 255\n\0", LAUGHS + YAML, "not valid YAML (aliases such as *a0 are not read"),
+        (b"P5 1 1 255\n\0", MERGED + YAML, "not valid YAML (aliases such as *a0 are not read"),
     ],
 )
 def test_an_invalid_map_is_reported_with_the_cause(tmp_path, pgm, yaml, part):
