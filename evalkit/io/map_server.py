@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -165,16 +167,27 @@ def _no_yaml_error(path: Path, why: str) -> BadData:
 
 
 def _check_geometry(path: Path, known: dict[str, Any]) -> dict[str, Any]:
-    try:
-        checked: dict[str, Any] = {
-            key: float(known[key]) for key in ("resolution", "occupied_thresh", "free_thresh", "negate")
-        }
-        x, y, yaw = (float(value) for value in known["origin"])
-    except (TypeError, ValueError):
-        raise BadData(str(path), "", "a value is not a number", "expected numbers, and origin: [x, y, yaw]") from None
-    if not (checked["resolution"] > 0.0 and np.isfinite([checked["resolution"], x, y, yaw]).all()):
+    checked: dict[str, Any] = {
+        key: _parse_number(path, key, known[key]) for key in ("resolution", "occupied_thresh", "free_thresh", "negate")
+    }
+    origin = known["origin"]
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise BadData(str(path), "origin", f"found {brief(origin)}", "expected [x, y, yaw]")
+    if not checked["resolution"] > 0.0:
         raise BadData(str(path), "resolution", f"{checked['resolution']}", "expected metres per cell, more than 0")
-    return checked | {"origin": (x, y, yaw)}
+    for key in ("occupied_thresh", "free_thresh"):
+        if not 0.0 <= checked[key] <= 1.0:
+            raise BadData(str(path), key, f"found {brief(known[key])}", "expected a probability, 0 to 1")
+    return checked | {"origin": tuple(_parse_number(path, "origin", value) for value in origin)}
+
+
+def _parse_number(path: Path, key: str, value: object) -> float:
+    number = math.nan
+    with suppress(TypeError, ValueError, OverflowError):
+        number = float(cast(float, value))
+    if not math.isfinite(number):
+        raise BadData(str(path), key, f"found {brief(value)}", "expected a finite number")
+    return number
 
 
 def _read_grey(path: Path) -> tuple[Shades, int]:
