@@ -134,6 +134,7 @@ def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -
     if not tasks:
         return
     collector.store.create()
+    workers = min(workers, len(tasks))
     os.environ.update(environment.SINGLE_THREAD)  # inherited by the processes
     own_processes = all(task.own_process for task in tasks)
     stop = threading.Event()

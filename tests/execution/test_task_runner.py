@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 import pytest
 
-from evalkit.execution import task_time_limit
+from evalkit.execution import environment, task_time_limit
 from evalkit.execution.dask_cluster import Cluster, NoCluster, Slot
 from evalkit.execution.sandbox import make_sandboxed_task
 from evalkit.execution.task import make_task
@@ -113,6 +113,13 @@ def test_stored_results_are_not_computed_again(squares, tmp_path):
     again = run_tasks(TaskStore(tmp_path / "kept"), tasks)
     assert sorted(log.read_text().split()) == ["0", "1", "2", "3"]
     assert [result["square"] for result in again.values()] == [0, 1, 4, 9]
+
+
+def test_more_workers_than_tasks_start_no_more_processes(squares, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(environment, "core_of_each", lambda processes: asked.append(processes) or [None] * processes)
+    run_tasks(TaskStore(tmp_path), [squares(f"n{n}", "square", number=n) for n in range(2)], workers=500)
+    assert asked == [2]
 
 
 def test_the_key_changes_with_the_arguments(squares):
