@@ -10,8 +10,7 @@ They also work in a script without a main guard, and in an interactive session.
 
 from __future__ import annotations
 
-from evalkit.commands.validate.equivalence.comparison import NotEquivalent
-from evalkit.commands.validate.equivalence.comparison import assert_equivalent as _assert_equivalent
+from evalkit.commands.validate.equivalence.comparison import NotEquivalent, assert_equivalent
 from evalkit.commands.validate.rules import dataset_rules, runner
 from evalkit.commands.validate.rules.rule import RuleReport, RuleResult
 from evalkit.core.errors import UnknownName
@@ -22,8 +21,6 @@ __all__ = [
     "NotEquivalent", "RulesBroken", "assert_equivalent", "backend_rules", "check_backend", "check_dataset",
     "check_rule",
 ]  # fmt: skip
-
-assert_equivalent = _assert_equivalent
 
 
 class RulesBroken(AssertionError):

@@ -55,6 +55,8 @@ hypothesis.settings.register_profile(  # a busy machine is no finding
 )
 hypothesis.settings.load_profile("evalkit")
 
+CHECKOUT = all((Path(__file__).parents[1] / name).is_dir() for name in ("evalkit", "docs", ".ci", ".github"))
+
 PATIENCE_S = 300.0
 """How long a test waits for what comes at once on an idle machine: it ends a test that would wait for ever."""
 
@@ -66,6 +68,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for marker in item.iter_markers("slow"):
             seconds[item.path] = max(seconds.get(item.path, 0.0), *marker.args, 1.0)
     items.sort(key=lambda item: -seconds.get(item.path, 0.0))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip the tests of a checkout where the tests are copied beside an installed package."""
+    if not CHECKOUT and item.get_closest_marker("checkout"):
+        pytest.skip("not in a checkout")
 
 
 def pytest_collection_finish() -> None:

@@ -727,7 +727,16 @@ def test_an_option_with_a_fixed_choice_names_what_it_takes(evalkit, words, messa
         (("drive.log", "--spans", "drive.log"), "drive.log: not valid TOML ("),
         (("drive.log", "--spans", "negative.toml"), "span 1: metres: expected a positive number, got -1.0"),
         (("cut.bag",), "cut.bag: not a readable bag ("),
-        (("drive.log", "--set", "every"), "--set: found 'every', expected NAME=VALUE"),
+        (("drive.log", "--set", "every"), "--set: parameter 'every': found 'every', expected NAME=VALUE"),
+        (
+            ("drive.log", "--set", "every=2", "--set", "every=3"),
+            "'every': found '3', expected one value, but '2' is given",
+        ),
+        (("drive.log", "--spans", "no.toml", "--set", "spans=negative.toml"), "--spans: contradicts --set spans"),
+        (
+            ("drive.log", "--set", "path=cut.bag"),
+            "'path': found 'cut.bag', expected one path, but drive.log is given too",
+        ),
         (
             ("drive.log", "--set", "every=x"),
             "parameter 'every': found 'x', expected a whole number (take every n-th scan)",

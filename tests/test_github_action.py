@@ -4,9 +4,12 @@ import importlib.util
 import re
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from evalkit import cli
+
+pytestmark = pytest.mark.checkout
 
 ACTION = Path(__file__).resolve().parents[1] / ".github" / "actions" / "evalkit"
 

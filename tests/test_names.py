@@ -5,6 +5,8 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 SOURCES = (
     "evalkit", "baselines/evalkit_baselines", "datasets/evalkit_datasets", "reports/evalkit_paper", "docs/evalkit_docs"
@@ -23,6 +25,7 @@ def iter_types(module: ast.Module) -> Iterator[tuple[str, ast.AST]]:
             yield target.id, node
 
 
+@pytest.mark.checkout
 def test_a_type_name_has_one_meaning():
     places = defaultdict(set)
     for file in (file for source in SOURCES for file in (ROOT / source).rglob("*.py") if "examples" not in file.parts):

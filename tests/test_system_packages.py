@@ -10,7 +10,10 @@ import pytest
 SCRIPT = Path(__file__).resolve().parents[1] / ".ci" / "system-packages"
 LIBRARIES = "libGL.so.1 libEGL.so.1 libX11.so.6 libusb-1.0.so.0 libgomp.so.1"
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the script installs packages on Linux only")
+pytestmark = [
+    pytest.mark.checkout,
+    pytest.mark.skipif(sys.platform != "linux", reason="the script installs packages on Linux only"),
+]
 
 
 @pytest.fixture
@@ -59,6 +62,13 @@ def test_a_failed_installation_does_not_stop_the_report(run):
     found, _ = run("open3d", ldconfig="", id="echo 0", **{"apt-get": "exit 100"})
     assert "not installed; install them yourself: apt-get install" in found.stdout
     assert found.returncode == 0
+
+
+def test_an_unknown_part_ends_with_2_and_the_description_of_the_script(run):
+    found, log = run("open3d", "printer", id="echo 0")
+    assert (found.returncode, found.stdout, log) == (2, "", "")
+    assert found.stderr.startswith("Install the system packages that parts of evalkit need:")
+    assert found.stderr.endswith("An unknown part ends it with 2.\n")
 
 
 @pytest.mark.parametrize("target", ["report", "report-quick"])

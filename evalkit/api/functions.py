@@ -49,7 +49,7 @@ an experiment file: ``{"use": ..., "label": ..., PARAMETER: value}``."""
 def compare(
     recording: str | Path,
     methods: Sequence[MethodChoice] | None = None,
-    reference: str | Path | None = None,
+    ground_truth: str | Path | None = None,
     *,
     relations: str | Path | None = None,
     reader: str = "",
@@ -65,8 +65,8 @@ def compare(
     """Compare methods on a recording and return the results, with the report in a folder.
 
     ``recording``: a bag (ROS 1 or 2) or a log, or an experiment file (then the other sources are keys of that file).
-    ``methods``: one of each family if not given. ``reference``: ground truth (TUM: s, m, quaternion; frame of the
-    base). ``relations``: measured relations (Kuemmerle et al. 2009). ``reader``: the data set that reads the recording,
+    ``methods``: one of each family if not given. ``ground_truth``: a file (TUM: s, m, quaternion; frame of the base).
+    ``relations``: measured relations (Kuemmerle et al. 2009). ``reader``: the data set that reads the recording,
     found by its content if not given. ``out``: the results folder; ``./evalkit-results/NAME`` if not given.
     ``map``: the map_server YAML file of a map in which the methods track the robot, from ``start`` (x m, y m, yaw deg
     in the map) or from where the first scans are found. ``align_truth``: the ground truth is in another frame than the
@@ -83,7 +83,7 @@ def compare(
         MAP: str(map or ""), MAP_START: _format_start(start), ALIGN_TRUTH: align_truth, NUISANCE: nuisance
     }  # fmt: skip
     keys = {name: value for name, value in keys.items() if value}
-    files = {"ground_truth": reference, "relations": relations}
+    files = {"ground_truth": ground_truth, "relations": relations}
     given = {name: str(value) for name, value in files.items() if value is not None}
     if path.suffix == ".toml":
         for name in (*given, *settings, *keys, *(["methods"] if methods is not None else [])):
@@ -167,7 +167,7 @@ def _experiment_of_recording(
     if split_names(",".join(names)) == names and all(set(table) == {"use"} for table in tables):
         return experiment
     arguments: dict[str, object] = {
-        "methods": json.loads(json.dumps(tables)), "reference": given.get("ground_truth"),
+        "methods": json.loads(json.dumps(tables)), "ground_truth": given.get("ground_truth"),
         "relations": given.get("relations"), "reader": reader, MAP: keys.get(MAP),
         "start": [float(number) for number in str(keys.get(MAP_START, "")).split(",") if number],
         ALIGN_TRUTH: keys.get(ALIGN_TRUTH), NUISANCE: keys.get(NUISANCE), **settings,

@@ -1,6 +1,6 @@
 """pytest plug-in: the marker ``evalkit`` states a comparison, the fixture ``evalkit_results`` runs it.
 
-@pytest.mark.evalkit("drive.mcap", methods=["my_icp:MyIcp"], reference="drive.tum")
+@pytest.mark.evalkit("drive.mcap", methods=["my_icp:MyIcp"], ground_truth="drive.tum")
 def test_my_icp_drifts_less_than_5_cm(evalkit_results):
     evalkit_results.require("ate_rmse_m", "my_icp:MyIcp", below=0.05)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from evalkit.config.experiment import Experiment, experiment_from_tables
-from evalkit.core.errors import BadData, EvalkitError, NotInstalled, UnknownName
+from evalkit.core.errors import BadData, BadParameter, EvalkitError, NotInstalled, UnknownName
 from evalkit.core.scan import Frame
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.parameter_parsing import from_text
@@ -61,6 +61,8 @@ def open_recording(path: Path, settings: Mapping[str, str], reader: str = "") ->
         recording, spec = path, _named_reader(path, reader)
     else:
         recording, reader, spec = _find_recording(path)
+    if "path" in settings:
+        raise BadParameter(reader, "path", settings["path"], f"one path, but {path} is given too")
     return Recording(recording, reader, {"path": str(recording), **from_text(reader, spec.parameters, settings)})
 
 

@@ -13,7 +13,7 @@ from typing import Any, TypeGuard
 
 from evalkit.core.errors import BackendFailed, BadParameter, brief
 from evalkit.odometry import frontend
-from evalkit.plugins.parameters import Parameter, Value, with_defaults
+from evalkit.plugins.parameters import Parameter, Value, split_settings, with_defaults
 from evalkit.plugins.protocols import Odometry
 from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec, SlamSpec
 from evalkit.results.descriptions import UNKNOWN
@@ -120,10 +120,7 @@ def override_defaults(name: str, parameters: tuple[Parameter, ...], words: list[
 
     Raises BadParameter or UnknownName.
     """
-    for word in words:
-        if "=" not in word:
-            raise BadParameter(name, word, word, "NAME=VALUE after the file's name")
-    chosen = dict(word.split("=", 1) for word in words)
+    chosen = split_settings(name, words, "NAME=VALUE after the file's name")
     known = {parameter.name: parameter for parameter in parameters}
     typed = {key: known[key].check(name, _parse_like(known[key], word)) for key, word in chosen.items() if key in known}
     unknown = {key: word for key, word in chosen.items() if key not in known}

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 
 from evalkit.core.errors import BadParameter
 from evalkit.plugins import registry
-from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value, resolve_parameters, split_settings
 
 WORDS: dict[type, str] = {int: "a whole number", float: "a number"}
 """Name of the expected type in an error message."""
@@ -23,17 +24,33 @@ def from_text(owner: str, parameters: Iterable[Parameter], texts: Mapping[str, s
     return {name: _convert(owner, known[name], text) if name in known else text for name, text in texts.items()}
 
 
-def parse_dataset(text: str) -> tuple[str, dict[str, Value]]:
-    """The data set and the given parameters of a text such as "NAME laps=0.3"; raises UnknownName or BadParameter."""
+def parse_dataset(text: str, shared: Mapping[str, str] = MappingProxyType({})) -> tuple[str, dict[str, Value]]:
+    """The data set and the given parameters of a text such as "NAME laps=0.3"; raises UnknownName or BadParameter.
+
+    ``shared``: parameters of every data set, as text; those of ``text`` come first.
+    """
     try:
         name, *words = shlex.split(text) or [""]
     except ValueError as error:
         raise BadParameter("data set", "on", text, f"a data set's name and NAME=VALUE ({error})") from error
     spec = registry.dataset(name)
-    for word in words:
-        if "=" not in word:
-            raise BadParameter(name, word, word, "NAME=VALUE after the name of the data set")
-    return name, from_text(name, spec.parameters, dict(word.split("=", 1) for word in words))
+    own = split_settings(name, words, "NAME=VALUE after the name of the data set")
+    given = from_text(name, spec.parameters, {**shared, **own})
+    resolve_parameters(name, spec.parameters, given)
+    return name, given
+
+
+def parse_dataset_without_seed(
+    text: str, instead: str, shared: Mapping[str, str] = MappingProxyType({})
+) -> tuple[str, dict[str, Value]]:
+    """As ``parse_dataset``, where the command gives a simulated data set its seeds; a seed is a BadParameter.
+
+    ``instead``: where the seeds come from, for the message.
+    """
+    name, given = parse_dataset(text, shared)
+    if "seed" in given and registry.dataset(name).seeded:
+        raise BadParameter(name, "seed", given["seed"], f"none here: {instead}")
+    return name, given
 
 
 def _convert(owner: str, parameter: Parameter, text: str) -> Value:

@@ -12,7 +12,7 @@ and derives the table of its spec from them with ``declared_parameters(Settings)
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -90,6 +90,19 @@ def check_fields(owner: str, settings: object) -> None:
     """Check the declared fields of a dataclass instance and convert them to their types; raises BadParameter."""
     for declared in declared_parameters(type(settings)):
         object.__setattr__(settings, declared.name, declared.check(owner, getattr(settings, declared.name)))
+
+
+def split_settings(owner: str, words: Iterable[str], expected: str = "NAME=VALUE") -> dict[str, str]:
+    """Return ``["a=1", "b=x"]`` as a dictionary. Raises BadParameter for a word without "=" or a name given twice."""
+    given: dict[str, str] = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not equals:
+            raise BadParameter(owner, word, word, expected)
+        if name in given:
+            raise BadParameter(owner, name, text, f"one value, but {given[name]!r} is given too")
+        given[name] = text
+    return given
 
 
 def resolve_parameters(owner: str, parameters: tuple[Parameter, ...], given: Mapping[str, object]) -> dict[str, Value]:

@@ -57,6 +57,7 @@ def _answer(answer: Answer) -> dict[str, Any]:
         "pills": [asdict(pill) for pill in answer.pills],
         "winners": list(answer.winners),
         "rivals": list(answer.rivals),
+        "undecided": list(answer.undecided),
         "cheapest": answer.cheapest.method if answer.cheapest else None,
         "losses": [asdict(loss) | {"metric": loss.metric.name} for loss in answer.losses],
         "standings": [_standing(standing) for standing in answer.standings],

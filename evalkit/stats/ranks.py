@@ -1,4 +1,4 @@
-"""Ranks: mean ranks and Friedman's test over sequences, quantiles of errors with failures, rank correlation."""
+"""Ranks: mean ranks and Friedman's test over data sets, quantiles of errors with failures, rank correlation."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from evalkit.core.se2 import Floats
 
-MIN_SEQUENCES = 8
-"""With fewer sequences, the chi-square approximation of Friedman's test and the critical difference are too optimistic.
+MIN_DATA_SETS = 8
+"""With fewer data sets, the chi-square approximation of Friedman's test and the critical difference are too optimistic.
 """
 
 MIN_METHODS = 3
@@ -32,7 +32,7 @@ class FriedmanTest:
     statistic: float
     p: float
     critical_difference: float
-    sequences: int
+    data_sets: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class NotTested:
 
 
 def compute_ranks(errors: ArrayLike) -> Floats:
-    """Return the rank (N, K) of K methods on each of N sequences (N, K): 1 for the least error, ties share the mean."""
+    """Return the rank (N, K) of K methods on each of N data sets (N, K): 1 for the least error, ties share the mean."""
     table = np.asarray(errors, dtype=np.float64)
     own, others = table[:, :, np.newaxis], table[:, np.newaxis, :]
     return np.asarray(0.5 + (others < own).sum(axis=2) + 0.5 * (others == own).sum(axis=2))
@@ -66,15 +66,15 @@ def rank_values(values: ArrayLike) -> Floats:
 
 
 def friedman_test(errors: ArrayLike) -> FriedmanTest | NotTested:
-    """Apply Friedman's test to errors of K methods over N sequences (N, K); lower is better.
+    """Apply Friedman's test to errors of K methods over N data sets (N, K); lower is better.
 
     With Nemenyi's critical difference q sqrt(K (K + 1) / 6 N) (Demsar, JMLR 7, 2006). An infinite error is a failure
     and shares the last rank. Fewer than 8 sequences or 3 methods are not tested.
     """
     table = np.asarray(errors, dtype=np.float64)
-    sequences, methods = table.shape
-    if sequences < MIN_SEQUENCES:
-        return NotTested(f"ranks with a critical difference need at least {MIN_SEQUENCES} sequences, found {sequences}")
+    data_sets, methods = table.shape
+    if data_sets < MIN_DATA_SETS:
+        return NotTested(f"ranks with a critical difference need at least {MIN_DATA_SETS} data sets, found {data_sets}")
     if methods < MIN_METHODS:
         return NotTested(f"a test of ranks needs at least {MIN_METHODS} methods, found {methods}")
     from scipy import stats
@@ -82,8 +82,8 @@ def friedman_test(errors: ArrayLike) -> FriedmanTest | NotTested:
     ranks = compute_ranks(table)
     statistic, p = (0.0, 1.0) if (ranks == ranks[:, :1]).all() else stats.friedmanchisquare(*ranks.T)
     q = stats.studentized_range.ppf(1.0 - ALPHA, methods, np.inf) / math.sqrt(2.0)
-    critical = float(q) * math.sqrt(methods * (methods + 1) / (6.0 * sequences))
-    return FriedmanTest(tuple(ranks.mean(axis=0).tolist()), float(statistic), float(p), critical, sequences)
+    critical = float(q) * math.sqrt(methods * (methods + 1) / (6.0 * data_sets))
+    return FriedmanTest(tuple(ranks.mean(axis=0).tolist()), float(statistic), float(p), critical, data_sets)
 
 
 def success_quantiles(errors: ArrayLike, shares: Sequence[float] = (0.5, 0.75, 0.95)) -> tuple[float, ...]:

@@ -34,8 +34,9 @@ MAX_RUNS = 200
 class PairedRuns:
     """The difference ``one - other`` of two methods over runs paired by repetition, in the unit of the values.
 
-    From the ratios of the pairs where all values are positive: ``interval`` is then the median of ``other`` times the
-    ratio's excess over one. ``error``: standard error, ``mean``: estimate, both on the scale of the t test.
+    From the ratios of the pairs where all values are positive: ``interval`` is then ``scale``, the median of ``other``,
+    times the ratio's excess over one; else ``scale`` is nan. ``error``: standard error, ``mean``: estimate, both on the
+    scale of the t test.
     ``perturbed``: the runs are perturbations of a recording.
     """
 
@@ -47,9 +48,15 @@ class PairedRuns:
 
     @property
     def detectable(self) -> float:
-        """The difference that so many runs detect with 80 % power at 5 %."""
+        """The difference, in the direction of the estimate, that so many runs detect with 80 % power.
+
+        At the confidence of the interval.
+        """
         alpha = 1.0 - self.interval.confidence
-        return self._in_unit(self.error * detectable_standard_errors(self.interval.support - 1, alpha=alpha))
+        size = self.error * detectable_standard_errors(self.interval.support - 1, alpha=alpha)
+        if math.isnan(self.scale):
+            return size
+        return self.scale * abs(math.expm1(math.copysign(min(size, 50.0), self.mean)))
 
     def runs_needed(self) -> int | None:
         """Return how many runs of each method show a difference of this size with 80 % power; None above 200."""
@@ -64,9 +71,6 @@ class PairedRuns:
         least = FEW_RUNS if self.perturbed else 2
         found = bisect_left(range(least, MAX_RUNS + 1), True, key=detects) + least
         return found if found <= MAX_RUNS else None
-
-    def _in_unit(self, size: float) -> float:
-        return size if math.isnan(self.scale) else self.scale * math.expm1(min(size, 50.0))
 
 
 def runs_interval(values: ArrayLike) -> Interval | None:

@@ -206,14 +206,6 @@ def cluster(engine: EngineName, scheduler: str, jobs: int, insecure: bool = Fals
     return Cluster(scheduler, jobs, insecure=insecure) if engine == "dask" else None
 
 
-def settings(items: list[str], option: str = "--set") -> dict[str, str]:
-    """Return ``["a=1", "b=x"]`` as a dictionary. Raises typer.BadParameter for an item without "="."""
-    for item in items:
-        if "=" not in item:
-            raise typer.BadParameter(f"{option}: found '{item}', expected NAME=VALUE")
-    return dict(item.split("=", 1) for item in items)
-
-
 def add_working_directory() -> None:
     """Put the working directory on ``sys.path``, so that ``module:SPEC`` finds a module under development."""
     sys.path.append(str(Path.cwd()))

@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import evalkit
+from evalkit.api import functions
 from evalkit.cli import app
 from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.errors import BadParameter, NotInstalled, StoreError, UnknownName
@@ -229,6 +230,21 @@ def test_the_stored_commands_repeat_the_comparison_and_one_run(tmp_path, monkeyp
     subprocess.run(made.content["runs"][0]["command"], shell=True, check=True, capture_output=True)
     (alone,) = (tmp_path / "evalkit-results").iterdir()
     assert made.content["runs"][0]["key"] in [run.name for run in (alone / "runs").iterdir()]
+
+
+def test_the_ground_truth_is_named_as_the_parameter_of_the_reader(tmp_path, monkeypatch):
+    monkeypatch.setattr(functions, "run", lambda experiment, *_, **__: experiment)  # as it would run
+    log, truth = tmp_path / "drive.log", tmp_path / "true.tum"
+    log.write_text(carmen_log())
+    truth.write_text("1000000 0 0 0 0 0 0 1\n1000009 0 0 0 0 0 0 1\n")
+    for made in (
+        evalkit.compare(log, [{"use": "embedded", "label": "mine"}], truth),
+        evalkit.compare(log, [{"use": "embedded", "label": "mine"}], ground_truth=truth),
+    ):
+        assert made.sequences[0].parameters["ground_truth"] == str(truth)
+        assert f"ground_truth={str(truth)!r}" in made.whole_command.replace("'\"'\"'", "'")
+    with pytest.raises(UnknownName, match="carmen: no parameter named 'reference'"):
+        evalkit.compare(log, ["embedded"], reference=truth)
 
 
 def test_a_module_that_compares_a_class_of_its_own_on_import_is_refused(tmp_path):

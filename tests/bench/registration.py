@@ -1,7 +1,8 @@
 """20 iterations of the ICP of each library on the same clouds: interleaved, CPU time, one thread, ratios to the core.
 
-31 scans in turn, in each round the same one for all methods, each from a guess 7 cm and 1.7 degrees off. Only the
-registration is timed: clouds are converted before, and libraries that can keep an index over the target do. "+ index"
+31 scans in turn, in each round the same for all methods, each from a guess 7 cm and 1.7 degrees off. In a round every
+method registers one scan ("in turn": others have filled the caches) or all 31 ("in a row"). Only the registration is
+timed: clouds are converted before, and libraries that can keep an index over the target do. "+ index"
 builds the index in the call: the core's cells, small_gicp's cloud and tree, KISS-ICP's voxel map, and Open3D's tree,
 which it always builds; "Open3D, less its tree" is the same call less the time of building that tree alone. So compare
 rows with "+ index" with each other, and rows without. "+ table" is a lasting target: each scan was registered with it
@@ -262,17 +263,24 @@ def methods(asked: Questions) -> tuple[Calls, dict[str, str]]:
     return calls, absent
 
 
-def measure_ns(calls: Calls, rounds: int) -> dict[str, Floats]:
-    """Return the CPU time (rounds,) of each call, in alternating order; three calls a scan before are not counted."""
+def warm_up(calls: Calls) -> None:
+    """Register each scan three times with each method: a table is filled at the third search."""
     for call in calls.values():
         for k in list(range(SCANS)) * 3:
             call(k)
+
+
+def measure_ns(calls: Calls, rounds: int, in_a_row: int) -> dict[str, Floats]:
+    """Return the CPU times (rounds * in_a_row,) of each method, which take turns in alternating order."""
     times: dict[str, list[int]] = {name: [] for name in calls}
     for round_ in range(rounds):
+        scans = [(round_ * in_a_row + k) % SCANS for k in range(in_a_row)]
         for name in list(calls) if round_ % 2 else reversed(calls):
-            start = time.process_time_ns()
-            calls[name](round_ % SCANS)
-            times[name].append(time.process_time_ns() - start)
+            call = calls[name]
+            for scan in scans:
+                start = time.process_time_ns()
+                call(scan)
+                times[name].append(time.process_time_ns() - start)
     taken = {name: np.array(one, dtype=np.float64) for name, one in times.items()}
     if TREE in taken:
         taken[LESS_TREE] = taken["Open3D + index"] - taken[TREE]
@@ -282,7 +290,7 @@ def measure_ns(calls: Calls, rounds: int) -> dict[str, Floats]:
 def main() -> None:
     """Print the median CPU time of each method and its ratio to the core, paired round by round, with quartiles."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
-    parser.add_argument("--rounds", type=int, default=2 * SCANS)
+    parser.add_argument("--rounds", type=int, default=2, help="of all scans in turn, and as many in a row")
     parser.add_argument("--targets", type=int, nargs="+", default=[5000, 50_000])
     arguments = parser.parse_args()
     if why := compiled_missing():
@@ -295,13 +303,15 @@ def main() -> None:
     for targets in arguments.targets:
         asked = questions(targets)
         calls, absent = methods(asked)
-        times = measure_ns(calls, arguments.rounds)
-        print(f"{ITERATIONS} iterations, {SCANS} scans of {SOURCES} points in turn against {len(asked.target)} points")
-        print(f"{'':22} {'CPU ms':>8} {'x ' + REFERENCE:>12} {'quartiles':>14}")
-        for name, taken in times.items():
-            low, ratio, high = np.percentile(taken / times[REFERENCE], [25, 50, 75])
-            print(f"{name:22} {np.median(taken) / 1e6:8.2f} {ratio:12.2f} {low:7.2f}-{high:.2f}")
-            series.append(BenchmarkSeries(f"{name}, {targets} points", "ms", tuple((taken / 1e6).tolist())))
+        warm_up(calls)
+        print(f"{ITERATIONS} iterations, {SCANS} scans of {SOURCES} points against {len(asked.target)} points")
+        for way, rounds, in_a_row in (("in turn", arguments.rounds * SCANS, 1), ("in a row", arguments.rounds, SCANS)):
+            times = measure_ns(calls, rounds, in_a_row)
+            print(f"{way:22} {'CPU ms':>8} {'x ' + REFERENCE:>12} {'quartiles':>14}")
+            for name, taken in times.items():
+                low, ratio, high = np.percentile(taken / times[REFERENCE], [25, 50, 75])
+                print(f"{name:22} {np.median(taken) / 1e6:8.3f} {ratio:12.2f} {low:7.2f}-{high:.2f}")
+                series.append(BenchmarkSeries(f"{name}, {targets} points, {way}", "ms", tuple((taken / 1e6).tolist())))
         for module, why in absent.items():
             print(f"{module}: {why}")
             ran_on[f"absent peer {module}"] = why

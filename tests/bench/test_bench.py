@@ -91,7 +91,21 @@ def test_a_broken_library_takes_away_its_own_rows_only(monkeypatch):
     calls, absent = registration.methods(asked)
     assert absent == {"numpy": "broken: ImportError: x", "no_such_module": "not installed"}
     assert {"embedded", "embedded + table", "embedded + index", "paper (NumPy)"} <= set(calls)
-    assert all((taken > 0.0).all() for taken in registration.measure_ns(calls, 2).values())
+    for taken in registration.measure_ns(calls, 3, 2).values():
+        assert taken.shape == (6,)
+        assert (taken > 0.0).all()
+
+
+def test_every_method_registers_the_same_scans_in_turn_or_in_a_row(monkeypatch):
+    registration = load_script("registration")
+    monkeypatch.setattr(registration, "SCANS", 3)
+    asked = []
+    calls = {name: lambda k, name=name: asked.append((name, k)) for name in ("one", "two")}
+    registration.measure_ns(calls, 3, 1)
+    assert asked == [("two", 0), ("one", 0), ("one", 1), ("two", 1), ("two", 2), ("one", 2)]
+    asked.clear()
+    registration.measure_ns(calls, 1, 3)
+    assert asked == [("two", 0), ("two", 1), ("two", 2), ("one", 0), ("one", 1), ("one", 2)]
 
 
 def test_the_commands_that_are_timed_run():

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from statistics import median
 
 from amounts import AMOUNT, NUMBER, check_amount, list_of
 from facts import Facts
-from statements import BROKEN, LOSS, NOT_STARTED, Check, kind, same
+from statements import BROKEN, LOSS, NOT_EXECUTED, Check, kind, runs_of, same
 
-LIMIT = r" that counts? for it"
+LIMIT = r" that counts? for (?:it|them)"
+COUNTS = (
+    rf"(?:(?P<counts>\d+ of \d[\d a-z,]*?)|(?P<bare>\d+)) (?:data sets?|recordings?)(?P<limit>{LIMIT})?"
+    r"(?: by the fit to the known map)?"
+)
 END = r"\.(?= [A-Z]|$)"
 
 IN_ANSWER: list[tuple[str, Check]] = []
@@ -30,7 +35,7 @@ def standings(facts: Facts) -> dict[str, tuple[int, int]]:
 
 def takes_part(facts: Facts, where: str, method: str) -> bool:
     """Whether a run of a method started on a sequence and its settings were not chosen there."""
-    started = any(run["status"] not in NOT_STARTED for run in facts.runs[where].get(method, ()))
+    started = any(run["status"] not in NOT_EXECUTED for run in facts.runs[where].get(method, ()))
     return started and not facts.find(where, facts.deciding(where) or "")[method].tuned
 
 
@@ -43,49 +48,137 @@ def leaders(facts: Facts, where: str) -> Sequence[str]:
 
 @kind(
     IN_ANSWER,
-    r"Take (?P<names>.+?): (?:each )?(?:the best map|best or tied) on (?P<led>\d+) of (?P<of>\d+) "
-    rf"(?:data sets?|recordings?)(?P<limit>{LIMIT})?(?: by the fit to the known map)?"
+    rf"Take (?P<names>.+?): (?:each )?(?:the best map|best or tied) on {COUNTS}"
     r"(?:; next best: (?P<next>.+?), (?P<next_led>\d+) of (?P<all>all )?(?P<next_of>\d+)"
-    rf"(?P<next_limit>{LIMIT})?|(?P<none>; no other method on any))?\.",
+    rf"(?P<next_limit>{LIMIT})?|(?P<none>; no other method on any)"
+    r"|(?:; (?P<beaten>[^;]+?) leads? as often, but the paired tests find (?:a better method|better methods))?"
+    r"(?:; (?P<behind>[^;]+?) leads? as often, but (?:another one leads|others lead) more often where "
+    r"(?:both count|they count too))?)\.",
 )
 def take(facts: Facts, names: str, **said: str | None) -> Iterator[str]:
-    table, winners = standings(facts), names.split(" or ")
-    yield from same("winners", set(winners), set(facts.content["answer"]["winners"]))
-    yield from same("rivals", facts.content["answer"]["rivals"], [])
-    for name in winners:
-        yield from same(f"{name} leads", int(said["led"] or 0), table[name][0])
-    yield from same("most", int(said["led"] or 0), max(led for led, _ in table.values()))
-    yield from same("of", int(said["of"] or 0) in (table[winners[0]][1], len(facts.content["answer"]["counted"])), True)
-    counted = len(facts.content["answer"]["counted"])
-    yield from same("limited", bool(said["limit"]), int(said["of"] or 0) < counted)
+    table, winners, counted = standings(facts), names.split(" or "), len(facts.content["answer"]["counted"])
+    yield from _led(facts, winners, said)
+    for what in ("rivals", "undecided"):
+        yield from same(what, facts.content["answer"][what], [])
+    yield from same("may lead as often", _undecided(facts), [])
+    most = max(led for led, _ in table.values())
+    as_often = [name for name, (led, _) in table.items() if led == most and name not in winners]
+    counts = {what: re.fullmatch(r"(\d+) methods", said[what] or "") for what in ("beaten", "behind")}
+    stated = {what: [] if counts[what] else list_of(said[what] or "") if said[what] else [] for what in counts}
+    yield from same(
+        "as often", sum(int(c[1]) for c in counts.values() if c) + sum(map(len, stated.values())), len(as_often)
+    )
+    yield from same("named", [one for own in stated.values() for one in own if one not in as_often], [])
+    yield from same("not beaten", [name for name in stated["beaten"] if not facts.better(name)], [])
+    yield from same("not behind", [name for name in stated["behind"] if not _ahead(facts, name)], [])
+    yield from same("behind", [name for name in winners if _ahead(facts, name)], [])
     others = {name: (led, part) for name, (led, part) in table.items() if name not in winners and part}
     most = max((led for led, _ in others.values()), default=0)
     yield from same("no other on any", bool(said["none"]), bool(others) and not most)
-    yield from same("the next best is named", bool(said["next"]), bool(most))
     if said["next"]:
         yield from same("next best", (int(said["next_led"] or 0), int(said["next_of"] or 0)), others.get(said["next"]))
         yield from same("next best leads", int(said["next_led"] or 0), most)
         yield from same("next best limited", bool(said["next_limit"]), int(said["next_of"] or 0) < counted)
         yield from same("all", bool(said["all"]), bool(said["limit"]) and not said["next_limit"])
+    elif most and not as_often and others:
+        first = [name for name, (led, _) in others.items() if led == most]
+        yield from same("next best, not beaten", [one for one in first if not set(facts.better(one)) & set(others)], [])
+
+
+def _led(facts: Facts, winners: list[str], said: Mapping[str, str | None]) -> Iterator[str]:
+    """Check on how many data sets the methods of a title lead, of those that count for each."""
+    table, counted = standings(facts), len(facts.content["answer"]["counted"])
+    yield from same("winners", set(winners), set(facts.content["answer"]["winners"]))
+    if said["bare"]:
+        true = {table[name] for name in winners if name in table}
+        yield from same("leads", {int(said["bare"])}, {led for led, _ in true})
+        yield from same("other numbers", len(true) > 1, True)
+        return
+    stated = [(int(led), int(of)) for led, of in re.findall(r"(\d+) of (\d+)", said["counts"] or "")]
+    true = [table[name] for name in winners if name in table]
+    yield from same("leads", stated, true if len(set(true)) > 1 else true[:1])
+    yield from same("most", {led for led, _ in stated}, {max(led for led, _ in table.values())})
+    yield from same("limited", bool(said["limit"]), any(of < counted for _, of in stated))
+
+
+def _undecided(facts: Facts) -> list[str]:
+    """Return the methods that would lead as often as the winners if they were tied where too few runs decide.
+
+    Without those that the signed-rank tests find worse, even without adjustment.
+    """
+    answer, table = facts.content["answer"], standings(facts)
+    shared = [one for one in answer["counted"] if set(leaders(facts, one)) & set(answer["winners"])]
+    found = []
+    for name, (led, _) in table.items():
+        where = [one for one in shared if not facts.by_maps(one) and facts.standing(one, name) == "undecided"]
+        most = max(own for own, _ in table.values())
+        if where and led + len(where) >= most and name not in answer["winners"]:
+            found += [] if set(facts.better(name)) & set(answer["winners"]) else [name]
+    return found
 
 
 @kind(
     IN_ANSWER,
-    r"(?P<names>[^:]+?) (?:is|are each) best or tied on (?P<led>\d+) of (?P<of>\d+) data sets?"
-    rf"(?:{LIMIT})?, "
-    r"but (?P<rivals>.+?) (?:has|have) smaller errors (?:where both ran|where they ran too)\.",
+    rf"No method is ahead: (?P<names>[^:]+?) (?:is best or tied on {COUNTS}|leads on (?P<where>.+?)), "
+    r"but (?P<rivals>.+?) (?:(?P<tested>has|have) smaller errors in paired tests|"
+    r"leads? more often where (?:both count|they count too))\.",
 )
-def not_recommended(facts: Facts, names: str, rivals: str, **said: str) -> Iterator[str]:
+def not_recommended(facts: Facts, names: str, rivals: str, where: str | None, **said: str | None) -> Iterator[str]:
     """The paired tests find every method named better; their adjustment may leave out others."""
-    table, winners, true = standings(facts), list_of(names), facts.content["answer"]["rivals"]
-    yield from same("winners", set(winners), set(facts.content["answer"]["winners"]))
-    for name in winners:
-        yield from same(f"{name} leads", int(said["led"]), table[name][0])
-    yield from same("most", int(said["led"]), max(led for led, _ in table.values()))
-    yield from same("of", int(said["of"]) in (table[winners[0]][1], len(facts.content["answer"]["counted"])), True)
+    winners, true = list_of(names), facts.content["answer"]["rivals"]
+    if where:
+        yield from same("counted", facts.content["answer"]["counted"], [where])
+    else:
+        yield from _led(facts, winners, said)
     yield from same("rivals", [f"{len(true)} methods"] if len(true) > 2 else true, list_of(rivals))
-    better = {one for winner in winners for one in facts.better(winner)}
+    better = {one for winner in winners for one in (facts.better if said["tested"] else partial(_ahead, facts))(winner)}
     yield from same("not better", [one for one in true if one not in better], [])
+
+
+def _ahead(facts: Facts, winner: str) -> list[str]:
+    """Return the methods that lead more often than another one where both count."""
+    found = []
+    for name in facts.methods:
+        both = [
+            one for one in facts.content["answer"]["counted"] if all(takes_part(facts, one, m) for m in (winner, name))
+        ]
+        own, its = (sum(method in leaders(facts, one) for one in both) for method in (winner, name))
+        found += [name] if its > own else []
+    return found
+
+
+@kind(
+    IN_ANSWER,
+    rf"(?P<names>[^:]+?) (?:each )?leads? on (?:{COUNTS}|(?P<where>.+?))(?P<fit> by the fit to the known map)?, "
+    r"but (?:is|are) not told apart from (?P<others>.+?) by these runs\.",
+)
+def not_told_apart(facts: Facts, names: str, others: str, where: str | None, **said: str | None) -> Iterator[str]:
+    winners, answer = list_of(names), facts.content["answer"]
+    yield from same("rivals", answer["rivals"], [])
+    true = answer["undecided"]
+    yield from same("not told apart", list_of(others), [f"{len(true)} methods"] if len(true) > 3 else true)
+    yield from same("may lead as often", [one for one in _undecided(facts) if one not in true], [])
+    if where:
+        yield from same("counted", answer["counted"], [where])
+        yield from same("winners", set(winners), set(leaders(facts, where)))
+        yield from same("by the fit", bool(said["fit"]), facts.by_fit(where))
+    else:
+        yield from _led(facts, winners, said)
+
+
+@kind(IN_ANSWER, r"Only (?P<where>.+?) counts? for all methods: (?P<listed>.+?)\.(?= [A-Za-z]|$)")
+def all_count_only(facts: Facts, where: str, listed: str) -> Iterator[str]:
+    over = facts.content["answer"]["counted"]
+    part = {one: {name for name in facts.methods if takes_part(facts, one, name)} for one in over}
+    every = set().union(*part.values())
+    yield from same("all methods count", list_of(where), [one for one in over if part[one] == every])
+    for names, how, place in re.findall(
+        r"(?:^|, )(.+?) (?:is|are) (best or tied|best) (?:there|on (.+?)(?=,|$))", listed
+    ):
+        one = place or where
+        true = list(leaders(facts, one))
+        yield from same(f"lead on {one}", [f"{len(true)} methods"] if len(true) > 3 else true, list_of(names))
+        yield from same(f"best on {one}", how == "best", facts.outcome(one) == "winner")
 
 
 @kind(IN_ANSWER, r"(?:Its settings|Settings of (?P<name>.+?)) were chosen on (?P<where>[^.]+?)\.(?= [A-Z0-9]|$)")
@@ -130,14 +223,13 @@ def where_both_count(facts: Facts, own: str, of: str, its: str, also: str) -> It
     IN_ANSWER,
     r"Take (?P<names>.+?): (?P<how>tied for the best|best|ahead|the best map) o[nf] (?P<where>.+?)"
     r"(?P<fit> by the fit to the known map)?"
-    r"(?:, which has .+?|, but not told apart from (?P<others>.+?) by these runs)?\.",
+    r"(?:, which has .+?)?\.",
 )
-def take_one(facts: Facts, names: str, how: str, where: str, fit: str | None, others: str | None) -> Iterator[str]:
+def take_one(facts: Facts, names: str, how: str, where: str, fit: str | None) -> Iterator[str]:
     yield from same("by the fit", bool(fit), facts.by_fit(where))
-    undecided = [one for one in facts.led(where)[0] if one not in facts.led(where)[1]]
-    named = undecided if len(undecided) <= 3 else [f"{len(undecided)} others"]
-    yield from same("not told apart", list_of(others) if others else [], named if how in {"ahead", "best"} else [])
-    yield from same("ahead", how == "ahead", bool(others))
+    yield from same("may lead", _undecided(facts), [])
+    undecided = len(facts.led(where)[0]) > len(facts.led(where)[1])
+    yield from same("ahead", how == "ahead", undecided and len(facts.led(where)[1]) == 1)
     yield from same("counted", facts.content["answer"]["counted"], [where])
     yield from same("winners", set(names.split(" or ")), set(leaders(facts, where)))
     yield from same("by maps", how == "the best map", facts.by_maps(where))
@@ -147,12 +239,14 @@ def take_one(facts: Facts, names: str, how: str, where: str, fit: str | None, ot
 @kind(
     IN_ANSWER,
     r"No method is ahead: (?:all )?(?P<count>\d+) methods are (?:each )?(?:tied|best or tied) on "
-    r"(?:(?P<led>\d+) of (?P<of>\d+) data sets|(?P<where>.+?))(?: by the fit to the known map)?\.$",
+    r"(?:(?P<led>\d+)(?: of (?P<of>\d+))? data sets?|(?P<where>.+?))(?: by the fit to the known map)?\.$",
 )
 def all_tied(facts: Facts, count: str, led: str | None, of: str | None, where: str | None) -> Iterator[str]:
     own, most = facts.content["answer"]["counted"], max(one for one, _ in standings(facts).values())
+    bases = {part for one, part in standings(facts).values() if one == most}
     yield from same("methods", int(count), sum(one == most for one, _ in standings(facts).values()))
-    yield from same("data sets", (int(led or 1), int(of or 1)), (most, len(own)))
+    yield from same("leads", int(led or 1), most)
+    yield from same("of", int(of or len(own)) if of or where else 0, len(own) if bases == {len(own)} or where else 0)
     yield from same("data set", [where] if where else own, own)
     yield from no_answer(facts)
 
@@ -164,17 +258,19 @@ CAUSES = {
     "unfinished": r"(.+?) did not complete every run with a value",
     "absent": r"(.+?) did not run",
 }
+BARE = r"the geometry of (.+?) does not determine the pose"
 
 
 @kind(
     IN_ANSWER,
     r"(?:Only (?P<only>.+?) is|No method is) ranked: "
-    r"(?P<why>(?:settings of |[^:.]+? (?:lost|registered|did not)).+?)\.$",
+    r"(?P<why>(?:settings of |the geometry of |[^:.]+? (?:lost|registered|did not)).+?)\.$",
 )
 def not_ranked(facts: Facts, why: str, only: str | None) -> Iterator[str]:
     """Each method that is not ranked is named once, by a cause that holds for it somewhere."""
     yield from no_answer(facts)
-    metrics = {where: metric for where in facts.runs if (metric := facts.deciding(where)) is not None}
+    bare = [one for one in facts.runs if facts.content["sequences"][one]["degenerate"]]
+    metrics = {one: metric for one in facts.runs if one not in bare and (metric := facts.deciding(one)) is not None}
     ranked = {one for where, metric in metrics.items() for one in facts.ranked(where, metric)}
     yield from same("ranked", ranked, {only} if only else set())
     left = {
@@ -185,12 +281,15 @@ def not_ranked(facts: Facts, why: str, only: str | None) -> Iterator[str]:
         for cause, holds in (
             ("tuned", one.tuned), ("lost", one.lost_s is not None), ("guessed", one.guessed > 50.0),
             ("unfinished", not one.complete == one.expected == len(one.values)),
-            ("absent", all(run["status"] in NOT_STARTED for run in facts.runs[where][name])),
+            ("absent", all(run["status"] in NOT_EXECUTED for run in facts.runs[where][name])),
         )
         if holds
     }  # fmt: skip
     named = 0
     for clause in why.split("; "):
+        if match := re.fullmatch(BARE, clause):
+            yield from same("degenerate", list_of(match[1]), bare)
+            continue
         cause, match = next((c, m) for c, pattern in CAUSES.items() if (m := re.fullmatch(pattern, clause)))
         if count := re.fullmatch(r"(\d+) methods", match[1]):
             named += int(count[1])
@@ -298,7 +397,7 @@ def cheapest(
         yield from check_amount("times the time", cpu, spent or math.inf)
     if times:
         yield from check_amount("times the error", times, error or math.inf)
-    if ms or cpu or times:
+    if cpu or times:
         yield from same("both count", [int(shared or counted), int(of or counted)], [both, counted])
 
 
@@ -339,10 +438,14 @@ def _lost(facts: Facts) -> dict[str, dict[str, str]]:
     return table
 
 
-@kind(IN_PILLS, r"(?P<count>\d+) methods (?P<what>lost the track on|did not finish) a sequence(?:: (?P<listed>.+))?$")
-@kind(IN_PILLS, r"(?P<method>.+?) (?P<what>lost the track on|did not finish) (?P<where>.+)$")
+@kind(
+    IN_PILLS,
+    r"(?P<count>\d+) methods (?P<what>lost the track|did not finish)(?: on)?(?: a sequence| outside (?P<other>[^:]+))"
+    r"(?:: (?P<listed>.+))?$",
+)
+@kind(IN_PILLS, r"(?P<method>.+?) (?P<what>lost the track|did not finish)(?: on)? (?P<where>.+)$")
 def lost_pill(
-    facts: Facts, what: str, count: str = "", listed: str = "", method: str = "", where: str = ""
+    facts: Facts, what: str, count: str = "", other: str = "", listed: str = "", method: str = "", where: str = ""
 ) -> Iterator[str]:
     table = _lost(facts) if what.startswith("lost") else {}
     for run in facts.content["runs"] if not what.startswith("lost") else ():
@@ -350,6 +453,9 @@ def lost_pill(
             table.setdefault(run["method"], {})[run["sequence"]] = ""
     if count:
         yield from same(what, int(count), len(table))
+        flat = [one for one, card in facts.content["sequences"].items() if card["degenerate"]] if "lost" in what else []
+        lost_there = [one for one in flat if any(run["lost_at_s"] is not None for run in runs_of(facts, [one]))]
+        yield from same("other than", list_of(other) if other else [], lost_there)
     for name in filter(None, (method, *(listed or "").split(", "))):
         yield from same(f"{name} {what}", name in table, True)
     for name, words in re.findall(rf"(?:^|, | and )(\S+) \(({LOSS})\)", where):
@@ -419,10 +525,14 @@ def tuned_pill(facts: Facts, methods: str, where: str) -> Iterator[str]:
 def not_counted_pill(facts: Facts, where: str) -> Iterator[str]:
     named = []
     for part in where.split("; "):
-        own = list_of(part.removesuffix(" (all tied)"))
+        own = list_of(part.removesuffix(" (all tied)").removesuffix(" (not told apart)"))
         named += own
         if part.endswith(" (all tied)"):
             yield from same("all tied", [one for one in own if not facts.all_tied(one)], [])
+        known = [one for one in own if one in facts.runs]
+        truth = [one for one in known if not facts.by_maps(one) and not facts.by_fit(one)]
+        apart = [one for one in truth if facts.outcome(one) == "tied" and not facts.all_tied(one)]
+        yield from same("not told apart", own if part.endswith(" (not told apart)") else [], apart)
     for one in named:
         without = one in facts.runs and one not in facts.content["answer"]["counted"]
         yield from same(f"{one} not counted", without, True)

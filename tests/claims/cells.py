@@ -76,8 +76,6 @@ def _check_row(facts: Facts, label: str, heads: list[str], row: list[tuple[str, 
         for head, cell in zip(heads[2:-1], row[2:-1], strict=True):
             where = _longest(facts.runs, head) or ""
             metric = facts.deciding(where)
-            if head.startswith(f"{where}, corrected"):
-                metric = next(name for name, one in facts.metrics.items() if one["counterpart"] == metric)
             if metric:
                 yield from _check_cell(facts, where, metric, named, cell)
     elif label.startswith("All metrics on "):

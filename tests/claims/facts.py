@@ -32,6 +32,7 @@ class Found:
     lost_s: float | None = None
     lost_runs: int = 0
     recovered_s: list[float] = field(default_factory=list)
+    supports: list[int] = field(default_factory=list)
     tuned: bool = False
     perturbed: bool = False
     guessed: float = 0.0
@@ -45,7 +46,7 @@ class Found:
     def ranks(self) -> bool:
         """Whether the method is ranked."""
         whole = self.complete == self.expected == len(self.values) and self.guessed <= 50.0
-        return whole and self.lost_s is None and not self.tuned
+        return bool(self.values) and whole and self.lost_s is None and not self.tuned
 
 
 class Facts:
@@ -85,7 +86,8 @@ class Facts:
     def _find(self, method: str, runs: Sequence[Mapping[str, Any]], metric: str) -> Found:
         runtime = self.metrics[metric]["group"] == "runtime"
         tuned = runs[0]["dataset"] in self.content["methods"][method]["tuned_on"] and not runtime
-        found = Found(expected=len(runs), tuned=tuned, perturbed="nuisance" in runs[-1]["dataset_parameters"])
+        expected = sum(run["status"] != "interrupted" for run in runs)
+        found = Found(expected=expected, tuned=tuned, perturbed="nuisance" in runs[-1]["dataset_parameters"])
         guessed = []
         for run in runs:
             if run["status"] != "complete":
@@ -96,6 +98,7 @@ class Facts:
             guessed += [] if kept is None else [kept]
             if value is not None:
                 found.values[run["seed"]] = value
+                found.supports.append(run["scores"][metric]["support"])
         found.guessed = median(guessed) if guessed else 0.0
         lost = [run["lost_at_s"] for run in runs if run["lost_at_s"] is not None]
         found.lost_runs = len(lost)
@@ -146,6 +149,17 @@ class Facts:
         low, middle, high = (scale * math.expm1(min(x, 50.0)) if logs else x for x in (mean - half, mean, mean + half))
         return middle, low, high, count
 
+    def detects_double(self, sequence: str, metric: str, one: str, other: str) -> bool:
+        """Return whether the common runs detect, in four cases of five, that one value is twice the other."""
+        first, second = (self.find(sequence, metric)[name].values for name in (one, other))
+        seeds = [seed for seed in first if seed in second]
+        apart = [math.log(first[seed] / second[seed]) for seed in seeds]
+        error, freedom = stats.sem(apart), len(seeds) - 1
+        shift = math.log(2.0) / error if error else math.inf
+        alpha = 1.0 - self.confidence(len(seeds), self.find(sequence, metric)[one].perturbed)
+        limit = stats.t.ppf(1.0 - 0.5 * alpha, freedom)
+        return bool(shift > 1e6 or stats.nct.sf(limit, freedom, shift) + stats.nct.cdf(-limit, freedom, shift) >= 0.8)
+
     @staticmethod
     def confidence(pairs: int, perturbed: bool) -> float:
         """Return the confidence of a difference."""
@@ -163,10 +177,15 @@ class Facts:
         points = 1.0 if one["group"] == "localisation" and one["unit"] == "%" else 0.0
         return max(0.05 * abs(better), 10.0 ** -one["digits"], 0.002 if position else points)
 
-    def floor(self, metric: str) -> float:
-        """Return the accuracy of the ground truth."""
-        one = self.metrics[metric]
-        return {"m": 0.03, "deg": 0.4, "°": 0.4}.get(one["unit"], 0.0) if one["group"] == "relations" else 0.0
+    def floor(self, sequence: str, metric: str, *methods: str) -> float:
+        """Return what errors of the ground truth can make of the difference of two methods."""
+        card = self.metrics[metric]
+        one = {"m": 0.03, "deg": 0.4}.get(card["unit"], 0.0) if card["group"] == "relations" else 0.0
+        return max(one / 6.0, 2.0 * one / math.sqrt(self.relations(sequence, metric, *methods))) if one else 0.0
+
+    def relations(self, sequence: str, metric: str, *methods: str) -> int:
+        """Return how many relations a run of each method has at least, by the medians."""
+        return min(int(median(self.find(sequence, metric)[name].supports)) for name in methods)
 
     def is_worse(self, sequence: str, metric: str, one: str, other: str) -> bool:
         """Return whether one method is clearly worse than another."""
@@ -178,7 +197,7 @@ class Facts:
         if apart is None or sign * (medians[0] - medians[1]) <= 0.0 or sign * apart[0] <= 0.0:
             return False
         better = min(medians) if sign > 0.0 else max(medians)
-        least = max(self.margin(metric, better), self.floor(metric))
+        least = max(self.margin(metric, better), self.floor(sequence, metric, one, other))
         return abs(apart[0]) >= least * (1.0 - 1e-9) and self.shows(sequence, metric, one, apart)
 
     def led(self, sequence: str, metric: str | None = None) -> tuple[list[str], list[str]]:
@@ -197,9 +216,10 @@ class Facts:
             size = abs(found[one].median - found[first].median)
             if apart is None:
                 return False
-            least = max(self.margin(metric, found[first].median), self.floor(metric))
+            floor = self.floor(sequence, metric, one, first)
+            least = max(self.margin(metric, found[first].median), floor)
             shown = self.shows(sequence, metric, one, apart)
-            close = abs(apart[0]) < self.floor(metric) or (shown and abs(apart[0]) < least)
+            close = abs(apart[0]) < floor or (shown and abs(apart[0]) < least)
             return close or size <= max(0.25 * abs(found[first].median), self.margin(metric, found[first].median))
 
         return tied, [one for one in tied if one == first or near(one)]
@@ -216,6 +236,8 @@ class Facts:
         barred = ("degenerate", "disagreement") if decides else ("degenerate",)
         if method not in ranked or not repeated or self.outcome(where) in barred:
             return "not comparable"
+        if decides and method in near and self.by_maps(where) and method not in self.agreed(where):
+            return "undecided"
         if method in near:
             return "best" if len(tied) == 1 and len(ranked) > 1 else "tied"
         if method in tied:

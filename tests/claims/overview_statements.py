@@ -7,15 +7,28 @@ from collections.abc import Iterator
 
 from amounts import list_of
 from facts import Facts
-from statements import IN_OVERVIEW, kind, same
+from statements import BROKEN, IN_OVERVIEW, kind, same
 
 END = r"\.(?= [A-Z]|$)"
 
 
 def counted(facts: Facts) -> list[str]:
     """Return the sequences that count in the tally."""
-    own = [one for one in facts.runs if facts.outcome(one) in ("winner", "tied")]
+    own = [one for one in facts.runs if facts.outcome(one) in ("winner", "tied") or one in _held_alone(facts)]
     return [one for one in own if not facts.by_maps(one) and not facts.by_fit(one)]
+
+
+def _held_alone(facts: Facts) -> list[str]:
+    """Return the sequences that count though one method alone is ranked: another one broke or lost the track there."""
+    found = []
+    for where in facts.content["answer"]["counted"]:
+        if facts.outcome(where) == "single":
+            others = [one for one in facts.runs[where] if one not in facts.ranked(where, facts.deciding(where) or "")]
+            broken = [one for one in others if any(run["status"] in BROKEN for run in facts.runs[where][one])]
+            own = facts.find(where, facts.deciding(where) or "")
+            lost = [one for one in others if own[one].lost_s is not None]
+            found += [where] if any(not own[one].tuned for one in (*broken, *lost)) else []
+    return found
 
 
 @kind(IN_OVERVIEW, r"No sequence has both ground truth and repeated runs to compare, so there is no overall winner\.")
@@ -41,6 +54,7 @@ def wins(facts: Facts, count: str | None, listed: str) -> Iterator[str]:
         "the best methods are tied": [one for one in tied if one not in (*every, *alone)],
         "all ranked methods are tied": every,
         "too few runs show a leader": alone,
+        "one method alone is ranked": _held_alone(facts),
     }
     for words, true in groups.items():
         match = re.search(rf"{words} on (\d+) sequences? \((.+?)\)", listed)
@@ -54,7 +68,7 @@ def reference_over_all(facts: Facts, method: str, listed: str) -> Iterator[str]:
         "loses": "worse", "lost the track on": "lost", "is not comparable on": "not comparable",
         "has too few runs to tell on": "undecided", "is tied with the best on": "tied", "wins": "best",
     }  # fmt: skip
-    own = counted(facts)
+    own = [one for one in counted(facts) if one not in _held_alone(facts)]
     for verb, wanted in verbs.items():
         true = [one for one in own if method in facts.runs[one] and facts.standing(one, method) == wanted]
         match = re.search(rf"{verb} (\d+) of (\d+) \((.+?)\)", listed)
@@ -108,7 +122,10 @@ def not_counted(facts: Facts, listed: str) -> Iterator[str]:
     tied = re.search(r"(?:^|\), |\) and )([^()]+) \(all tied\)", listed)
     every = [one for one in counted(facts) if facts.all_tied(one) and one not in in_title]
     yield from same("all tied", list_of(tied[1]) if tied else [], every)
-    own = [one for one in counted(facts) if one not in every]
+    apart = re.search(r"(?:^|\), |\) and )([^()]+) \(not told apart\)", listed)
+    undecided = [one for one in counted(facts) if one not in (*in_title, *every)]
+    yield from same("not told apart", list_of(apart[1]) if apart else [], undecided)
+    own = [one for one in counted(facts) if one not in (*every, *undecided)]
     for one in facts.runs:
         named = re.search(rf"(?:^|[ ,]){re.escape(one)}(?: \(|,| and |$)", listed) is not None
         yield from same(f"{one} not counted", named, one not in own)

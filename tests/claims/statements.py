@@ -10,9 +10,11 @@ from typing import Any
 from amounts import AMOUNT, check_amount, check_difference, check_gap, check_median, list_of
 from facts import MEASURES, Facts
 
-NOT_STARTED = ("not-installed", "data-missing", "skipped", "interrupted")
+NOT_STARTED = ("not-installed", "data-missing", "skipped")
+NOT_EXECUTED = (*NOT_STARTED, "interrupted")
 BROKEN = ("failed", "crashed", "timeout", "out-of-memory")
 WORDS = {"timeout": "timed out", "skipped": "not run yet"}
+UP_TO = rf"(?: \(interval up to (?P<up_to>{AMOUNT})\))?"
 SPREAD = r"[^()]*(?:\([^()]*\))?"
 """A median with its interval, unread."""
 LOSS = r"(?:in \d+ of \d+, (?:first )?)?at \d+ s(?:, found at \d+ s|, \d+ found again)?"
@@ -106,6 +108,12 @@ def could_not_start(facts: Facts, *where: str, listed: str) -> Iterator[str]:
     yield from _statuses(facts, where, listed, NOT_STARTED)
 
 
+@kind(IN_VERDICTS, r"Left out: (?P<listed>.+?)\.(?= [A-Z]|$)")
+@kind(IN_OVERVIEW, r"Left out: (?P<listed>.+?)\.(?= [A-Z]|$)")
+def left_out(facts: Facts, *where: str, listed: str) -> Iterator[str]:
+    yield from _statuses(facts, where, listed, ("interrupted",))
+
+
 @kind(IN_VERDICTS, r"The data are damaged: (?P<listed>.+?)\.(?= [A-Z]|$)")
 def damaged(facts: Facts, where: str, listed: str) -> Iterator[str]:
     for count, name, percent in re.findall(r"([\d,]+) ([^()]+?) \((\d+) % of the scans\)", listed):
@@ -185,12 +193,16 @@ def _check_tie(facts: Facts, where: str, metric: str, one: str, other: str, why:
     )
     better = facts.find(where, metric)[one].median
     size = abs(apart[0]) if apart else 0.0
-    if match := re.match(rf"they differ by less than the accuracy of the ground truth \(({AMOUNT})\)", why):
-        yield from check_amount("accuracy of the truth", match[1], facts.floor(metric))
-        yield from same("below the accuracy", size < facts.floor(metric), True)
-    elif match := re.fullmatch(r"they are less than (.+?) apart, which does not matter here", why):
+    floor = facts.floor(where, metric, one, other)
+    exact = rf"they differ by less than the accuracy of the ground truth \(({AMOUNT}) over (\d+) relations\)"
+    if match := re.fullmatch(exact, why):
+        yield from check_amount("accuracy of the truth", match[1], floor)
+        yield from same("relations", int(match[2]), facts.relations(where, metric, one, other))
+        yield from same("below the accuracy", size < floor, True)
+    elif match := re.fullmatch(rf"they are at most (.+?){UP_TO} apart, which does not matter here", why):
         yield from same("margin", match[1], _name_margin(facts, metric, better))
-        yield from same("within the margin", size <= facts.margin(metric, better) and size >= facts.floor(metric), True)
+        yield from _check_up_to(facts, where, metric, one, [other], match["up_to"])
+        yield from same("within the margin", size <= facts.margin(metric, better) and size >= floor, True)
     elif why == "they are equal to every printed digit":
         yield from same("equal", size < 10.0 ** -facts.metrics[metric]["digits"], True)
     elif match := re.fullmatch(r"they have (\d+) pairs of perturbed runs, and a verdict takes 6", why):
@@ -202,8 +214,11 @@ def _check_tie(facts: Facts, where: str, metric: str, one: str, other: str, why:
         yield from check_difference(facts, where, metric, other, one, match[2], match[1])
         yield from same("may be chance", apart is not None and not (apart[1] > 0.0 or apart[2] < 0.0), True)
         yield from same("is worse", apart is not None and sign * apart[0] >= 0.0, True)
-        detects = match[3].startswith("these runs can detect a difference of")
+        doubled = match[3] == "these runs do not even detect a value twice as large"
+        detects = doubled or match[3].startswith("these runs can detect a difference of")
         yield from same("too small to settle", detects, size < facts.margin(metric, better))
+        if detects:
+            yield from same("not even twice", doubled, not facts.detects_double(where, metric, other, one))
         if not detects:
             yield from same(
                 "need", bool(re.match(r"(about \d+|more than 200) runs of each would settle", match[3])), True
@@ -219,6 +234,18 @@ def _check_tie(facts: Facts, where: str, metric: str, one: str, other: str, why:
 def also_tied(facts: Facts, where: str, listed: str) -> Iterator[str]:
     tied, small = [one for one in facts.led(where)[1] if one not in facts.led(where)[0][:2]], _find_small(facts, where)
     yield from same("tied", list_of(listed), [one for one in tied if one not in small])
+
+
+def _check_up_to(
+    facts: Facts, where: str, metric: str, first: str, others: Sequence[str], up_to: str | None
+) -> Iterator[str]:
+    """Check the largest bound of the differences from the first, stated beyond the margin; two pairs have none."""
+    apart = [facts.difference(where, metric, one, first) for one in others]
+    bound = max((max(abs(one[1]), abs(one[2])) for one in apart if one and one[3] > 2), default=0.0)
+    least = facts.margin(metric, facts.find(where, metric)[first].median)
+    yield from same("interval", up_to is not None, bound > least)
+    if up_to is not None:
+        yield from check_amount("interval", up_to, bound)
 
 
 def _name_margin(facts: Facts, metric: str, better: float) -> str:
@@ -243,16 +270,19 @@ def _find_small(facts: Facts, where: str) -> list[str]:
         for one, found in apart.items()
         if found is not None
         and facts.shows(where, metric, one, found)
-        and facts.floor(metric) <= sign * found[0] < facts.margin(metric, first)
+        and facts.floor(where, metric, one, tied[0]) <= sign * found[0] < facts.margin(metric, first)
         and sign * (facts.find(where, metric)[one].median - first) > 0.0
     ]
 
 
-@kind(IN_VERDICTS, r"Worse by less than (?P<least>.+?), which does not matter here: (?P<listed>.+?)\.(?= [A-Z]|$)")
-def too_small(facts: Facts, where: str, least: str, listed: str) -> Iterator[str]:
-    metric = facts.deciding(where) or ""
-    first = facts.find(where, metric)[facts.led(where)[0][0]].median
-    yield from same("margin", least, _name_margin(facts, metric, first))
+@kind(
+    IN_VERDICTS,
+    rf"Worse by at most (?P<least>.+?){UP_TO}, which does not matter here: (?P<listed>.+?)\.(?= [A-Z]|$)",
+)
+def too_small(facts: Facts, where: str, least: str, up_to: str | None, listed: str) -> Iterator[str]:
+    metric, first = facts.deciding(where) or "", facts.led(where)[0][0]
+    yield from same("margin", least, _name_margin(facts, metric, facts.find(where, metric)[first].median))
+    yield from _check_up_to(facts, where, metric, first, list_of(listed), up_to)
     yield from same("too small", list_of(listed), _find_small(facts, where))
 
 

@@ -103,15 +103,24 @@ def _cases(record, build):
     yield _disturbed(winner, RunConditions(load=0.2, other_percent=7.1, waited_percent=9.0, busy_threads=2))
     yield _disturbed(winner, RunConditions(steal_percent=2.4), RunConditions(other_percent=40.0, waited_percent=6.0))
     yield pair([0.010, 0.011, 0.025], [0.019, 0.022, 0.024], *_seeds(record, "c", [0.013, 0.3, 0.2]))
+    few = {name: (clear[0][0], clear[0][1] * scale) for name, scale in (("a", 1.0), ("b", 4.0), ("c", 40.0))}
+    where = (("room", "abc"), ("hall", "abc"), ("cave", "ab"))
+    yield build([one for room, own in where for name in own for one in _seeds(record, name, few[name], room=room)])
     yield pair([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], [0.5, 1.0, 1.5, 4.2, 4.3, 5.0, 5.8])
+    yield pair([1.0, 3.0], [1.15, 2.87])
+    far = [0.0117, 0.0118, 0.0119]
+    yield pair([0.01] * 3, far)
+    yield pair([0.01] * 3, [0.0111] * 3, *_seeds(record, "c", far))
     yield pair([0.0100, 0.0110], [0.0115, 0.01265])
     yield pair([1.0, 1.1], [1.0, 1.1], *_seeds(record, "c", [1.01, 1.1]))
     yield pair([0.0100, 0.0110], [0.0110, 0.01205], *_seeds(record, "c", [0.0113, 0.0124]))
-    yield pair([0.051] * 3, [0.08] * 3, metric="relations_mean_m")
+    yield pair([0.051] * 3, [0.058] * 3, metric="relations_mean_m")
     yield pair([0.05, 0.04], [0.09, 0.3], metric="relations_mean_m")
     yield pair([0.90, 0.92, 0.91], [0.70, 0.72, 0.73], metric="map_f1")
     yield pair([0.05], [0.08], *_seeds(record, "paper", [0.02]))
     yield pair([0.05, 0.06], [None, 0.08])
+    stopped = record("a", "room", {}, status="interrupted", reason="no space left on device", answered=9, seed=3)
+    yield pair(*clear, stopped)
     yield pair(*clear, guess_kept_percent=60.0)
     yield build(
         [
@@ -126,6 +135,9 @@ def _cases(record, build):
     yield build(_lost([*_seeds(record, "a", [1.0, 2.0, 2.1]), *_seeds(record, "b", [1.0, 1.2, 1.1])], 7.0))
     cards = {"room": replace(winner.sequences["room"], degenerate="A corridor without ends.")}
     yield replace(winner, sequences=cards)
+    both = build([*winner.records, *(one for name in "ab" for one in _seeds(record, name, [0.1, 0.2], room="hall"))])
+    both = replace(both, sequences={**both.sequences, **cards})
+    yield replace(both, methods={name: replace(card, tuned_on=("hall",)) for name, card in both.methods.items()})
     doubtful = {"room": replace(winner.sequences["room"], warnings=("heading 0 deg, but the scans show 9: check it",))}
     yield replace(winner, sequences=doubtful)
     yield replace(winner, methods={**winner.methods, "a": replace(winner.methods["a"], tuned_on=("room",))})
@@ -142,6 +154,19 @@ def _cases(record, build):
         for seed in range(2)
     ])  # fmt: skip
     yield replace(limited, methods={**limited.methods, "a": replace(limited.methods["a"], tuned_on=("yard",))})
+    alone = {"lab": {"a": 0.01}, "hall": {"b": 0.01}}
+    either = {"room": {"a": 0.01, "b": 0.02}, "attic": {"a": 0.02, "b": 0.01}}
+    for more in (
+        {**either, "yard": {"a": 0.02, "b": 0.02, "c": 0.01}},
+        {"room": either["room"], "yard": {"a": 0.01, "b": 0.01}, "cave": {"b": 0.01}},
+    ):
+        yield build([
+            one for where, own in {**alone, **more}.items() for name, error in {**own, "d": 0.1}.items()
+            for one in _seeds(record, name, [error, 1.1 * error], room=where, cpu_median_ms=1.0 + "abcd".index(name))
+        ])  # fmt: skip
+    held = [one for one in three.records if (one.method, one.sequence) == ("a", "room")]
+    yield build([*_lost([one for one in three.records if one.sequence == "room" and one.method != "a"], 5.0), *held,
+                 *(one for one in three.records if one.sequence == "hall")])  # fmt: skip
     twice = 2 * clear[0], 2 * clear[1]  # perturbations of a recording need six runs for a verdict
     yield build(_perturbed([*_seeds(record, "a", twice[0]), *_seeds(record, "b", twice[1])], scans=400))
     yield build(_perturbed([*_seeds(record, "a", clear[0]), *_seeds(record, "b", clear[1])], scans=400))
@@ -153,6 +178,10 @@ def _cases(record, build):
         *_lost(_seeds(record, "a", clear[0])[:2], 5.0, 31.0), *_seeds(record, "a", clear[0])[2:],
         *(one for name in "bc" for one in _seeds(record, name, clear[1])),
     ])  # fmt: skip
+    lost = [one for name in "abc" for one in _lost(_seeds(record, name, clear[0]), 12.0)]
+    flat = build([*lost, *_lost(_seeds(record, "d", clear[0], room="corridor"), 5.0)])
+    corridor = replace(flat.sequences["corridor"], degenerate="A corridor without ends.")
+    yield replace(flat, sequences={**flat.sequences, "corridor": corridor})
     yield build(_maps(record, a=(0.1, 20.0, 5.0, 0.02), b=(0.2, 60.0, 9.0, 0.05), wheel=(0.4, 90.0, 20.0, 0.09)))
     tied = {"a": (0.1, 20.0, 5.0, 0.02), "c": (0.1004, 20.0, 5.0, 0.02), "b": (0.1002, 20.0, 5.0, 0.06)}
     yield build(_maps(record, **tied))

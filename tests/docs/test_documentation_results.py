@@ -19,10 +19,8 @@ from evalkit.report import results_json
 from evalkit.report.analysis.analysis import analyse
 from evalkit.results.results_schema import load_schema
 
-FILE = Path(validated.__file__).parents[2] / "docs" / "pages" / "results.md"
-if not FILE.exists():
-    pytest.skip("the documentation is not part of a wheel", allow_module_level=True)
-PAGE = FILE.read_text(encoding="utf-8")
+site = pytest.importorskip("evalkit_docs.site", reason="the documentation is not part of a wheel")
+PAGE = (site.PAGES / "results.md").read_text(encoding="utf-8")
 WRITES, READS = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
 SCHEMA = json.loads(load_schema())
 

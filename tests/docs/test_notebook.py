@@ -11,10 +11,9 @@ nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed: pi
 pytest.importorskip("ipykernel", reason="ipykernel is not installed: pip install 'evalkit[test]'")
 
 NOTEBOOK = Path(__file__).parents[2] / "docs" / "notebook.ipynb"
-if not NOTEBOOK.exists():
-    pytest.skip("the documentation is not part of a wheel", allow_module_level=True)
 
 
+@pytest.mark.checkout
 @pytest.mark.slow
 @pytest.mark.thorough
 def test_the_notebook_runs_and_shows_tables_figures_and_the_refusal_of_a_class_in_a_cell(tmp_path, monkeypatch):

@@ -3,11 +3,14 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from evalkit.config.experiment import load_experiment
 
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.checkout
 def test_a_star_marks_each_error_on_data_that_a_method_was_tuned_on():
     tuned_on = {method.label: method.tuned_on for method in load_experiment(ROOT / "reports/matchers.toml").methods}
     rows = re.findall(r"^\| (`.*) \|$", (ROOT / "docs/pages/which-matcher.md").read_text(encoding="utf-8"), re.M)

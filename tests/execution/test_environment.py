@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import subprocess
+import tomllib
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -27,6 +28,13 @@ def test_the_description_contains_machine_and_software():
     assert told["no-such-library"] == "not installed"
     assert f"{psutil.cpu_count()} logical" in told["cores"]
     assert all(isinstance(text, str) and text for text in told.values())
+
+
+def test_the_version_is_written_in_one_file_and_is_that_of_the_installed_package():
+    assert evalkit.__version__ == version("evalkit")
+    content = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
+    assert content["project"]["dynamic"] == ["version"]
+    assert content["tool"]["scikit-build"]["metadata"]["version"]["input"] == "evalkit/__init__.py"
 
 
 def test_the_commit_is_that_of_the_checkout_and_marks_changes():

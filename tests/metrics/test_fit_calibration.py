@@ -106,11 +106,10 @@ def test_the_shipped_steps_are_those_of_the_counts_beside_them():
     assert [row["below_m"] for row in rows] == [*LIMITS_M, None]
 
 
+@pytest.mark.checkout
 def test_the_documentation_converts_a_probability_to_another_share_of_wrong_positions():
     """Bayes' rule: a likelihood ratio is what the odds after the fit are of those before it."""
     page = Path(__file__).parents[2] / "docs" / "pages" / "known-map.md"
-    if not page.exists():
-        pytest.skip("the documentation is not part of a wheel")
     text = " ".join(page.read_text(encoding="utf-8").split())
     becomes = r"(\d+) % becomes ([\d.]+) %"
     found = re.search(rf"multiplied by `([\d.]+) s .*?With `s` = (\d+) %, {becomes}, and {becomes}", text)

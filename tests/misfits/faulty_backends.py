@@ -10,6 +10,7 @@ import sys
 import time
 from dataclasses import replace
 
+import answer_faults
 import numpy as np
 
 from evalkit.core.errors import NotInstalled
@@ -49,39 +50,19 @@ class IgnoresTheGuess(Sound):
         return super().register(target, source, Pose())
 
 
-class Inverse(Sound):
-    def register(self, target, source, guess):
-        match = super().register(target, source, guess)
-        return replace(match, target_from_source=match.target_from_source.inverse())
+class Inverse(answer_faults.Inverse, Sound): ...
 
 
-class Degrees(Sound):
-    def register(self, target, source, guess):
-        match = super().register(target, source, guess)
-        pose = match.target_from_source
-        return replace(match, target_from_source=Pose(pose.x, pose.y, math.degrees(pose.theta)))
+class Degrees(answer_faults.Degrees, Sound): ...
 
 
-class Clockwise(Sound):
-    def register(self, target, source, guess):
-        match = super().register(target, source, guess)
-        pose = match.target_from_source
-        return replace(match, target_from_source=Pose(pose.x, pose.y, -pose.theta))
+class Clockwise(answer_faults.Clockwise, Sound): ...
 
 
-class Millimetres(Sound):
-    def register(self, target, source, guess):
-        match = super().register(target, source, guess)
-        pose = match.target_from_source
-        return replace(match, target_from_source=Pose(1000.0 * pose.x, 1000.0 * pose.y, pose.theta))
+class Millimetres(answer_faults.Millimetres, Sound): ...
 
 
-class Biased(Sound):
-    """Adds an error of 3 cm, always in the same direction in the target's frame."""
-
-    def register(self, target, source, guess):
-        match = super().register(target, source, guess)
-        return replace(match, target_from_source=Pose(0.03) @ match.target_from_source)
+class Biased(answer_faults.Biased, Sound): ...
 
 
 class ByIndex(Sound):

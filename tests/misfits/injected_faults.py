@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-import math
 from dataclasses import replace
 
+import answer_faults
 import numpy as np
 
-from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit_baselines import paper
 from evalkit_baselines.paper import icp
@@ -23,14 +22,8 @@ class Transposed(Icp):
         return icp._about(icp._centroid(source), icp._centroid(target), theta)
 
 
-class Degrees(Icp):
+class Degrees(answer_faults.Degrees, Icp):
     """Returns the angle in degrees."""
-
-    def register(self, target, source, guess):
-        """Return a result with its angle in degrees."""
-        match = super().register(target, source, guess)
-        pose = match.target_from_source
-        return replace(match, target_from_source=Pose(pose.x, pose.y, math.degrees(pose.theta)))
 
 
 class Rounded(Icp):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from evalkit.core.errors import BadParameter
-from evalkit.plugins.parameter_parsing import from_text
+from evalkit.core.errors import BadParameter, UnknownName
+from evalkit.plugins.parameter_parsing import from_text, parse_dataset, parse_dataset_without_seed
 from evalkit.plugins.parameters import Parameter
 
 FLAG = Parameter("flag", False, "", "on or off")
@@ -29,3 +29,27 @@ def test_only_true_and_false_are_booleans():
 
 def test_unknown_names_are_kept_for_the_later_check():
     assert from_text("x", PARAMETERS, {"flga": "true"}) == {"flga": "true"}
+
+
+@pytest.mark.parametrize("word", ["seeds=3", "use=lab", "label=hello", "confirm=1"])
+def test_a_key_of_an_experiment_file_is_no_parameter_of_a_data_set(word):
+    name = word.split("=")[0]
+    with pytest.raises(UnknownName, match=f"room: no parameter named '{name}'"):
+        parse_dataset(f"room {word}")
+    with pytest.raises(UnknownName, match=f"room: no parameter named '{name}'"):
+        parse_dataset("room", dict([word.split("=")]))
+
+
+def test_a_parameter_of_a_data_set_is_given_once():
+    with pytest.raises(BadParameter, match=r"room: parameter 'laps': found '0\.2', expected one value, but '0\.1' is"):
+        parse_dataset("room laps=0.1 laps=0.2")
+
+
+def test_parameters_of_a_data_set_replace_the_shared_ones():
+    assert parse_dataset("lab laps=0.1", {"laps": "0.05", "rate_hz": "5"}) == ("lab", {"laps": 0.1, "rate_hz": 5.0})
+
+
+def test_where_a_command_chooses_the_seeds_the_error_says_where_they_come_from():
+    assert parse_dataset_without_seed("room laps=0.1", "--seeds N sets them") == ("room", {"laps": 0.1})
+    with pytest.raises(BadParameter, match=r"room: parameter 'seed': found 3, expected none here: --seeds N sets them"):
+        parse_dataset_without_seed("room seed=3", "--seeds N sets them")

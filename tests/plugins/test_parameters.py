@@ -12,6 +12,7 @@ from evalkit.plugins.parameters import (
     declared_parameters,
     parameter,
     resolve_parameters,
+    split_settings,
     with_defaults,
 )
 from evalkit.plugins.specs import nothing_missing
@@ -57,6 +58,15 @@ def test_an_invalid_value_is_rejected_by_name(parameter, value, message):
 
 def test_a_missing_value_keeps_its_default():
     assert resolve_parameters("icp", ALL, {"width": 1}) == {"flag": True, "count": 3, "width": 1.0, "kind": "near"}
+
+
+def test_a_name_given_twice_is_refused_even_with_the_same_value():
+    assert split_settings("--set", ["a=1", "b=x=y"]) == {"a": "1", "b": "x=y"}
+    for second in ("a=2", "a=1"):
+        with pytest.raises(
+            BadParameter, match=r"--set: parameter 'a': found '\d', expected one value, but '1' is given"
+        ):
+            split_settings("--set", ["a=1", "b=x", second])
 
 
 def test_an_unknown_parameter_suggests_the_nearest_name():

@@ -10,6 +10,9 @@ from evalkit.core.run_status import Cause
 from evalkit.metrics import all_metrics
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.formatting import format_amount, format_milliseconds
+from evalkit.report.html.cost_plot import draw_scatter
+from evalkit.report.html.dot_plot import draw_dots
+from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_page import render_report
 
 
@@ -119,6 +122,33 @@ def test_one_method_alone_wins_nothing(build, record, runs):
     assert answer(comparison).winners == ()
 
 
+@pytest.mark.parametrize("how", ["crashed", "lost", "interrupted", "tuned"])
+def test_the_one_method_that_holds_where_others_fail_leads_there(build, three, how):
+    """On hall, one of two runs of ``b`` and of ``c`` fails, or the machine ends both, and only ``a`` is ranked."""
+    ends = {(name, "hall", seed) for name in "bc" for seed in ((0, 1) if how == "interrupted" else (1,))}
+    causes = {"crashed": Cause.EXIT_CODE, "interrupted": Cause.MACHINE_FAULT}
+    failed = [
+        replace(run, scores=replace(run.scores, lost=LostTrack(9.0, "a jump"))) if how == "lost"
+        else replace(run, result=replace(run.result, cause=causes[how], reason="it ended"))
+        if how in causes else run
+        for run in three if (run.method, run.sequence, run.seed) in ends
+    ]  # fmt: skip
+    kept = [run for run in three if (run.method, run.sequence, run.seed) not in ends]
+    comparison = build([*kept, *failed])
+    if how == "tuned":
+        chosen = {name: replace(card, tuned_on=("hall",)) for name, card in comparison.methods.items() if name != "a"}
+        comparison = replace(comparison, methods={**comparison.methods, **chosen})
+    found = analyse(comparison)
+    counts = how in ("crashed", "lost")
+    assert [one.sequence for one in found.answer.contests] == ["room", "lab", *["hall"] * counts]
+    assert {one.method: one.led for one in found.answer.standings} == {"a": 1 + counts, "b": 1, "c": 0}
+    assert ("one method alone is ranked on 1 sequence (hall)" in found.overview[1]) == counts
+    assert ("Not counted: hall (one ranked method)." in found.overview) == (not counts)
+    assert ("the only one ranked" in str(draw_dots(found, assign_strokes("abc", ())))) == counts
+    alone = replace(comparison, records=tuple(run for run in comparison.records if run.sequence == "hall"))
+    assert title(alone).startswith("Only a is ranked: ")
+
+
 def test_without_a_finished_run_there_is_no_answer(build, record):
     failed = [record(name, "room", {}, status="failed", reason="it broke", answered=0) for name in "ab"]
     comparison = build(failed)
@@ -138,8 +168,99 @@ def test_a_leader_that_is_not_told_apart_is_not_called_the_best(build, runs):
     """b has twice the error of a in three runs that scatter as much; c is clearly worse."""
     first, second = runs("a", "room", (0.010, 0.010, 0.010)), runs("b", "room", (0.011, 0.020, 0.040))
     comparison = build([*first, *second, *runs("c", "room", (1.0, 1.0, 1.0))])
-    assert title(comparison) == "Take a: ahead on room, but not told apart from b by these runs."
+    assert title(comparison) == "a leads on room, but is not told apart from b by these runs."
     assert answer(comparison).winners == ("a",)
+
+
+def test_methods_that_too_few_runs_tell_from_the_leader_are_named_over_several_data_sets(build, runs):
+    """a is the best on room and hall, but two runs do not show that b is worse; on cave they tell no method apart."""
+    errors = {"a": (0.010, 0.0101), "b": (0.011, 0.040), "c": (1.0, 1.1)}
+    places = {"room": "abc", "hall": "abc", "cave": "ab"}
+    comparison = build([run for where, own in places.items() for one in own for run in runs(one, where, errors[one])])
+    found = analyse(comparison)
+    assert found.answer.title == "a leads on 2 of 2 data sets, but is not told apart from b by these runs."
+    assert (found.answer.winners, found.answer.undecided, found.answer.emphasis) == (("a",), ("b",), "a")
+    assert "not counted: cave (not told apart)" in pills(comparison)
+    assert "Not counted: cave (not told apart)." in found.overview
+    clear = {"a": (0.01, 0.01), "b": (0.02, 0.02), "c": (0.03, 0.03)}
+    more = [run for where in ("yard", "attic") for one in "abc" for run in runs(one, where, clear[one])]
+    words = "Take a: best or tied on 4 of 4 data sets; no other method on any."  # however room and hall end
+    assert title(build([*comparison.records, *more])) == words
+
+
+def test_each_of_several_winners_has_its_own_number_of_data_sets(build, runs):
+    """a and b are tied on room and lab; on hall, where settings of a were chosen, c is better than b."""
+    errors = {"room": (0.01, 0.0102, 0.1), "lab": (0.01, 0.0102, 0.1), "hall": (0.01, 0.02, 0.01)}
+    made = build([
+        run for where, own in errors.items() for name, error in zip("abc", own, strict=True)
+        for run in runs(name, where, (error, 1.1 * error))
+    ])  # fmt: skip
+    found = replace(made, methods={**made.methods, "a": replace(made.methods["a"], tuned_on=("hall",))})
+    assert title(found) == (
+        "Take a or b: each best or tied on 2 of 2 and 2 of 3 data sets that count for them; next best: c, 1 of all 3."
+    )
+    assert subtitle(found).startswith("Settings of a were chosen on hall. A scan takes ")
+
+
+def test_a_method_is_not_recommended_that_leads_less_often_where_another_one_counts_too(build, runs):
+    """Not all ran everywhere: ``d`` did, and is the worst."""
+
+    def compare(errors):
+        return build([
+            run for where, own in errors.items() for name, error in {**own, "d": 0.1}.items()
+            for run in runs(name, where, (error, 1.1 * error))
+        ])  # fmt: skip
+
+    alone = {"lab": {"a": 0.01}, "hall": {"b": 0.01}}
+    either = {"room": {"a": 0.01, "b": 0.02}, "attic": {"a": 0.02, "b": 0.01}}
+    found = compare({**alone, **either, "yard": {"a": 0.02, "b": 0.02, "c": 0.01}})
+    assert title(found) == (
+        "No method is ahead: a is best or tied on 2 of 4 data sets that count for it, but c leads more often where "
+        "both count."
+    )
+    assert subtitle(found) == "a did not run on hall. Only yard counts for all methods: c is best there."
+    assert (answer(found).winners, answer(found).rivals, answer(found).emphasis) == (("a",), ("c",), "")
+    found = compare({**alone, "room": {"a": 0.01, "b": 0.02}, "yard": {"a": 0.01, "b": 0.01}, "cave": {"b": 0.01}})
+    assert title(found) == (
+        "Take a: best or tied on 3 of 3 data sets that count for it; b leads as often, but another one leads more "
+        "often where both count."
+    )
+
+
+def test_methods_that_lead_as_often_on_other_numbers_of_data_sets_have_no_common_one(build, runs):
+    """Settings of a were chosen on hall, where z is the best; on room all others are better than z."""
+    room = [run for method in "abcd" for run in runs(method, "room", (0.010, 0.011))]
+    hall = [run for method in "abcd" for run in runs(method, "hall", (1.0, 1.1))]
+    made = build([*room, *hall, *runs("z", "room", (1.0, 1.1)), *runs("z", "hall", (0.010, 0.011))])
+    assert title(made) == "No method is ahead: all 5 methods are best or tied on 1 of 2 data sets."
+    tuned = replace(made, methods={**made.methods, "a": replace(made.methods["a"], tuned_on=("hall",))})
+    assert title(tuned) == "No method is ahead: all 5 methods are best or tied on 1 data set."
+
+
+def test_of_many_that_lead_as_often_the_one_that_no_paired_test_beats_is_named(build, runs):
+    """By 1 mm: all four are tied on both data sets, and a is better in 16 of 16 runs."""
+    errors = {"a": 0.005, "b": 0.006, "c": 0.006, "d": 0.006, "z": 0.03}
+    found = answer(build([
+        run for where in ("room", "lab") for name, error in errors.items()
+        for run in runs(name, where, [error * (1.0 + 0.01 * seed) for seed in range(8)])
+    ]))  # fmt: skip
+    assert {one.method: one.led for one in found.standings} == {"a": 2, "b": 2, "c": 2, "d": 2, "z": 0}
+    assert found.title == (
+        "Take a: best or tied on 2 of 2 data sets; 3 methods lead as often, but the paired tests find better methods."
+    )
+
+
+@pytest.mark.parametrize(("error_m", "named"), [(0.02, True), (0.015, False)])
+def test_no_next_best_is_named_that_a_paired_test_calls_worse_than_another(build, runs, error_m, named):
+    """Settings of ``a`` were chosen on hall; ``b`` leads there, where ``c`` did not run, and ``a`` on the others."""
+    errors = {"a": 0.01, "b": 0.02, "c": error_m, "d": 0.1}
+    made = build([
+        run for where, own in {"room": "abcd", "lab": "abcd", "yard": "abcd", "hall": "abd"}.items() for name in own
+        for run in runs(name, where, [errors[name] * (1.0 + 0.01 * seed) for seed in range(8)])
+    ])  # fmt: skip
+    tuned = replace(made, methods={**made.methods, "a": replace(made.methods["a"], tuned_on=("hall",))})
+    best = "Take a: best or tied on 3 of 3 data sets that count for it"
+    assert title(tuned) == (f"{best}; next best: b, 1 of all 4." if named else f"{best}.")
 
 
 def test_an_undecided_data_set_does_not_count(build, record, three):
@@ -231,10 +352,33 @@ def test_a_lost_track_is_named_except_where_the_geometry_explains_it(build, thre
     assert not any("lost" in text for text in lost_on("hall"))
 
 
+def test_the_number_of_methods_that_lost_the_track_says_where_losses_are_not_counted(build, three):
+    def lost_on(*sequences):
+        lost = LostTrack(28.4, "it slipped")
+        made = build([
+            replace(run, scores=replace(run.scores, lost=lost)) if run.sequence in sequences else run for run in three
+        ])  # fmt: skip
+        return pills(
+            replace(made, sequences={**made.sequences, "hall": replace(made.sequences["hall"], degenerate="x")})
+        )
+
+    assert "3 methods lost the track on a sequence: a, b, c" in lost_on("lab")
+    assert "3 methods lost the track outside hall: a, b, c" in lost_on("lab", "hall")
+
+
 def test_only_degenerate_data_rank_nobody(build, runs):
     made = build([*runs("a", "hall", (0.1, 0.1)), *runs("b", "hall", (0.5, 0.5))])
     made = replace(made, sequences={"hall": replace(made.sequences["hall"], degenerate="no walls")})
     assert title(made) == "No method is ranked: the geometry of hall does not determine the pose."
+    both = build([*made.records, *runs("a", "room", (0.1, 0.1)), *runs("b", "room", (0.5, 0.5))])
+    both = replace(both, sequences={**both.sequences, **made.sequences})
+    chosen = {name: replace(card, tuned_on=("room",)) for name, card in both.methods.items()}
+    assert title(replace(both, methods=chosen)) == (
+        "No method is ranked: settings of a and b were chosen on these data; the geometry of hall does not determine "
+        "the pose."
+    )
+    one = {**both.methods, "b": chosen["b"]}
+    assert title(replace(both, methods=one)) == "Only a is ranked: settings of b were chosen on these data."
 
 
 def test_data_on_which_all_are_tied_do_not_count(build, three, runs):
@@ -274,7 +418,9 @@ def test_no_method_that_leads_is_named_as_its_own_rival(build, runs):
     made = answer(build(records))
     assert {one.method: one.led for one in made.standings} == {"a": 3, "b": 3, "c": 1, "d": 0}
     assert (made.winners, made.rivals) == (("a",), ("c",))
-    assert made.title == "a is best or tied on 3 of 3 data sets, but c has smaller errors where both ran."
+    assert made.title == (
+        "No method is ahead: a is best or tied on 3 of 3 data sets, but c has smaller errors in paired tests."
+    )
 
 
 def test_a_data_set_where_a_method_had_no_input_does_not_count_for_it(build, record, three):
@@ -301,10 +447,16 @@ def test_a_method_is_not_recommended_where_the_paired_tests_find_another_one_bet
         ]  # fmt: skip
 
     found = analyse(build(compare(0.005, 8)))
-    assert found.answer.title == ("a is best or tied on 3 of 3 data sets, but b has smaller errors where both ran.")
+    assert found.answer.title == (
+        "No method is ahead: a is best or tied on 3 of 3 data sets, but b has smaller errors in paired tests."
+    )
     (test,) = [one for one in found.significance.comparisons if {one.method, one.reference} == {"a", "b"}]
     assert (test.reference, test.runs, test.verdict) == ("a", 8, "better")
-    assert (found.answer.winners, found.answer.rivals, found.answer.emphasis) == (("a",), ("b",), "a")
+    assert (found.answer.winners, found.answer.rivals, found.answer.emphasis) == (("a",), ("b",), "")
+    plots = (draw_dots, draw_scatter)
+    assert not any("series led" in str(draw(found, assign_strokes("abc", ()))) for draw in plots)  # none in its colour
+    taken = analyse(build(compare(0.005, 5)))
+    assert all("series led" in str(draw(taken, assign_strokes("abc", ()))) for draw in plots)
     words = "Take a: best or tied on 3 of 3 data sets; next best: b, 1 of 1 that counts for it."
     assert title(build(compare(0.005, 5))) == words  # the test needs six runs
     assert title(build(compare(0.0059, 8))) == words  # less than 5 %
@@ -313,7 +465,9 @@ def test_a_method_is_not_recommended_where_the_paired_tests_find_another_one_bet
         replace(run, scores=replace(run.scores, lost=LostTrack(9.0, "a jump"))) if run.seed < 2 else run
         for run in runs("a", "hall", (0.1, 0.11, 0.12))
     ]
-    assert subtitle(build([*compare(0.005, 8), *lost])) == "a lost the track on hall (2 of 3 runs)."
+    assert subtitle(build([*compare(0.005, 8), *lost])) == (
+        "Only room counts for all methods: b and a are best or tied there. a lost the track on hall (2 of 3 runs)."
+    )
     assert "It lost the track on hall (2 of 3 runs)." in subtitle(build([*compare(0.005, 5), *lost]))
 
 

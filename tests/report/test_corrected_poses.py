@@ -106,7 +106,10 @@ def test_corrected_poses_have_columns_of_their_own_beside_the_answers(record, bu
         ("odometry", "50\u00a0mm", "–"), ("other", "61\u00a0mm", "30\u00a0mm"), ("slam", "81\u00a0mm", "10\u00a0mm"),
     ]  # fmt: skip
     numbers = numbers_table(analysis, strokes)
-    assert [column.label for column in numbers.columns][2:4] == ["room", "room, corrected"]
+    assert [column.label for column in numbers.columns][2:] == ["room", "CPU a scan"]
+    below = {row[0].text: row[2].extent.replace("\u00a0", " ") for row in numbers.rows}
+    assert below["slam"].endswith(", corrected 10 mm")
+    assert "corrected" not in below["odometry"]
 
 
 def test_loop_closures_are_in_a_table_of_the_methods_that_correct_poses(record, build):

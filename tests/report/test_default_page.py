@@ -128,6 +128,25 @@ def test_the_first_screen_is_short_and_shows_a_picture(browser, request, capsys,
     assert found["wide"] <= width
 
 
+@pytest.mark.parametrize(("media", "width"), [("screen", 1280), ("screen", 1400), ("print", 703)])
+def test_the_numbers_fit_the_page_also_where_tracks_were_lost(browser, compared, tmp_path, media, width):
+    """A sheet of A4 without its margins is 703 px wide."""
+    losses = {0: LostTrack(111.0, "1.2 m away", 131.0), 1: LostTrack(130.0, "1.4 m away")}
+    runs = tuple(
+        replace(run, scores=replace(run.scores, lost=losses.get(run.seed)))
+        if run.sequence in ("lab", "corridor", "office", "random-office") else run
+        for run in compared.records
+    )  # fmt: skip
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    page.emulate_media(media=media)
+    page.goto(write_report(replace(compared, records=runs), tmp_path).as_uri())
+    numbers = page.locator("table").first
+    assert "lost in 2 of 3, first at 111 s, 1 found again" in numbers.inner_text()
+    assert numbers.evaluate("one => one.offsetWidth") <= numbers.evaluate("one => one.parentElement.clientWidth")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.close()
+
+
 class SlowPage(BaseHTTPRequestHandler):
     """Sends ``content``, its first part in pieces as from a slow disk or network."""
 

@@ -224,7 +224,7 @@ def test_only_the_last_map_is_the_worst_also_where_it_is_the_answer(record, buil
     assert choose_tiles(analysis, hall) == [("a", ""), ("c", ""), ("b", "answer")]
 
 
-def test_a_tuned_method_is_in_the_map_strip_only_if_it_is_the_answer(record, build, room):
+def test_a_tuned_method_is_in_the_map_strip_only_if_it_is_the_answer_or_the_best_beside_it(record, build, room):
     methods = {**room.methods, "plane": replace(room.methods["plane"], tuned_on=("room",))}
     analysis = analyse(replace(room, methods=methods))
     assert [method for method, _ in choose_tiles(analysis, analysis.sequences[0])] == ["lib", "paper", "wheel", "lost"]
@@ -238,6 +238,14 @@ def test_a_tuned_method_is_in_the_map_strip_only_if_it_is_the_answer(record, bui
     assert choose_tiles(analysis, analysis.sequences[0])[0] == ("plane", "answer")
     tile = build_tiles(analysis, 0, strokes_of(both))[0]
     assert tile.caption == "10\u00a0mm · 0.10\u00a0ms · settings chosen here"
+    cards = {
+        **both.methods,
+        **{name: replace(both.methods[name], tuned_on=("room",)) for name in ("plane", "lib", "paper")},
+    }
+    analysis = analyse(replace(both, methods=cards))
+    assert choose_tiles(analysis, analysis.sequences[0]) == [
+        ("plane", "answer"), ("lib", "best other tuned"), ("wheel", "baseline"), ("lost", "worst"),
+    ]  # fmt: skip
 
 
 def test_the_hardest_sequence_is_a_recording_before_a_simulation(record, build, room):

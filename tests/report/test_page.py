@@ -415,6 +415,18 @@ def test_the_heading_of_a_sequence_names_the_tied_methods(record, build):
     assert "tied: a and b" in render_report(analyse(build(runs)))
 
 
+@pytest.mark.parametrize(("others", "detectable"), [([1.15, 2.87], "over 20.00\u00a0m"), ([1.0, 3.03], "1.00\u00a0m")])
+def test_runs_that_do_not_even_detect_ten_times_the_value_say_so(record, build, others, detectable):
+    """Log-ratios with standard errors 0.092 and 0.005; two runs detect 82 of them: factors of 1,800 and 1.5."""
+    values = {"a": [1.0, 3.0], "b": others}
+    runs = [
+        record(name, "room", {"ate_rmse_m": error}, seed=seed)
+        for name, own in values.items()
+        for seed, error in enumerate(own)
+    ]
+    assert f">{detectable}</td>" in render_report(analyse(build(runs)))
+
+
 def test_nine_methods_have_nine_line_styles():
     chosen = assign_strokes([f"c{i}" for i in range(9)], ["c0"])
     assert len(set(chosen.values())) == 9

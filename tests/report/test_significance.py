@@ -195,7 +195,37 @@ def test_the_runs_of_the_quantiles_are_counted(record, build):
 def test_five_runs_are_too_few_for_significance(record, build):
     found = analyse(_many(record, build, 5)).significance
     assert {duel.verdict for duel in found.comparisons} == {"too few runs"}
-    assert found.ranks == NotTested("ranks with a critical difference need at least 8 sequences, found 5")
+    assert found.ranks == NotTested("ranks with a critical difference need at least 8 data sets, found 5")
+
+
+def test_sequences_of_one_data_set_are_one_row_of_the_ranks(record, build):
+    """a is best on nine sequences and worst on a tenth, of the data set of the ninth, where it is in the middle."""
+    runs = list(_many(record, build, 10).records)
+    runs = [
+        replace(run, spec=replace(run.spec, sequence=replace(run.spec.sequence, dataset="s8")))
+        if run.sequence == "s9" else run
+        for run in runs
+    ]  # fmt: skip
+    worse = [with_scores(run, by_metric={ATE: replace(run.scores.by_metric[ATE], value=0.3)})
+             if (run.method, run.sequence) == ("a", "s9") else run for run in runs]  # fmt: skip
+    found, other = (analyse(build(own)).significance for own in (runs, worse))
+    assert isinstance(found.ranks, FriedmanTest)
+    assert (found.ranks.data_sets, found.ranks.mean_ranks, len(found.sequences)) == (9, (1.0, 2.0, 3.0), 10)
+    # means over s8 and s9: a sqrt(0.09 * 0.3) = 0.164, b sqrt(0.099 * 0.11) = 0.104, c sqrt(0.18 * 0.2) = 0.190
+    assert isinstance(other.ranks, FriedmanTest)
+    assert other.ranks.mean_ranks == pytest.approx(((8 + 2) / 9, (16 + 1) / 9, 3.0))
+    fewer = [run for run in runs if run.sequence not in ("s6", "s7")]
+    too_few = NotTested("ranks with a critical difference need at least 8 data sets, found 7")
+    assert analyse(build(fewer)).significance.ranks == too_few
+
+
+def test_ranks_of_equal_methods_do_not_differ_significantly(record, build):
+    made = [record(who, f"s{number}", {ATE: 0.01 + 0.01 * number}) for number in range(8) for who in "abc"]
+    for runs, words in (
+        (made, "do not differ significantly, with p = 1 "),
+        (_many(record, build, 8).records, "differ"),
+    ):
+        assert f"Ranks over 8 data sets {words}" in render_report(analyse(build(list(runs))))
 
 
 def test_a_failed_run_has_the_worst_rank_and_is_never_left_out(record, build):

@@ -1,21 +1,25 @@
 """The sentences of the verdict state what the numbers support."""
 
+import math
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from evalkit.core.run_result import LostTrack
 from evalkit.metrics import METRICS
 from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.analysis import analyse
-from evalkit.report.analysis.pairwise import is_clearly_worse
+from evalkit.report.analysis.pairwise import RELATION_ACCURACY, is_clearly_worse, noise_floor
 from evalkit.report.analysis.ranking import mark
 from evalkit.report.analysis.scores import Spread
 from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.report.analysis.statements.pills import Pill
 from evalkit.report.analysis.statements.verdict import compute_verdict
 from evalkit.report.formatting import format_gap, format_losses, join_words
+from evalkit.report.html.dot_plot import draw_dots
+from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.results_json import build_results
 
 
@@ -80,24 +84,56 @@ def test_pairs_that_contradict_the_order_of_the_medians_give_no_winner(record, b
 def test_a_lead_of_a_millimetre_is_a_tie(record, build):
     comparison = build([*_seeds(record, "a", [0.0100, 0.0110]), *_seeds(record, "b", [0.0115, 0.01265])])
     assert verdict(comparison, "room").outcome == "tied"
-    assert "are tied: they are less than 2 mm apart, which does not matter here." in _verdict_text(comparison)
+    assert "are tied: they are at most 2 mm apart, which does not matter here." in _verdict_text(comparison)
     third = build([*comparison.records, *_seeds(record, "c", [0.0113, 0.01243])])
-    assert "Worse by less than 2 mm, which does not matter here: b." in _verdict_text(third)
+    assert "Worse by at most 2 mm, which does not matter here: b." in _verdict_text(third)
     assert "statistically" not in f"{_verdict_text(third)} {_overview(third)}"
     large = build([*_seeds(record, "a", [1.0, 1.1]), *_seeds(record, "b", [1.04, 1.144])])
-    assert "less than 5 % apart, which does not matter here" in _verdict_text(large)
+    assert "at most 5 % apart, which does not matter here" in _verdict_text(large)
+
+
+def test_a_difference_too_small_to_matter_is_stated_with_an_interval_beyond_that(record, build):
+    """Log-ratios with a standard error of 0.00515, t(0.995, 2) = 9.925: 1.0524 times their mean of 1.12, or of 1.18."""
+    first, near, far = [0.01] * 3, [0.0111, 0.0112, 0.0113], [0.0117, 0.0118, 0.0119]
+    for third, said in ((near, "2 mm"), (far, "2 mm (interval up to 2.4 mm)")):
+        runs = {"a": first, "b": [0.0105] * 3, "c": [0.0111] * 3, "d": third}
+        comparison = build([one for name, values in runs.items() for one in _seeds(record, name, values)])
+        assert f"Worse by at most {said}, which does not matter here: c and d." in _verdict_text(comparison)
+        pair = build([*_seeds(record, "a", first), *_seeds(record, "d", third)])
+        assert f"they are at most {said} apart, which does not matter here" in _verdict_text(pair)
 
 
 def test_differences_below_the_noise_of_the_relations_are_a_tie(record, build):
-    near = build(
-        [*_seeds(record, "a", [0.051] * 3, "relations_mean_m"), *_seeds(record, "b", [0.08] * 3, "relations_mean_m")]
-    )
-    far = build(
-        [*_seeds(record, "a", [0.05, 0.05], "relations_mean_m"), *_seeds(record, "b", [0.09, 0.09], "relations_mean_m")]
-    )
-    assert verdict(near, "room").outcome == "tied"
-    assert "differ by less than the accuracy of the ground truth (30 mm)" in _verdict_text(near)
-    assert verdict(far, "room").leaders == ("a",)
+    """Twice 30 mm by the root of their number: 12 mm of 25 relations; from 144 on the 5 mm that all may share."""
+
+    def compare(other_mm, relations):
+        values = {"a": 51.0, "b": other_mm}
+        runs = [
+            record(name, "room", {"relations_mean_m": 1e-3 * one}, seed=seed, answered=relations, expected=relations)
+            for name, one in values.items()
+            for seed in range(3)
+        ]
+        return build(runs)
+
+    for relations, floor_mm, said in ((25, 12.0, "12 mm"), (144, 5.0, "5.0 mm"), (400, 5.0, "5.0 mm")):
+        near, far = (compare(51.0 + floor_mm + more, relations) for more in (-0.1, 0.1))
+        assert verdict(near).outcome == "tied"
+        why = f"differ by less than the accuracy of the ground truth ({said} over {relations} relations)"
+        assert why in _verdict_text(near)
+        assert verdict(far).leaders == ("a",)
+
+
+def test_errors_of_the_relations_hardly_ever_make_a_difference_above_the_floor(record, build):
+    """Two methods 0.5 m wrong in independent directions: the error of an axis by the root of half the number."""
+    rng, count = np.random.default_rng(0), 100
+    one, other = (0.5 * np.exp(2j * np.pi * rng.random((4000, count))) for _ in range(2))
+    axis_m = RELATION_ACCURACY["m"] / math.sqrt(math.pi / 2.0)  # of errors with that mean length
+    relations = axis_m * (rng.normal(size=(4000, count)) + 1j * rng.normal(size=(4000, count)))
+    apart = np.abs(one + relations).mean(axis=1) - np.abs(other + relations).mean(axis=1)
+    assert apart.std() == pytest.approx(math.sqrt(2.0 / count) * axis_m, rel=0.05)
+    (metric,) = (one for one in build([record("a", "room", {})]).metrics if one.name == "relations_mean_m")
+    assert noise_floor(metric, count) == pytest.approx(0.006)
+    assert np.mean(np.abs(apart) > noise_floor(metric, count)) < 0.1
 
 
 def test_two_seeds_that_scatter_as_much_as_they_differ_give_no_decision(record, build):
@@ -228,6 +264,18 @@ def test_a_map_best_in_every_metric_leads(record, build):
     validated = load_validation().agreement_of("split_distance_m")
     assert f"Spearman correlation with that error was {validated.overall.value:.2f}" in _verdict_text(comparison)
     assert verdict(_maps(record, build, runs=1, a=(0.10, 0.02, 0.04, 0.03), b=(0.2, 0.3, 0.5, 0.4))).leaders == ()
+
+
+def test_a_map_tied_in_one_metric_and_worse_in_another_is_not_marked_as_tied(record, build):
+    other = {"b": (0.1005, 0.02, 0.04, 0.03), "c": (0.1, 0.09, 0.04, 0.03)}
+    comparison = _maps(record, build, a=(0.10, 0.02, 0.04, 0.03), **other)
+    found = verdict(comparison)
+    assert (found.outcome, found.leaders) == ("tied", ("a", "b"))
+    deciding = analyse_sequence(comparison, "room").deciding
+    assert [mark(deciding, name) for name in "abc"] == ["tied", "tied", "undecided"]
+    dots = draw_dots(analyse(comparison), assign_strokes(comparison.method_labels, ())).replace("\u00a0", " ")
+    assert "c on room: 101 mm, not tied in every map metric" in dots
+    assert "b on room: 102 mm, tied with the best" in dots
 
 
 def test_a_map_metric_without_value_leaves_the_map_undecided(record, build):
@@ -462,6 +510,21 @@ def test_a_method_that_could_not_start_has_not_failed(demo):
     assert first.endswith("Could not start: all runs on intel (data missing) and absent (3 of 3 not installed).")
 
 
+def test_an_interrupted_run_is_left_out_and_a_failed_one_costs_the_rank(record, build):
+    runs = [*_seeds(record, "a", [0.010, 0.011, 0.012]), *_seeds(record, "b", [0.020, 0.022, 0.024, 0.023])]
+
+    def ending(status):
+        return build([*runs, record("a", "room", {}, seed=3, status=status, reason="no space left on device")])
+
+    said = _verdict_text(ending("interrupted"))
+    assert said.startswith("7 of 8 runs finished. Left out: a (1 of 4 interrupted).")
+    assert "a wins on ATE RMSE: 11 mm" in said
+    assert "over 3 pairs of runs" in said
+    assert "wins" not in _verdict_text(ending("crashed"))
+    none = build([*runs[3:], record("a", "room", {}, status="interrupted", reason="no space left on device")])
+    assert analyse(none).answer.title == "Only b is ranked: a did not run."
+
+
 def test_a_method_slower_than_the_sensor_is_named(demo):
     assert "Slower than the sensor on more than 1 % of the scans: <script>alert(1)</script> on room." in _overview(demo)
 
@@ -553,6 +616,7 @@ def _sentence_cases(record, build):
         "none whole": build(lost),
         "chance": build(compare([0.01, 0.02, 0.03], [0.05, 0.02, 0.04])),
         "near": build(compare([1.00, 1.02, 0.99], [1.02, 0.99, 1.03])),
+        "wild": build(compare([1.0, 3.0], [1.15, 2.87])),
         "equal": build(compare([0.01, 0.02, 0.03], [0.01, 0.02, 0.03])),
         "reference wins": build(compare([0.2, 0.2, 0.2], [0.3, 0.3, 0.3], paper=[0.1, 0.1, 0.1])),
         "reference loses": build(compare([0.2, 0.2, 0.2], [0.3, 0.3, 0.3], paper=[0.4, 0.4, 0.4])),
@@ -588,7 +652,8 @@ def _sentence_cases(record, build):
         ("too few runs show a leader on 1 sequence (room)", "chance", "near"),
         ("which may be chance", "chance", "equal"),
         ("runs of each would settle a difference of this size", "chance", "near"),
-        ("these runs can detect a difference of", "near", "chance"),
+        ("these runs can detect a difference of", "near", "wild"),
+        ("these runs do not even detect a value twice as large", "wild", "near"),
         ("they are equal to every printed digit", "equal", "chance"),
         ("The reference method: paper wins.", "reference wins", "reference ties"),
         ("The reference method, paper, wins 1 of 1 (room).", "reference wins", "reference ties"),

@@ -40,18 +40,18 @@ def test_friedman_and_the_critical_difference_equal_demsars():
     assert found.statistic == pytest.approx(uncorrected / (1 - tied / (14 * 4 * (4**2 - 1))))
     assert found.critical_difference == pytest.approx(1.25, abs=5e-3)
     assert found.p == pytest.approx(stats.chi2.sf(found.statistic, 3))
-    assert found.sequences == 14
+    assert found.data_sets == 14
 
 
 def test_seven_sequences_and_two_methods_are_not_tested_and_eight_of_three_alike_differ_in_nothing():
     """Demsar, table 5: q(0.05) of three methods is 2.343; 2.343 sqrt(3 4 / (6 8)) = 1.1715."""
     assert friedman_test(np.ones((7, 3))) == NotTested(
-        "ranks with a critical difference need at least 8 sequences, found 7"
+        "ranks with a critical difference need at least 8 data sets, found 7"
     )
     assert friedman_test(np.ones((8, 2))) == NotTested("a test of ranks needs at least 3 methods, found 2")
     alike = friedman_test(np.ones((8, 3)))
     assert isinstance(alike, FriedmanTest)
-    assert (alike.mean_ranks, alike.statistic, alike.p, alike.sequences) == ((2.0, 2.0, 2.0), 0.0, 1.0, 8)
+    assert (alike.mean_ranks, alike.statistic, alike.p, alike.data_sets) == ((2.0, 2.0, 2.0), 0.0, 1.0, 8)
     assert alike.critical_difference == pytest.approx(1.1715, abs=5e-4)
 
 

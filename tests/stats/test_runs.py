@@ -170,6 +170,15 @@ def test_two_pairs_are_compared_and_the_detectable_difference_has_its_unit():
     assert paired_runs([1.0, 3.0], [0.0, 0.0]).detectable == pytest.approx(errors)
 
 
+def test_a_detectable_improvement_is_a_part_of_the_value_and_a_detectable_loss_may_be_a_multiple():
+    """Log-ratios 0.9 and 1.1, or -0.9 and -1.1, of 2.0: standard error 0.1; the same factor, up or down."""
+    factor = math.exp(0.1 * detectable_standard_errors(1, alpha=0.01))
+    worse, better = (paired_runs(2.0 * np.exp([sign * 0.9, sign * 1.1]), [2.0, 2.0]) for sign in (1.0, -1.0))
+    assert worse.detectable == pytest.approx(2.0 * (factor - 1.0))
+    assert factor > 2.0
+    assert better.detectable == pytest.approx(2.0 * (1.0 - 1.0 / factor))
+
+
 def test_factors_beyond_e_to_the_50_are_given_as_that():
     """Ratios e^49.9 and e^50.1 and their inverses: neither bound nor detectable difference overflows."""
     apart = paired_runs(np.exp([400.0, 500.0]), [3.0, 3.0])

@@ -62,7 +62,7 @@ class MatchDoubt:
     def is_usual(self, last: Pose, predicted: Pose, matched: Pose, match: StageEstimate, points: int) -> bool:
         """Return whether an accepted match is not doubted at all; arguments as of ``observe``."""
         gap = predicted.inverse() @ matched
-        near = math.hypot(gap.x, gap.y) <= APART * self._usual_gap(last, predicted)
+        near = math.hypot(gap.x, gap.y) <= APART * expect_gap(self._usual_gap_m, last.inverse() @ predicted)
         return near and _misfit(match, points, self._usual_m) == 0.0
 
     def observe(self, last: Pose, predicted: Pose | None, matched: Pose, match: StageEstimate, points: int) -> bool:
@@ -78,7 +78,7 @@ class MatchDoubt:
             return share == 0.0
         gap = predicted.inverse() @ matched
         gap_m = math.hypot(gap.x, gap.y)
-        usual_m = self._usual_gap(last, predicted)
+        usual_m = expect_gap(self._usual_gap_m, last.inverse() @ predicted)
         usual_rad = max(self._usual_gap_rad, GAP_RAD)
         self._usual_gap_m += (min(gap_m, 2.0 * usual_m) - self._usual_gap_m) / USUAL_SCANS
         self._usual_gap_rad += (min(abs(gap.theta), 2.0 * usual_rad) - self._usual_gap_rad) / USUAL_SCANS
@@ -92,10 +92,10 @@ class MatchDoubt:
         taken, self._sum = self._sum, Doubt()
         return taken
 
-    def _usual_gap(self, last: Pose, predicted: Pose) -> float:
-        """Return the usual gap (m) to the odometry, which is thought to be no better than its step allows."""
-        step = last.inverse() @ predicted
-        return max(self._usual_gap_m, GAP_M + GAP_SHARE * math.hypot(step.x, step.y))
+
+def expect_gap(usual_m: float, step: Pose) -> float:
+    """Return the usual gap (m) to the odometry, which is thought to be no better than its step allows."""
+    return max(usual_m, GAP_M + GAP_SHARE * math.hypot(step.x, step.y))
 
 
 def _misfit(match: StageEstimate, points: int, usual_m: float) -> float:

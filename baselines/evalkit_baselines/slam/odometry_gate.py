@@ -2,6 +2,9 @@
 
 How far is too far depends on the wheels: on some robots they agree with the scans to a centimetre, on others their
 clocks do not agree. A match is not believed where it is many times farther from the odometry than matches usually are.
+
+A wall that comes into sight, and is not on the map yet, pulls a match away by less. Where good odometry and the match
+with the scan before agree, a match with the map that fits poorly must not leave their pose.
 """
 
 from __future__ import annotations
@@ -13,7 +16,8 @@ from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.plugins.protocols import Registration
-from evalkit_baselines.slam.second_try import MIN_SHARE, UNUSUAL
+from evalkit_baselines.slam.match_doubt import APART, expect_gap
+from evalkit_baselines.slam.second_try import DOUBTED, MIN_SHARE, UNUSUAL
 
 UNLIKELY = 20.0
 """Times the usual gap between match and odometry (m, rad): a match that is farther from its guess is not believed."""
@@ -43,7 +47,9 @@ class OdometryGate:
 
     _is_measured: bool = False
     _limit: tuple[float, float] = WIDE
-    _poor_m: float = math.inf
+    _usual_m: float = math.inf
+    _near_m: float = math.inf
+    _is_sure: bool = False  # the match before of this scan agrees with good odometry, and is not doubted
     _fewest: float = MIN_POINTS
 
     def begin_scan(
@@ -60,15 +66,15 @@ class OdometryGate:
         """
         self._is_measured = step is not None
         self._fewest = min(MIN_POINTS, usual_points / TIMES_FEWER)
-        self._poor_m = UNUSUAL * usual_m if usual_m > 0.0 else math.inf
-        self._limit = WIDE
+        self._usual_m = usual_m if usual_m > 0.0 else math.inf
+        self._limit, self._is_sure = WIDE, False
         if step is not None and usual_gap is not None:
             moved = math.hypot(step.x, step.y), abs(step.theta)
             metres, turn = (
                 min(max(UNLIKELY * usual, narrow + STEP_SHARE * far), wide)
                 for usual, narrow, far, wide in zip(usual_gap, NARROW, moved, WIDE, strict=True)
             )
-            self._limit = metres, turn
+            self._limit, self._near_m = (metres, turn), APART * expect_gap(usual_gap[0], step)
 
     @property
     def is_good(self) -> bool:
@@ -80,12 +86,16 @@ class OdometryGate:
         if not self._is_measured:
             return match
         gap, (most_m, most_rad) = guess.inverse() @ match.target_from_source, self._limit
-        poor = match.error > self._poor_m and match.inliers < MIN_SHARE * points
-        share = POOR_SHARE if poor else 1.0
-        far = math.hypot(gap.x, gap.y) > share * most_m or abs(gap.theta) > share * most_rad
+        gap_m, few_pairs = math.hypot(gap.x, gap.y), match.inliers < MIN_SHARE * points
+        share = POOR_SHARE if few_pairs and match.error > UNUSUAL * self._usual_m else 1.0
+        far = gap_m > share * most_m or abs(gap.theta) > share * most_rad
+        doubted = few_pairs or match.error > DOUBTED * self._usual_m
+        apart = gap_m > self._near_m
         clear = match.converged and match.error < CLEAR_M and match.inliers >= CLEAR_SHARE * points
         few = self.is_good and points < self._fewest
-        return match if not few and (clear or not far) else replace(match, target_from_source=guess, inliers=0)
+        believed = not few and (clear or not (far or (self._is_sure and doubted and apart)))
+        self._is_sure = self.is_good and believed and not doubted and not apart
+        return match if believed else replace(match, target_from_source=guess, inliers=0)
 
 
 @dataclass(frozen=True)

@@ -385,6 +385,8 @@ SPEC = SlamSpec(
     tuned_on=(
         *paper.MAP_LINE.tuned_on,
         "rplidar-slambot",
+        "room",
+        "lab",
         "loop",
         "office",
         "long-loop",

@@ -15,6 +15,7 @@ from evalkit.execution import environment
 from evalkit.io.json_values import indent_json
 from evalkit.io.output_files import write_texts
 from evalkit.plugins import registry
+from evalkit.plugins.parameters import split_settings
 from evalkit.plugins.specs import RegistrationSpec
 from evalkit.terminal import options, progress
 from evalkit.terminal.console import err, out, print_json, table_width
@@ -52,7 +53,7 @@ def basin(
     from evalkit.commands.basin.result import make_result  # noqa: PLC0415 - as above
 
     options.add_working_directory()
-    given = options.settings(setting or [])
+    given = split_settings("--set", setting or [])
     methods = [basin_trials.find_method(name, given) for name in dict.fromkeys(backend or _registrations())]
     names = scene or ([] if on else list(scenes.SCENES))
     places: dict[str, dict[str, Any]] = {scenes.find_scene(name).name: {} for name in names}

@@ -27,7 +27,7 @@ from evalkit.execution.environment import describe
 from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, NUISANCE, Value
+from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, NUISANCE, Value, split_settings
 from evalkit.results import descriptions
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress, run_summary
@@ -161,7 +161,10 @@ def compare(
         if known_map is None and (start or align_truth):
             raise typer.BadParameter(f"--{'start' if start else 'align-truth'}: needs --map")
         named = _name_backends(backends, everything)
-        recording = open_recording(source, options.settings(setting or []) | given, reader)
+        settings = split_settings("--set", setting or [])
+        for name in settings.keys() & given.keys():
+            raise typer.BadParameter(f"--{option_name(name)}: contradicts --set {name}")
+        recording = open_recording(source, settings | given, reader)
     folder = folder or RESULTS / (name_experiment(recording, keys) if recording else source.stem)
     with descriptions.only_stored_in(folder) if collect else nullcontext():
         if recording is None:

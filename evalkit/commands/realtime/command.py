@@ -16,7 +16,7 @@ from evalkit.execution.task_store import TaskStore
 from evalkit.odometry import frontend
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.parameter_parsing import from_text, parse_dataset
-from evalkit.plugins.parameters import Value, resolve_parameters
+from evalkit.plugins.parameters import Value, resolve_parameters, split_settings
 from evalkit.terminal import options, progress
 from evalkit.terminal.console import err, out, print_json, table_width
 from evalkit.terminal.options import Json
@@ -69,7 +69,7 @@ def realtime(
     }  # fmt: skip
     on = on or defaults.find_simulated_dataset()
     dataset, given_on = parse_dataset(on)
-    task = _make_task(backend, dataset, options.settings(setting or []), given_on, devices)
+    task = _make_task(backend, dataset, split_settings("--set", setting or []), given_on, devices)
     store = TaskStore(folder or RESULTS / "realtime")
     with progress.show_tasks(err, 1, 1) as done:
         result = run_tasks(store, [task], 1, done)[task.name]
@@ -181,7 +181,8 @@ def _print(content: dict[str, Any], on: str) -> None:
     head = "device: error of the newest pose, dropped and late scans, age (95 %)"
     for line in format_rows(head, _make_rows(content), table_width(out), cost=""):
         out.print(line)
-    words = shlex.join(["evalkit", "tune", content["backend"], "--on", on])
+    without_seed = shlex.join(word for word in shlex.split(on) if not word.startswith("seed="))  # a tuning has its own
+    words = shlex.join(["evalkit", "tune", content["backend"], "--on", without_seed])
     out.print(f"\nnext: {words} (cheaper or better parameters)", soft_wrap=True)
 
 

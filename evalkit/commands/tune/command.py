@@ -17,6 +17,7 @@ from evalkit.config.forms import MAX_POINTS
 from evalkit.core.run_status import RunStatus
 from evalkit.execution import environment
 from evalkit.io.output_files import write_texts
+from evalkit.plugins.parameters import split_settings
 from evalkit.results import descriptions
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress
@@ -103,7 +104,7 @@ def _read_tuning(
     option_words = [("--on", name) for name in on] + [("--held-out", name) for name in held_out]
     option_words += [("--budget", str(budget or BUDGET)), *(("--set", item) for item in setting)]
     command = shlex.join(["evalkit", "tune", *what, *(word for pair in option_words for word in pair)])
-    content = config.make_tuning_tables(what, on, held_out, budget or BUDGET, options.settings(setting))
+    content = config.make_tuning_tables(what, on, held_out, budget or BUDGET, split_settings("--set", setting))
     return config.tuning_from_tables(content, "evalkit tune", name, command)
 
 

@@ -19,11 +19,14 @@ from evalkit.design.responses import Response
 from evalkit.io.toml import load_toml
 from evalkit.metrics import all_metrics, spans
 from evalkit.plugins import registry
-from evalkit.plugins.parameter_parsing import from_text, parse_dataset
+from evalkit.plugins.parameter_parsing import parse_dataset_without_seed
 from evalkit.plugins.parameters import Parameter, Value
 
 MIN_CONFIRM_RUNS = 4
 """Fewest runs on fresh seeds to decide on: fewer give no useful interval."""
+
+OWN_SEEDS = "a tuning takes 0 and 1 to search with, 10 to 13 to confirm and 20 to 25 held out"
+"""The seeds of a simulated data set that is named on the command line."""
 
 
 def load_tuning(path: Path, name: str, command: str) -> Tuning:
@@ -76,10 +79,8 @@ def make_tuning_tables(
     """
 
     def sequence(text: str, **seeds: list[int]) -> dict[str, Any]:
-        dataset, own = parse_dataset(text)
-        spec = registry.dataset(dataset)
-        parameters = from_text(dataset, spec.parameters, given) | own
-        return {"use": dataset, "label": text, **parameters, **(seeds if spec.seeded else {})}
+        dataset, parameters = parse_dataset_without_seed(text, OWN_SEEDS, given)
+        return {"use": dataset, "label": text, **parameters, **(seeds if registry.dataset(dataset).seeded else {})}
 
     return {
         "title": f"Fair tuning on {', '.join(on)}",

@@ -21,6 +21,7 @@ from evalkit.execution import environment
 from evalkit.io.input_files import read_text
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.address import address_of, spec_at
+from evalkit.plugins.parameters import split_settings
 from evalkit.plugins.specs import DatasetSpec
 from evalkit.terminal import options, progress
 from evalkit.terminal.console import err
@@ -161,8 +162,8 @@ def validate(
     out_folder = folder or RESULTS / f"validate-{_file_name(name or 'determinism')}"
     excepted = _parse_waivers(waivers or [])
     request = plan.ValidationRequest(
-        backend=name, given=options.settings(setting or []), reference=reference,
-        given_reference=options.settings(set_reference or [], "--set-reference"),
+        backend=name, given=split_settings("--set", setting or []), reference=reference,
+        given_reference=split_settings("--set-reference", set_reference or []),
         peers=tuple(filter(None, _default_peers(quick) if peer is None else peer)),
         on=tuple(on or _default_sequences(quick=quick or group == "determinism", simulated=group == "determinism")),
         seeds=seeds or (1 if quick else 3), claim=claim, margin=_parse_margin(margin), noise_share=share,
@@ -310,11 +311,11 @@ def _keep_seed(folder: Path, seed: int) -> None:
 
 def _parse_waivers(texts: list[str]) -> dict[str, str]:
     """Reasons by the name of a check."""
+    expected = "NAME=REASON, such as order='it samples its points'"
     waivers = {}
-    for text in texts:
-        name, equals, reason = text.partition("=")
-        if not (equals and name.strip() and reason.strip()):
-            raise BadParameter("validate", "except", text, "NAME=REASON, such as order='it samples its points'")
+    for name, reason in split_settings("--except", texts, expected).items():
+        if not (name.strip() and reason.strip()):
+            raise BadParameter("--except", name, reason, expected)
         waivers[name.strip()] = reason.strip()
     return waivers
 

@@ -20,7 +20,7 @@ from evalkit.execution.task import AnyTask, Parameters, Result, make_task
 from evalkit.external.declaration import split_words
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, defaults, registry
-from evalkit.plugins.parameter_parsing import from_text, parse_dataset
+from evalkit.plugins.parameter_parsing import from_text, parse_dataset_without_seed
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
@@ -298,7 +298,7 @@ def make_experiment(request: ValidationRequest, methods: Iterable[Mapping[str, A
     effort = request.effort
     content = {
         "method": list(methods),
-        "sequence": [parse_sequence(text, request.seeds) for text in request.on],
+        "sequence": [_parse_sequence(text, request.seeds) for text in request.on],
         "mapper": {"scans": effort.map_scans},
         "limits": asdict(Limits()) | {"run_s": 3.0 * effort.limit_s, "memory_mib": effort.memory_mib},
     }
@@ -324,12 +324,6 @@ def seeded_sequences(planned: Experiment) -> list[SeededSequence]:
     ]
 
 
-def parse_sequence(text: str, seeds: int) -> dict[str, Any]:
-    """The table of an experiment for a text such as "name laps=0.3"."""
-    name, given = parse_dataset(text)
-    return {"use": name, **given, **({"seeds": list(range(seeds))} if registry.dataset(name).seeded else {})}
-
-
 def compiled_files(backend: str) -> list[Path]:
     """The files of machine code of a back end: its library, or those of its plug-in's package."""
     scheme, colon, rest = backend.partition(":")
@@ -338,6 +332,12 @@ def compiled_files(backend: str) -> list[Path]:
     module = registry.plug_in_of("backends", backend).module
     files = code_hash.find_sources(module, frozenset({module.partition(".")[0]}))
     return sorted(file for file in files if file.suffix == ".so")
+
+
+def _parse_sequence(text: str, seeds: int) -> dict[str, Any]:
+    """The table of an experiment for a text such as "name laps=0.3"."""
+    name, given = parse_dataset_without_seed(text, "--seeds N takes the seeds 0 to N - 1")
+    return {"use": name, **given, **({"seeds": list(range(seeds))} if registry.dataset(name).seeded else {})}
 
 
 def _reference_label(backend: str, reference: str) -> str:
@@ -350,4 +350,7 @@ def _find_unusable_reason(spec: BackendSpec) -> str:
 
 
 def _parse_settings(name: str, given: Mapping[str, str]) -> dict[str, Value]:
-    return from_text(name, frontend.settable_parameters(registry.backend(name)), given)
+    spec = registry.backend(name)
+    values = from_text(name, frontend.settable_parameters(spec), given)
+    frontend.complete_parameters(name, spec, values)
+    return values

@@ -22,7 +22,6 @@ from evalkit.commands.validate.plan import (
     compiled_files,
     installed_only,
     make_experiment,
-    parse_sequence,
     seeded_sequences,
 )
 from evalkit.commands.validate.probes import EXACT
@@ -39,7 +38,7 @@ from evalkit.external import elf
 from evalkit.external.declaration import split_words
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.address import backend_at
-from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.parameter_parsing import from_text, parse_dataset
 from evalkit.plugins.parameters import Value
 from evalkit.results.run_record import RunRecord
 from evalkit.results.store import Store
@@ -227,13 +226,11 @@ def report_determinism(
     ``announce`` is called with each back end's name before it runs.
     """
     installed = backends or [name for name in registry.names("backends") if not registry.find_backend(name).missing()]
-    sequences = [parse_sequence(text, 1) for text in on]
+    sequences = [parse_dataset(text) for text in on]
     checks = []
     for name in installed:
         announce(name)
-        for sequence in sequences:
-            parameters = {key: value for key, value in sequence.items() if key not in ("use", "seeds")}
-            checks.append(_determinism_check(name, given, sequence["use"], parameters, threads, repetitions))
+        checks += [_determinism_check(name, given, *sequence, threads, repetitions) for sequence in sequences]
     question = f"Are the answers of {repetitions} runs equal to the bit, with one thread and with {threads}?"
     level = AcceptanceLevel(6, "determinism", question, tuple(checks))
     subject = ", ".join(backends) or "every installed back end"

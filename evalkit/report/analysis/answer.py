@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.lead import find_lead
 from evalkit.report.analysis.map_agreement import decided_by_maps
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.significance import Significance
@@ -27,9 +28,10 @@ from evalkit.report.analysis.statements.verdict import SequenceVerdict
 class Answer:
     """What title and terminal say.
 
-    ``title``: one sentence that contains ``emphasis`` (the winners by name, "" without any). ``subtitle``: cost, losses
-    and the cheapest method. ``winners``: best or tied on most data sets, none if no method is ahead. ``rivals``:
-    methods that paired tests call better than these, so that the title recommends none of them.
+    ``title``: one sentence that contains ``emphasis`` (the winners by name, "" if none is ahead). ``subtitle``: cost,
+    losses and the cheapest method. ``winners``: best or tied on most data sets, none if no method is ahead. ``rivals``:
+    methods that are better than these by paired tests, or lead more often where both count. ``undecided``: methods that
+    these runs do not tell apart from the winners. With any of both the title recommends none.
     ``cheapest``: of the winners if there are several, else of all methods that are not a baseline.
     ``standings``: every method, best first. ``common``: the method whose errors and times theirs are divided by.
     ``by_maps``: no data set has ground truth or a known map; the maps drawn alone are compared.
@@ -41,12 +43,18 @@ class Answer:
     pills: tuple[Pill, ...]
     winners: tuple[str, ...]
     rivals: tuple[str, ...]
+    undecided: tuple[str, ...]
     cheapest: Standing | None
     losses: tuple[Loss, ...]
     standings: tuple[Standing, ...]
     contests: tuple[Contest, ...]
     common: str
     by_maps: bool
+
+    @property
+    def ahead(self) -> tuple[str, ...]:
+        """The winners that the page shows in their colour: none if the title says that no method is ahead."""
+        return () if self.rivals else self.winners
 
     def standing(self, method: str) -> Standing:
         """Return the standing of a method."""
@@ -60,25 +68,20 @@ def compute_answer(
     tally: Tally,
     significance: Significance,
 ) -> Answer:
-    """Compute the answer from the tally of the data sets that count, and the paired tests over all runs.
-
-    A method that leads most often is not recommended if a paired test calls another one better. Where that holds for
-    all of these, one is named with those that are better, if possible one that no other of them beats.
-    """
+    """Compute the answer from the tally of the data sets that count, and the paired tests over all runs."""
     contests, standings = tally.contests, tally.standings
-    unbeaten = tuple(one for one in tally.winners if not significance.find_better(one))
-    by_others = [one for one in tally.winners if not set(significance.find_better(one)) & set(tally.winners)]
-    winners = unbeaten or tuple(by_others or tally.winners)[:1]
-    rivals = tuple(other for one in winners for other in significance.find_better(one))
+    lead = find_lead(tally, significance)
+    winners = lead.winners
     cheapest = find_cheapest(comparison, standings, winners)
     losses = find_losses(winners[0], contests) if len(winners) == 1 else ()
     return Answer(
-        format_title(standings, contests, winners, rivals) if contests else explain_no_contest(sequences, verdicts),
-        " or ".join(winners),
-        format_subtitle(tally, winners, rivals, losses, find_lost(sequences, winners), cheapest),
+        format_title(tally, lead) if contests else explain_no_contest(sequences, verdicts),
+        "" if lead.rivals else lead.names,
+        format_subtitle(tally, lead, losses, find_lost(sequences, winners), cheapest),
         compute_pills(comparison, sequences, verdicts, {one.sequence for one in contests}),
         winners,
-        rivals,
+        lead.rivals,
+        lead.undecided,
         cheapest,
         losses,
         standings,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from statistics import median
 from typing import Literal
@@ -12,8 +13,11 @@ from evalkit.stats.bootstrap import expanded_percentile_interval
 from evalkit.stats.intervals import Interval
 from evalkit.stats.runs import FEW_RUNS, PairedRuns, paired_runs
 
-RELATIONS_FLOOR = {"m": 0.03, "deg": 0.4, "°": 0.4}
-"""Accuracy of the published relations themselves, by unit."""
+RELATION_ACCURACY = {"m": 0.03, "deg": 0.4}
+"""Mean error of one measured relation, by unit."""
+
+SHARED_ERROR = 1.0 / 6.0
+"""The share of it that all relations of a recording may have in common, so that no number of them averages it out."""
 
 NEAR_SHARE = 0.25
 """Two methods are tied only if their medians differ by at most this share of the better one: a larger difference that
@@ -48,8 +52,13 @@ class PairedDifference:
 
     @property
     def detectable(self) -> float | None:
-        """The difference that so many runs detect with 80 % power at 5 %; None for one run."""
+        """The difference that so many runs detect with 80 % power; None for one run."""
         return None if self.paired is None else self.paired.detectable
+
+    @property
+    def misses_double(self) -> bool:
+        """Whether these runs do not even detect a value twice as large as the reference's."""
+        return self.paired is not None and self.paired.detectable > self.paired.scale
 
     @property
     def needed(self) -> int | None:
@@ -82,7 +91,7 @@ def separation(metric: Metric, one: MethodScore, other: MethodScore) -> Separati
     if difference is None:
         return "one run"
     size = abs(difference.interval.value)
-    if size < noise_floor(metric):
+    if size < noise_floor(metric, count_relations(one, other)):
         return "within the noise floor"
     medians = (median(one.values), median(other.values))
     if one.perturbed and difference.interval.support < FEW_RUNS:
@@ -101,9 +110,20 @@ def is_tied(metric: Metric, apart: Separation, one: MethodScore, other: MethodSc
     return abs(medians[0] - medians[1]) <= max(NEAR_SHARE * abs(better), margin(metric, better))
 
 
-def noise_floor(metric: Metric) -> float:
-    """Return the difference below the accuracy of the ground truth itself (in the metric's unit); 0: none."""
-    return RELATIONS_FLOOR.get(metric.unit, 0.0) if metric.group == "relations" else 0.0
+def noise_floor(metric: Metric, relations: int = 0) -> float:
+    """Return the difference (in the metric's unit) that errors of the ground truth can make; 0: none.
+
+    Both methods are measured by the same relations. Independent errors of these give the difference of two means a
+    standard error of about the accuracy of one relation, divided by the root of their number, at most. The floor is
+    twice that, or the shared error if it is larger. ``relations``: 0 if their number is not known, then the latter.
+    """
+    accuracy = RELATION_ACCURACY.get(metric.unit, 0.0) if metric.group == "relations" else 0.0
+    return accuracy * max(2.0 / math.sqrt(relations) if relations else 0.0, SHARED_ERROR)
+
+
+def count_relations(one: MethodScore, other: MethodScore) -> int:
+    """Return how many relations a run of either method has."""
+    return min(one.support, other.support)
 
 
 def is_position(metric: Metric) -> bool:

@@ -39,7 +39,8 @@ class Ranking:
     ``scores``: of all methods. ``ranked``: the rankable ones, best first. ``tied``: the best and those that do not
     differ clearly from it. ``near``: those of them that are close to the best; they are called tied. ``why_tied``: the
     reason of the first tie, "clear" without a tie. ``comparable``: False if the geometry does not determine the pose,
-    or the map metrics that decide disagree.
+    or the map metrics that decide disagree. ``outvoted``: where maps decide, the tied methods that are not best or tied
+    in every map metric.
     """
 
     sequence: str
@@ -50,6 +51,7 @@ class Ranking:
     near: tuple[MethodScore, ...]
     why_tied: Separation
     comparable: bool = True
+    outvoted: tuple[str, ...] = ()
 
     @property
     def repeated(self) -> bool:
@@ -75,9 +77,9 @@ def mark(ranking: Ranking, method: str) -> Mark:
     """Return how a method stands in a ranking: the one rule for page, terminal and exports.
 
     "best": clearly better than every other ranked method. "tied": the best value, or close to it without a clear
-    difference. "undecided": farther from it, but these runs do not show the difference. "worse": clearly worse than the
-    best value. "lost": it lost the track. "not comparable": no complete value, a single run, a single method, settings
-    chosen on this data set, no better direction, or a sequence without a ranking.
+    difference. "undecided": farther from it, but these runs do not show the difference; or outvoted. "worse": clearly
+    worse than the best value. "lost": it lost the track. "not comparable": no complete value, a single run, a single
+    method, settings chosen on this data set, no better direction, or a sequence without a ranking.
     """
     score = ranking.of(method)
     if score is not None and score.lost is not None:
@@ -89,7 +91,7 @@ def mark(ranking: Ranking, method: str) -> Mark:
     if score in ranking.tied:
         if separation(ranking.metric, ranking.ranked[0], score) == "one run":
             return "not comparable"
-        return "tied" if score in ranking.near else "undecided"
+        return "tied" if score in ranking.near and method not in ranking.outvoted else "undecided"
     return "worse"
 
 

@@ -75,7 +75,8 @@ class MethodScore:
     """One metric of one method over one sequence, in the metric's unit.
 
     ``values``: one per complete run with a score, in the order of the runs; ``seeds``: theirs. ``partial``: values of
-    runs that ended early, which enter no median. ``complete`` of ``expected`` runs completed. ``reason``: why there is
+    runs that ended early, which enter no median. ``complete`` of ``expected`` runs completed, without those that were
+    interrupted: they say nothing about the method. ``reason``: why there is
     no value, "" if there is one. ``guessed_percent``: share of scans that kept the initial guess, 0 if unknown.
     ``draws``: bootstrap draws of each value, None where the metric has none. ``interval``: the median over the runs
     with its 95 % interval: over three or more runs by Student's t; of one run by its draws, which describes this run
@@ -150,7 +151,7 @@ def compute_score(
         values,
         tuple(value for value in partial if value is not None),
         len(complete),
-        len(runs),
+        sum(run.result.status != RunStatus.INTERRUPTED for run in runs),
         support,
         "" if known else _reason_without_value(runs, metric),
         tuple(run.seed for run, *_ in known),

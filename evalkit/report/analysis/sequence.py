@@ -89,8 +89,9 @@ def analyse_sequence(comparison: Comparison, label: str) -> SequenceAnalysis:
     rankings = compute_rankings(comparison, label)
     deciding = find_deciding(rankings)
     agreement = compute_map_agreement(rankings, comparison.method_labels, deciding)
-    if deciding is not None and agreement.disagrees:
-        deciding = replace(deciding, comparable=False)
+    if deciding is not None and agreement.decides:
+        outvoted = tuple(one.method for one in deciding.tied if one.method not in agreement.agreed)
+        deciding = replace(deciding, comparable=deciding.comparable and not agreement.disagrees, outvoted=outvoted)
         rankings[deciding.metric.name] = deciding
     paths = () if deciding is None else tuple(s.method for s in deciding.ranked if s.method not in baselines)
     return SequenceAnalysis(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from evalkit.core.run_status import NOT_EXECUTED
 from evalkit.core.se2 import Floats
@@ -41,7 +42,7 @@ class MethodRecord:
     """One method over all sequences.
 
     ``finished`` of the ``runs`` that could start, with the interval of that ``share``. ``rank``: mean rank over the
-    sequences, None if a sequence is missing. ``quantiles``: errors (m) that 50, 75 and 95 % of its ``measured`` runs
+    data sets, None if a sequence is missing. ``quantiles``: errors (m) that 50, 75 and 95 % of its ``measured`` runs
     over ``sequences`` do not exceed, infinite if more failed; none if no sequence is decided in metres.
     """
 
@@ -104,7 +105,10 @@ def compute_significance(
     """
     counted = _counted_rankings(sequences)
     errors = {method: _run_errors(comparison, counted, method) for method in comparison.method_labels}
-    table, ranked = _median_errors(counted, errors)
+    ranked = tuple(
+        m for m, own in errors.items() if counted and {one.sequence for one in counted} == {s for s, _ in own}
+    )
+    table = _errors_of_data_sets(sequences, counted, [errors[method] for method in ranked])
     means = dict(zip(ranked, compute_ranks(table).mean(axis=0).tolist(), strict=True)) if len(table) else {}
     best = sorted(means, key=lambda method: means[method])[:1]
     references = [
@@ -174,15 +178,19 @@ def _run_error(run: RunRecord, metric: str) -> float:
     return math.inf if not run.result.is_complete or value is None else value
 
 
-def _median_errors(counted: Sequence[Ranking], errors: Mapping[str, ErrorsByRun]) -> tuple[Floats, tuple[str, ...]]:
-    """Return median errors (N, K) of the K methods that could start on every sequence, and these methods."""
-    by_sequence = {
-        method: {one.sequence: [e for (label, _), e in runs.items() if label == one.sequence] for one in counted}
-        for method, runs in errors.items()
-    }
-    ranked = tuple(method for method, own in by_sequence.items() if own and all(own.values()))
-    rows = [[_median_error(by_sequence[method][one.sequence]) for method in ranked] for one in counted]
-    return np.round(np.array(rows, dtype=np.float64).reshape(len(rows), len(ranked)), 9), ranked
+def _errors_of_data_sets(
+    sequences: Sequence[SequenceAnalysis], counted: Sequence[Ranking], errors: Sequence[ErrorsByRun]
+) -> Floats:
+    """Return errors (N, K) of K methods over N data sets, as logarithms: sequences of one data set are no two proofs.
+
+    The mean over the sequences of a data set of the median over the runs of a sequence.
+    """
+    data_set = {one.label: one.all_runs[0].spec.sequence.dataset for one in sequences}
+    rows: dict[str, list[list[float]]] = {}
+    for ranking in counted:
+        own = [_median_error([e for (label, _), e in runs.items() if label == ranking.sequence]) for runs in errors]
+        rows.setdefault(data_set[ranking.sequence], []).append(own)
+    return np.array([_logarithms(own).mean(axis=0) for own in rows.values()]).reshape(len(rows), len(errors))
 
 
 def _median_error(errors: Sequence[float]) -> float:
@@ -234,7 +242,7 @@ def _larger(one: ErrorsByRun, other: ErrorsByRun) -> float:
     return total / counts.total()
 
 
-def _logarithms(errors: Sequence[float]) -> Floats:
+def _logarithms(errors: ArrayLike) -> Floats:
     return np.asarray(np.round(np.log(np.maximum(np.array(errors, dtype=np.float64), 1e-12)), 9), dtype=np.float64)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from evalkit.core.run_status import NOT_EXECUTED
+from evalkit.core.run_status import BROKEN, NOT_EXECUTED
 from evalkit.metrics.metric import Metric
 from evalkit.metrics.runtime import COST
 from evalkit.report.analysis.comparison import Comparison
@@ -118,45 +118,65 @@ def compute_tally(
     comparison: Comparison, sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]
 ) -> Tally:
     """Compute how the methods stand over the data sets that count."""
-    contests = find_contests(sequences, verdicts)
+    contests = find_contests(comparison, sequences, verdicts)
     common = find_common(comparison, contests)
     standings = compute_standings(comparison, sequences, contests, common)
     return Tally(contests, standings, find_winners(standings, contests), common)
 
 
 def find_contests(
-    sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]
-) -> tuple[Contest, ...]:  # fmt: skip
+    comparison: Comparison, sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]
+) -> tuple[Contest, ...]:
     """Return the contests with the strongest evidence: ground truth, else a known map, else the maps drawn.
 
-    One on which all are tied tells none apart, and does not count beside others.
+    One on which all are tied tells none apart, and does not count beside others. None if a single method is ranked.
     """
     by_evidence: tuple[list[Contest], ...] = ([], [], [])
     for sequence, verdict in zip(sequences, verdicts, strict=True):
-        if (one := _find_contest(sequence, verdict)) is not None:
+        if (one := _find_contest(comparison, sequence, verdict)) is not None:
             by_evidence[2 if decided_by_maps(one.ranking) else decided_by_fit(one.ranking)].append(one)
     found: list[Contest] = next(filter(None, by_evidence), [])
+    if len({score.method for one in found for score in one.ranked}) < 2:
+        return ()
     return tuple([one for one in found if one.tells_apart] or found)
 
 
-def _find_contest(sequence: SequenceAnalysis, verdict: SequenceVerdict) -> Contest | None:
+def _find_contest(
+    comparison: Comparison, sequence: SequenceAnalysis, verdict: SequenceVerdict
+) -> Contest | None:  # fmt: skip
     """Return the contest on a sequence; None if it has no verdict, or fewer than two methods count there.
 
     A sequence on which some methods are undecided and none is worse has no verdict; without ground truth, unless maps
-    set some of the methods apart.
+    set some of the methods apart. A single ranked method leads where it holds alone (`holds_alone`).
     """
     ranking = sequence.deciding
-    if ranking is None or verdict.outcome not in LED:
+    alone = verdict.outcome == "single" and holds_alone(comparison, sequence)
+    if ranking is None or not (alone or verdict.outcome in LED):
         return None
+    leaders = (ranking.ranked[0].method,) if alone else verdict.leaders
     marks = {mark(ranking, score.method) for score in ranking.ranked}
-    all_lead = len(verdict.leaders) == len(ranking.ranked) or not decided_by_maps(ranking)
-    if not verdict.leaders or ("undecided" in marks and "worse" not in marks and all_lead):
+    all_lead = len(leaders) == len(ranking.ranked) or not decided_by_maps(ranking)
+    if not leaders or ("undecided" in marks and "worse" not in marks and all_lead):
         return None
     started = {run.method for run in sequence.all_runs if run.result.status not in NOT_EXECUTED}
     part = tuple(score.method for score in ranking.scores if score.method in started and not score.tuned)
     left_out = tuple(score.method for score in ranking.scores if score.tuned and score.values)
     apart, costs = not verdict.all_tied, sequence.rankings.get(COST)
-    return Contest(sequence.label, ranking, ranking.ranked, verdict.leaders, part, left_out, apart, costs)
+    return Contest(sequence.label, ranking, ranking.ranked, leaders, part, left_out, apart, costs)
+
+
+def holds_alone(comparison: Comparison, sequence: SequenceAnalysis) -> bool:
+    """Return whether the one ranked method ran more than once, and another one failed or lost the track.
+
+    The other one is no baseline, and its settings were not chosen there. Maps drawn alone do not count.
+    """
+    ranking = sequence.deciding
+    if ranking is None or decided_by_maps(ranking) or len(ranking.ranked[0].values) < 2:
+        return False
+    baselines = comparison.methods_with_role("baseline")
+    others = [one for one in ranking.scores if one not in ranking.ranked and one.method not in baselines]
+    broken = {run.method for run in sequence.all_runs if run.result.status in BROKEN}
+    return any((one.lost is not None or one.method in broken) and not one.tuned for one in others)
 
 
 def find_common(comparison: Comparison, contests: Sequence[Contest]) -> str:
@@ -234,16 +254,11 @@ def _compute_geometric_mean(logarithms: Sequence[float]) -> float | None:
 
 
 def find_winners(standings: Sequence[Standing], contests: Sequence[Contest]) -> tuple[str, ...]:
-    """Return the methods that lead most often; none if they are too many to name or all that take part."""
+    """Return the methods that lead most often; none if they are all that take part."""
     most = max((one.led for one in standings), default=0)
     winners = tuple(one.method for one in standings if one.led == most) if most else ()
     part = {score.method for one in contests for score in one.ranked}
-    return winners if len(winners) < len(part) and len(winners) <= MAX_NAMED else ()
-
-
-def find_next(standings: Sequence[Standing], winners: Sequence[str]) -> Standing | None:
-    """Return the best method that is no winner and for which a data set counts."""
-    return next((one for one in standings if one.counted and one.method not in winners), None)
+    return winners if len(winners) < len(part) else ()
 
 
 def find_cheapest(comparison: Comparison, standings: Sequence[Standing], winners: Sequence[str]) -> Standing | None:

@@ -11,6 +11,7 @@ from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison, MethodCard
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.significance import SIGNIFICANCE_LEVEL
 from evalkit.report.formatting import capitalise
 from evalkit.report.html import appendix_tables, report_tables
 from evalkit.report.html.blocks import (
@@ -38,19 +39,20 @@ HOW = (
     "Student's t over the runs: it holds the median over all possible runs. Two runs, and the perturbed runs of a "
     "recording, show the lowest and the highest value. A single run has an interval from stretches of up to 10 s of "
     "it, which describes this run only; a metric without one value per scan then has none.",
-    "Green: clearly better than every other method that completed every run and held the track. Shaded: close "
-    "to the best value and not clearly different from it: the interval of the paired difference over runs contains "
-    "zero, or the difference is below 5 % (for positions: or 2 mm), or below the accuracy of the ground truth. Single "
-    "runs give no verdict. A method that lost the track in any run, kept the initial guess on more than half of the "
-    "scans, or whose settings were chosen on a data set, is not ranked there.",
+    "Green: clearly better than every other method that completed every run and held the track. Shaded: close to the "
+    "best value and not clearly different from it: the interval of the paired difference over runs contains zero, or "
+    "the difference is below 5 % (for positions: or 2 mm), or below the accuracy of the ground truth. Where maps "
+    "decide, it is also not clearly worse in any other map metric. Single runs give no verdict. A method that lost "
+    "the track in any run, kept the initial guess on more than half of the scans, or whose settings were chosen on a "
+    "data set, is not ranked there.",
     "Point at a dash to see the reason. The name of a method and each number lead to its runs, with their commands. "
     "Click a heading to sort.",
 )
 PAIRS = (
     "The difference on the same scans (or run by run) with its interval; above zero is worse. If the interval "
-    "contains zero, no difference is shown. “Detectable” is the difference that these runs detect in four cases of "
-    "five; a smaller one may exist. Every row is a separate test: of twenty rows without a true difference, one may "
-    "show a difference."
+    "contains zero, no difference is shown. “Detectable” is the difference, in the direction found, that these runs "
+    "detect in four cases of five; a smaller one may exist. Every row is a separate test: of twenty rows without a "
+    "true difference, one may show a difference."
 )
 TESTS = (
     "This table predicts a further sequence of the same kind and needs more runs than the verdicts, which describe "
@@ -102,8 +104,9 @@ def _build_tests(analysis: Analysis, strokes: Strokes) -> list[Block]:
     if isinstance(found.ranks, NotTested):
         text += f"Ranks are not tested: {found.ranks.reason}."
     else:
+        differ = "differ significantly" if found.ranks.p <= SIGNIFICANCE_LEVEL else "do not differ significantly"
         text += (
-            f"Ranks over {found.ranks.sequences} sequences differ significantly with p = {found.ranks.p:.2g} "
+            f"Ranks over {found.ranks.data_sets} data sets {differ}, with p = {found.ranks.p:.2g} "
             f"(Friedman); two methods differ if their mean ranks are at least {found.ranks.critical_difference:.2f} "
             "apart (critical difference, Nemenyi)."
         )

@@ -23,7 +23,7 @@ def records_table(analysis: Analysis, strokes: Strokes) -> Table:
     """Return success and ranks of every method over all sequences that count."""
     columns = (
         Column("Method"), Column("Runs finished", number=True, better="higher"),
-        Column("Mean rank", "", True, "1 is the best on every sequence"),
+        Column("Mean rank", "", True, "1 is the best on every data set"),
         *(Column(f"A{share}", "", True, f"{share} % of all its runs have at most this deciding error")
           for share in (50, 75, 95)),
         Column("Runs of A50–A95", number=True, tip="and the number of their sequences"),

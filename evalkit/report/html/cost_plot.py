@@ -64,7 +64,7 @@ def draw_scatter(analysis: Analysis, strokes: Strokes) -> Markup | None:
     names = {one.method: f"{one.method} ({one.shared})" if one.shared else one.method for one in points}
     labels = place_labels([(*place[one.method], names[one.method]) for one in points], (right, bottom), 6.2, 9.0)
     for one in reversed(points):  # the best on top
-        kind = f"series{' led' if one.method in analysis.answer.winners else ''}"
+        kind = f"series{' led' if one.method in analysis.answer.ahead else ''}"
         own = _draw_point(one, place[one.method], names[one.method], labels.get(names[one.method]), common)
         parts.append(element("g", own, class_=kind, data_of=one.method, style=f"--own:{strokes[one.method].css}"))
     parts.append(

@@ -43,6 +43,9 @@ CUT_LEFT, CUT_RIGHT = "M4 -4L0 0L4 4", "M-4 -4L0 0L-4 4"
 SHAPES = {"tuned": "M0 -5.5L5.5 0L0 5.5L-5.5 0Z", "lost": "M-4 -4L4 4M-4 4L4 -4"}
 """Marks that are no circles: settings chosen there, track lost."""
 
+TOO_FEW, OUTVOTED = "too few runs to tell it from the best", "not tied in every map metric"
+"""Why a method has no verdict."""
+
 
 def draw_dots(analysis: Analysis, strokes: Strokes) -> Markup | None:
     """Return the dot plot: methods by rank in rows, data sets in columns; None without a value."""
@@ -63,7 +66,7 @@ def draw_dots(analysis: Analysis, strokes: Strokes) -> Markup | None:
         own += [_cell("cell", at, place, _dot(panel, standing.method), "panel") for at, panel in enumerate(panels, 1)]
         led = f"{standing.led}/{standing.counted}" if standing.counted else "–"
         own.append(_cell("cell", len(panels) + 1, place, led if contests else "", "count"))
-        leads = " led" if standing.method in answer.winners else ""
+        leads = " led" if standing.method in answer.ahead else ""
         css = strokes[standing.method].css
         rows.append(
             element("div", join(own), role="row", class_=f"dots-row series{leads}", data_of=standing.method,
@@ -169,9 +172,11 @@ def _mark(panel: _Panel, score: MethodScore) -> tuple[str, str]:
     """Return what a score is on a data set, in words and as the class of its dot."""
     if score.tuned:
         return "settings chosen here: not counted", "tuned"
+    if len(panel.ranking.ranked) == 1 and panel.contest is not None and score.method in panel.contest.leaders:
+        return "the only one ranked", "tied"
     words = {
         "best": ("best", "tied"), "tied": ("tied with the best", "tied"), "worse": ("worse than the best", ""),
-        "undecided": ("too few runs to tell it from the best", "unranked"),
+        "undecided": (OUTVOTED if score.method in panel.ranking.outvoted else TOO_FEW, "unranked"),
         "lost": (f"lost the track {format_losses(score)}", "lost"), "not comparable": ("not comparable", "unranked"),
     }  # fmt: skip
     return words[mark(panel.ranking, score.method)]

@@ -58,16 +58,20 @@ def find_hardest(analysis: Analysis) -> int | None:
 def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[str, str]]:
     """Return method and role of each map, best first: the answer, a peer, the baseline, the worst, others.
 
-    Methods whose settings were chosen on the sequence are left out, but for the answer.
+    Methods whose settings were chosen on the sequence are left out, but for the answer and, beside it, the best other
+    one of them: an answer with such settings is not compared with methods without them alone.
     """
     comparison, ranking = analysis.comparison, sequence.deciding
     if ranking is None:
         return []
     drawn = {label for label, own in sequence.runs.items() if own[0].scores.grid is not None}
-    drawn -= set(find_left_out(comparison, sequence)) - set(analysis.answer.winners)
     valued = [score for score in ranking.scores if score.values and score.method in drawn]
     sign = ranking.metric.sign
-    ordered = [score.method for score in sorted(valued, key=lambda score: sign * median(score.values))]
+    every = [score.method for score in sorted(valued, key=lambda score: sign * median(score.values))]
+    tuned = [method for method in every if method in find_left_out(comparison, sequence)]
+    others = [method for method in tuned if method not in analysis.answer.winners]
+    rival = others[:1] if len(others) < len(tuned) else []
+    ordered = [method for method in every if method not in others or method in rival]
     if not ordered:
         return []
     winners = [method for method in ordered if method in analysis.answer.winners and not analysis.answer.rivals]
@@ -75,6 +79,7 @@ def choose_tiles(analysis: Analysis, sequence: SequenceAnalysis) -> list[tuple[s
     worst = "worst" if mark(ranking, ordered[-1]) in ("worse", "lost") else "worst value"
     wanted = (
         *([("answer", [winner]) for winner in winners] or [(best, ordered[:1])]),
+        ("best other tuned", rival),
         (worst, ordered[-1:]),
         ("established", [method for method in ordered if comparison.methods[method].role == "peer"]),
         ("baseline", comparison.methods_with_role("baseline")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from statistics import median
 
 from evalkit.core.run_status import NOT_EXECUTED, RunStatus
@@ -10,6 +11,7 @@ from evalkit.metrics.metric import Metric
 from evalkit.plugins.specs import Published
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.pairwise import PairedDifference
 from evalkit.report.analysis.ranking import Mark, Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, select_unfinished
 from evalkit.report.analysis.sequence import SequenceAnalysis
@@ -27,6 +29,7 @@ from evalkit.stats.intervals import wilson_interval
 from evalkit.stats.runs import MIN_RUNS
 
 DASH = Cell("–", "")
+WORD_JOINER = "\u2060"
 COVERED, MIN_COVERED = "relations_answered_percent", 95.0
 """A metric, and the percentage from which on a result is compared with published ones, which are of all relations."""
 CHIPS: Mapping[str, Chips] = {"reference": (("reference", ""),), "baseline": (("baseline", ""),)}
@@ -176,10 +179,6 @@ def numbers_table(analysis: Analysis, strokes: Strokes) -> Table:
         column = metric_column(found) if found else Column("", "", True)
         text = f"{found.label}, {found.unit}" if found and column.unit else found.label if found else ""
         columns.append(Column(sequence.label, text, True, column.tip, column.better))
-        if sequence.final is not None:
-            columns.append(
-                Column(f"{sequence.label}, corrected", text, True, sequence.final.metric.definition, "lower")
-            )
     columns.append(
         Column("CPU a scan", "ms", True, "median over the data sets that count, or over all if none does", "lower")
     )
@@ -189,16 +188,24 @@ def numbers_table(analysis: Analysis, strokes: Strokes) -> Table:
         for number, sequence in shown:
             link = f"#{runs_anchor(number, places[standing.method])}" if standing.method in sequence.runs else ""
             ranking = sequence.deciding
-            cells.append(score_cell(ranking, ranking.of(standing.method), link) if ranking else DASH)
-            if sequence.final is not None:
-                cells.append(score_cell(sequence.final, sequence.final.of(standing.method), link))
+            cell = score_cell(ranking, ranking.of(standing.method), link) if ranking else DASH
+            cells.append(_add_corrected(cell, sequence.final, standing.method))
         led = Cell(f"{standing.led}/{standing.counted}", standing.led) if standing.counted else DASH
         every = len(answer.contests)
-        extent = f"on {standing.counted} of {every}" if 0 < standing.counted < every else ""
+        extent = f"on {standing.counted}\u00a0of\u00a0{every}" if 0 < standing.counted < every else ""
         cost = DASH if standing.cpu_ms is None else Cell(_format_time(standing.cpu_ms), standing.cpu_ms, extent=extent)
         link = f"#method-{places[standing.method]}"
         rows.append([method_cell(comparison, strokes, standing.method, link), led, *cells, cost])
     return Table(columns, rows, label="At a glance")
+
+
+def _add_corrected(cell: Cell, final: Ranking | None, method: str) -> Cell:
+    """Add the median of a method's corrected poses, if it has any, below the number of its answers."""
+    score = final.of(method) if final is not None else None
+    if final is None or score is None or score.median is None:
+        return cell
+    corrected = f"corrected {_format(final.metric, score.median)}"
+    return replace(cell, extent=f"{cell.extent}, {corrected}" if cell.extent else corrected)
 
 
 def all_metrics_tables(analysis: Analysis, sequence: SequenceAnalysis, number: int) -> Iterator[Table]:
@@ -239,10 +246,17 @@ def pairs_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes
             extent = f"{100 * bounds.confidence:.0f} %: {_bounds(metric, bounds.low, bounds.high)}"
             extent = extent if one.difference.runs != MIN_RUNS - 1 else ""  # two pairs have no interval
             value = Cell(_format(metric, bounds.value), bounds.value, extent=extent)
-            detectable = one.difference.detectable
-            cells += [value, Cell(one.verdict), DASH if detectable is None else Cell(_format(metric, detectable))]
+            cells += [value, Cell(one.verdict), _detectable_cell(metric, one.difference)]
         rows.append([method_cell(analysis.comparison, strokes, label), *cells])
     return Table(columns, rows, label=f"Paired differences on {sequence.label}")
+
+
+def _detectable_cell(metric: Metric, difference: PairedDifference) -> Cell:
+    """Return the difference that these runs detect, at most "over" ten times the reference; a dash for one run."""
+    if difference.paired is None:
+        return DASH
+    detectable, most = difference.paired.detectable, 10.0 * difference.paired.scale
+    return Cell(f"over {_format(metric, most)}" if detectable > most else _format(metric, detectable))
 
 
 def explain_no_published(sequence: SequenceAnalysis) -> str:
@@ -323,12 +337,12 @@ def _extent(metric: Metric, score: MethodScore) -> str:
 
 
 def _bounds(metric: Metric, low: float, high: float) -> str:
-    """Return two bounds with their common unit once."""
+    """Return two bounds, with their common unit once; only two units are on two lines of a narrow column."""
     first, last = _format(metric, low), _format(metric, high)
-    unit = first.partition("\u00a0")[2]
-    return (
-        f"{first.removesuffix(unit).rstrip()}–{last}" if unit and last.endswith(f"\u00a0{unit}") else f"{first}–{last}"
-    )
+    number, _, unit = first.partition("\u00a0")
+    if unit and not last.endswith(f"\u00a0{unit}"):
+        return f"{first}–{last}"
+    return f"{number}–{WORD_JOINER}{last}"
 
 
 def _format(metric: Metric, value: float) -> str:

@@ -91,6 +91,29 @@ def test_an_answer_that_fits_poorly_must_be_half_as_far(x_m, error_m, paired, is
     assert (gated.register(cloud, cloud, GUESS).inliers > 0) == is_believed
 
 
+@pytest.mark.parametrize(
+    ("y_before_m", "error_before_m", "x_m", "error_m", "paired", "usual_gap", "is_believed"),
+    [
+        (0.029, 0.03, 0.029, 0.045, 1.0, (0.0, 0.0), True),
+        (0.029, 0.03, 0.031, 0.045, 1.0, (0.0, 0.0), False),
+        (0.029, 0.03, 0.031, 0.039, 0.8, (0.0, 0.0), True),
+        (0.029, 0.03, 0.031, 0.039, 0.79, (0.0, 0.0), False),
+        (0.029, 0.041, 0.031, 0.045, 1.0, (0.0, 0.0), True),
+        (0.031, 0.03, 0.031, 0.045, 1.0, (0.0, 0.0), True),
+        (0.029, 0.03, 0.031, 0.045, 1.0, None, True),
+    ],
+)
+def test_a_doubted_answer_stays_where_good_odometry_and_the_match_before_agree(
+    y_before_m, error_before_m, x_m, error_m, paired, usual_gap, is_believed
+):
+    """The usual error is 0.02 m: 0.041 m are doubted, and may leave the guess by 3 cm."""
+    before, now = Answers(Pose(0.0, y_before_m, 0.0), error_before_m), Answers(Pose(x_m, 0.0, 0.0), error_m, paired)
+    gate, cloud = OdometryGate(), Cloud(np.ones((100, 2)))
+    gate.begin_scan(Pose(0.0, 0.0, 0.0), usual_gap, 0.02)
+    assert Gated(before, gate).register(cloud, cloud, GUESS).inliers == 100
+    assert (Gated(now, gate).register(cloud, cloud, GUESS).inliers > 0) == is_believed
+
+
 def test_a_far_answer_that_fits_well_is_believed():
     gated = Gated(Answers(Pose(1.0, 0.0, 0.0), 0.02), OdometryGate())
     gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), None)

@@ -11,7 +11,7 @@ REPORTS = Path(__file__).parents[3] / "reports"
 
 
 def test_a_slam_closes_a_loop_on_data_that_it_was_not_tuned_on():
-    (run,) = load_experiment(REPORTS / "default.toml").select(["lab lap"], ["embedded-slam"], []).runs()
+    (run,) = load_experiment(REPORTS / "default.toml").select(["random-office lap"], ["embedded-slam"], []).runs()
     assert run.sequence.dataset not in run.method.tuned_on
     sequence = registry.dataset(run.sequence.dataset).make(**run.dataset_parameters)
     slam = registry.backend(run.method.backend).make(**run.method.parameters)

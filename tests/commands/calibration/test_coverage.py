@@ -130,6 +130,7 @@ def test_the_table_has_a_row_for_each_number_of_runs_and_the_page_is_complete():
     ]  # fmt: skip
 
 
+@pytest.mark.checkout
 def test_the_documentation_shows_the_shipped_measurement_whose_worlds_are_within_the_limits():
     root = Path(__file__).parents[3]
     content = json.loads((root / "docs/pages/assets/calibration.json").read_text(encoding="utf-8"))

@@ -483,3 +483,12 @@ def test_a_path_that_holds_nothing_to_compare_is_named_with_what_it_is(folder, t
     for pair in ([old, tmp_path / name], [tmp_path / name, old]):
         result = CliRunner().invoke(cli.app, ["diff", *map(str, pair)])
         assert f"{tmp_path / name}: {said}" in str(result.exception)
+
+
+@pytest.mark.parametrize(("new_m", "said"), [(0.0449, "within the limit"), (0.0451, "regression")])
+def test_a_mean_over_relations_must_change_by_more_than_the_error_that_these_share(new_m, said):
+    name = "relations_all_mean_m"
+    old, new = (
+        {("a", "intel", seed): StoredRun("complete", "", {}, {name: one}) for seed in range(3)} for one in (0.04, new_m)
+    )
+    assert _verdict(_between(old, new), name) == said

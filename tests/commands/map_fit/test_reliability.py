@@ -81,6 +81,7 @@ def test_probabilities_are_compared_in_groups_and_those_on_a_limit_belong_above(
     assert rows[0]["predicted"] == pytest.approx(0.0095)
 
 
+@pytest.mark.checkout
 def test_the_documentation_shows_the_shipped_measurement():
     content = json.loads(files("evalkit.metrics").joinpath(FILE).read_text(encoding="utf-8"))
     page = (Path(__file__).parents[3] / "docs/pages/known-map-measured.md").read_text(encoding="utf-8")

@@ -1,6 +1,7 @@
 """``evalkit realtime``: one back end on slower devices."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from typer.testing import CliRunner
 
 from evalkit.commands.realtime import command
 from evalkit.commands.realtime.command import realtime
+from evalkit.commands.tune.config import make_tuning_tables, tuning_from_tables
 from evalkit.core.errors import BadParameter, UnknownName
 
 pytestmark = pytest.mark.usefixtures("scoring_in_threads")
@@ -52,6 +54,18 @@ def result_of(costs_ms, late=(0.0, 0.0), waits_ms=(0.0, 0.0, 0.0)):
 def show(result, capsys):
     command._print(command._as_json("mine", "room", result), "room")
     return " ".join(capsys.readouterr().out.split())
+
+
+def test_the_next_command_names_the_world_without_its_seed_and_tune_takes_it(capsys):
+    command._print(command._as_json("embedded", "room", result_of([10.0, 6.0, 8.0])), "room seed=1 laps=0.05")
+    line = capsys.readouterr().out.splitlines()[-1]
+    said = line.removeprefix("next: evalkit tune ").removesuffix(" (cheaper or better parameters)")
+    assert said == "embedded --on 'room laps=0.05'"
+    backend, _, on = shlex.split(said)
+    made = tuning_from_tables(make_tuning_tables([backend], [on], [], 2, {}), "evalkit tune", "x", "y")
+    assert made.training[0].sequence.parameters["laps"] == 0.05
+    with pytest.raises(BadParameter, match="'seed': found 1, expected none here: a tuning takes 0 and 1"):
+        make_tuning_tables([backend], ["room seed=1"], [], 2, {})
 
 
 def test_a_wait_far_above_the_cpu_time_is_named_with_its_scan(capsys):

@@ -11,6 +11,7 @@ from evalkit.cli import app
 from evalkit.commands.tune import search_loop
 from evalkit.commands.tune.config import load_tuning
 from evalkit.commands.tune.results_json import SCHEMA_VERSION
+from evalkit.core.errors import BadParameter
 
 FILE = """
 title = "A stranger tuned"
@@ -128,10 +129,15 @@ def test_missing_runs_give_exit_code_3_with_collect(file, tmp_path):
     [
         (["paper"], "--on DATASET"),
         (["x.toml", "--budget", "9"], "stands alone"),
-        (["paper", "--on", "lab", "--set", "laps"], "NAME=VALUE"),
     ],
 )
 def test_wrong_arguments_are_a_usage_error(words, told):
     done = tune(*words)
     assert done.exit_code == 2
     assert told in " ".join(done.output.replace("│", " ").split())
+
+
+def test_a_setting_without_a_value_is_refused():
+    error = tune("paper", "--on", "lab", "--set", "laps").exception
+    assert isinstance(error, BadParameter)
+    assert str(error) == "--set: parameter 'laps': found 'laps', expected NAME=VALUE"

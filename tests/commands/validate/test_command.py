@@ -18,7 +18,7 @@ from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_m
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.commands.validate.probes import EXACT
-from evalkit.core.errors import BadData, BadExperiment, BadParameter, NotInstalled, UnknownName
+from evalkit.core.errors import BadData, BadParameter, NotInstalled, UnknownName
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -255,8 +255,12 @@ def test_invalid_requests_are_rejected_before_anything_is_computed():
         make_plan("papre")
     with pytest.raises(NotInstalled, match="no such file"):
         make_plan("lib:./nowhere.so")
-    with pytest.raises(BadExperiment, match="lapse"):
+    with pytest.raises(UnknownName, match="room: no parameter named 'lapse'"):
         make_plan("paper", on=("room lapse=1",))
+    with pytest.raises(UnknownName, match="paper: no parameter named 'use'"):
+        make_plan("paper", given={"use": "embedded"})
+    with pytest.raises(BadParameter, match="'seed': found 0, expected none here: --seeds N takes"):
+        make_plan("paper", on=("room seed=0",))
     with pytest.raises(BadParameter, match="NAME=VALUE"):
         make_plan("paper", on=("room 0.3",))
     with pytest.raises(BadParameter, match="laps"):

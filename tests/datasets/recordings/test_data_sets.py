@@ -8,6 +8,7 @@ from evalkit.core.pose import Pose
 from evalkit.io.tum import read_tum
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Seekable
+from evalkit.report.analysis.pairwise import RELATION_ACCURACY, SHARED_ERROR
 from evalkit_datasets.parsing import carmen_parser
 from evalkit_datasets.recordings import catalog, data_sets
 
@@ -85,6 +86,48 @@ def test_fr079_matches_its_card():
     assert len(sequence.truth().relations) == 1685
     assert len(sequence.truth().trajectory) == 1463
     assert sequence.notes() == {"ground-truth poses outside the scans": 1}
+
+
+def keyframe_residuals(name):
+    """Return the motions (K, 3) of the reference trajectory seen from those of the relations, ordered by time."""
+    truth = sequence_of(name).truth()
+    (first, a), (second, b) = (
+        nearest(truth.trajectory, s) for s in (truth.relations.first_ns, truth.relations.second_ns)
+    )
+    estimated = se2.between(truth.trajectory.poses[first], truth.trajectory.poses[second])
+    exact = np.maximum(a, b) <= 1000
+    residuals = se2.between(truth.relations.first_from_second, estimated)[exact]
+    return residuals[np.argsort(truth.relations.first_ns[exact], kind="stable")]
+
+
+@pytest.mark.parametrize(
+    ("name", "triangles", "one_mm", "shared_mm"),
+    [pytest.param(*row, marks=needs(row[0])) for row in (("fr079", 176, 17.3, 7.9), ("intel", 327, 13.2, 3.0))],
+)
+def test_relations_have_the_accuracy_that_verdicts_assume(name, triangles, one_mm, shared_mm):
+    """Three relations of a triangle close to sqrt(3) times the error of one. Errors of successive relations do not
+    correlate, and in the mean they differ by a few mm from the reference trajectory.
+    """
+    relations = sequence_of(name).truth().relations
+    motions = {}
+    for first, second, motion in zip(relations.first_ns, relations.second_ns, relations.first_from_second, strict=True):
+        motions.setdefault(first, {})[second] = motion
+        motions.setdefault(second, {})[first] = se2.inverse(motion)
+    closed = np.array([
+        se2.compose(se2.compose(motions[a][b], motions[b][c]), motions[c][a])
+        for a in motions for b in motions[a] if b > a for c in motions[b] if c > b and c in motions[a]
+    ])  # fmt: skip
+    assert len(closed) == triangles
+    one_m = np.hypot(*closed.T[:2]).mean() / np.sqrt(3.0)
+    assert one_m == pytest.approx(1e-3 * one_mm, abs=1e-4)
+    assert one_m < RELATION_ACCURACY["m"]
+    residuals = keyframe_residuals(name)[:, :2]
+    shared_m = np.hypot(*residuals.mean(axis=0))
+    assert shared_m == pytest.approx(1e-3 * shared_mm, abs=1e-4)
+    assert 0.5 * shared_m < SHARED_ERROR * RELATION_ACCURACY["m"]
+    away = residuals - residuals.mean(axis=0)
+    for lag in (1, 2, 5, 10):
+        assert abs((away[:-lag] * away[lag:]).sum()) < 0.1 * (away**2).sum()
 
 
 @needs("fr079")

@@ -1,5 +1,7 @@
 #include "ek/cell_grid.h"
 #include "ek/tally.h"
+#include "ek/wide.h"
+#include "lanes.h"
 
 #include <string.h>
 
@@ -9,9 +11,8 @@
 #define LITTLE_ROOM EK_R(0.015625) /* the same if a larger border would need wider cells */
 #define WIDER EK_R(1.1)
 
-ek_status ek_bounds_compute(const ek_real *xy, size_t count, ek_bounds *bounds)
+EK_LOOP ek_status span_points(const ek_real *xy, size_t count, ek_bounds *bounds)
 {
-    EK_COUNT(EK_SLOTS, count);
     ek_real left = EK_MAX_COORDINATE, right = -EK_MAX_COORDINATE, bottom = EK_MAX_COORDINATE, top = -EK_MAX_COORDINATE;
     for (size_t i = 0; i < count; i++) {
         const ek_real x = xy[2u * i], y = xy[2u * i + 1u];
@@ -28,6 +29,42 @@ ek_status ek_bounds_compute(const ek_real *xy, size_t count, ek_bounds *bounds)
     bounds->bottom = bottom;
     bounds->top = top;
     return EK_OK;
+}
+
+#if EK_COPIED
+#define span_points_avx2 span_points
+
+EK_WIDEST static ek_status span_points_avx512(const ek_real *xy, size_t count, ek_bounds *bounds)
+{
+    ek_lanes left = EK_LANES_OF(set1)(EK_MAX_COORDINATE), bottom = left;
+    ek_lanes right = EK_LANES_OF(set1)(-EK_MAX_COORDINATE), top = right;
+    uint32_t wrong = 0u;
+    for (size_t i = 0; i < count; i += EK_LANES) {
+        const uint32_t some = count - i < EK_LANES ? (uint32_t)(count - i) : EK_LANES;
+        const __mmask8 these = (__mmask8)((1u << some) - 1u);
+        ek_lanes x, y;
+        ek_split_pairs(xy + 2u * i, some, &x, &y);
+        left = EK_LANES_OF(mask_min)(left, these, left, x);
+        right = EK_LANES_OF(mask_max)(right, these, right, x);
+        bottom = EK_LANES_OF(mask_min)(bottom, these, bottom, y);
+        top = EK_LANES_OF(mask_max)(top, these, top, y);
+        wrong |= EK_NAN(x, y);
+    }
+    const ek_lanes zero = EK_LANES_OF(setzero)();
+    bounds->left = ek_least_lane(left);
+    bounds->right = -ek_least_lane(EK_LANES_OF(sub)(zero, right));
+    bounds->bottom = ek_least_lane(bottom);
+    bounds->top = -ek_least_lane(EK_LANES_OF(sub)(zero, top));
+    wrong |= bounds->left < -EK_MAX_COORDINATE || bounds->right > EK_MAX_COORDINATE || bounds->bottom < -EK_MAX_COORDINATE ||
+             bounds->top > EK_MAX_COORDINATE;
+    return wrong ? span_points(xy, count, bounds) : EK_OK;
+}
+#endif
+
+ek_status ek_bounds_compute(const ek_real *xy, size_t count, int wide, ek_bounds *bounds)
+{
+    EK_COUNT(EK_SLOTS, count);
+    return EK_CALL(wide, span_points, (xy, count, bounds));
 }
 
 /* Cover a bounding box and a border of `share` of its size with cells of width `cell`; 0 if max_cells are too few. */

@@ -121,7 +121,7 @@ static inline void load_nearby(ek_icp *icp, const ek_index *target, const ek_nea
     const size_t abreast = ek_icp_abreast(icp), first = ek_icp_first_candidate(i, abreast);
     ek_real *const EK_RESTRICT x = icp->cx + first, *const EK_RESTRICT y = icp->cy + first;
     for (size_t k = 0; k < EK_BLOCK; k++) {
-        const uint32_t slot = found->slot[lane][k];
+        const uint32_t slot = found->slot[k][lane];
         const int none = slot == EK_NONE;
         x[abreast * k] = none ? ek_icp_far_away(k) : target->xy[2u * slot];
         y[abreast * k] = none ? ek_icp_far_away(k) : target->xy[2u * slot + 1u];

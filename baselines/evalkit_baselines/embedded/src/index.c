@@ -6,9 +6,6 @@
 #include <string.h>
 
 #define MAX_COUNT ((size_t)1 << 30)
-#define DENSITY EK_R(3.0) /* target number of points per occupied cell */
-#define SPARSE (EK_R(0.6) * DENSITY)
-#define DENSE (EK_R(1.7) * DENSITY)
 
 ek_status ek_index_init(ek_index *index, ek_arena *arena, size_t capacity, size_t cells)
 {
@@ -30,115 +27,6 @@ ek_status ek_index_init(ek_index *index, ek_arena *arena, size_t capacity, size_
         memset(index->start, 0, (cells + 2u + EK_INDEX_BLOCK) * sizeof(uint32_t));
     }
     return EK_OK;
-}
-
-/* Count the points of each cell (stored two entries later) and the occupied cells. */
-static void count_cells(ek_index *index, const ek_real *xy, size_t count)
-{
-    const ek_cell_grid frame = index->cells;
-    uint32_t *const EK_RESTRICT counts = index->start + 2;
-    uint32_t *const EK_RESTRICT cells = index->scratch;
-    size_t occupied = 0u;
-    EK_COUNT(EK_CELLS, (size_t)frame.rows * frame.columns + 2u);
-    EK_COUNT(EK_SLOTS, count);
-    memset(index->start, 0, ((size_t)frame.rows * frame.columns + 2u) * sizeof(uint32_t));
-    for (size_t i = 0; i < count; i++) {
-        const uint32_t cell = ek_cell_grid_index(&frame, xy + 2u * i);
-        cells[i] = cell;
-        occupied += counts[cell]++ == 0u;
-    }
-    index->occupied = occupied;
-}
-
-/* Sort the points by cell; stable within a cell. */
-static void scatter(ek_index *index, const ek_real *xy, size_t count)
-{
-    const size_t cells = (size_t)index->cells.rows * index->cells.columns;
-    uint32_t *const EK_RESTRICT next = index->start + 1;
-    EK_COUNT(EK_CELLS, cells);
-    EK_COUNT(EK_SLOTS, count);
-    for (size_t cell = 1; cell <= cells; cell++) {
-        index->start[cell] += index->start[cell - 1u];
-    }
-    for (size_t i = 0; i < count; i++) {
-        const uint32_t slot = next[index->scratch[i]]++;
-        index->xy[2u * slot] = xy[2u * i];
-        index->xy[2u * slot + 1u] = xy[2u * i + 1u];
-        index->id[slot] = (uint32_t)i;
-    }
-}
-
-/* Points per occupied cell. */
-static ek_real density(const ek_index *index, size_t count)
-{
-    return (ek_real)count / (ek_real)index->occupied;
-}
-
-/* 1 if the density is near the target, or above it with the smallest possible cells. */
-static int has_target_density(const ek_index *index, size_t count)
-{
-    const ek_real points = density(index, count);
-    return points >= SPARSE && (points <= DENSE || index->cells.finest);
-}
-
-ek_status ek_index_build(ek_index *index, const ek_real *xy, size_t count)
-{
-    ek_bounds span;
-    if (!index || (!xy && count)) {
-        return EK_NULL_POINTER;
-    }
-    index->count = 0u;
-    index->version++;
-    index->normals = index->deferred = NULL;
-    index->support = NULL;
-    index->seen_from = NULL;
-    if (count == 0u || count > index->capacity) {
-        return count == 0u ? EK_OK : EK_TOO_MANY_POINTS;
-    }
-    const ek_status status = ek_bounds_compute(xy, count, &span);
-    if (status != EK_OK) {
-        return status;
-    }
-    /* start from the last cell width; without one, assume that the points lie along the outline of the box */
-    const ek_real width = span.right - span.left, height = span.top - span.bottom;
-    ek_real cell = index->cells.cell > EK_R(0.0) ? index->cells.cell : DENSITY * (width + height) / (ek_real)count;
-    for (int attempt = 0; attempt < 4; attempt++) {
-        if (attempt || !ek_cell_grid_suits(&index->cells, &span)) {
-            index->cells = ek_cell_grid_fit(&span, cell, index->cell_capacity);
-        }
-        count_cells(index, xy, count);
-        cell = index->cells.cell * EK_SQRT(DENSITY / density(index, count));
-        if (has_target_density(index, count) || (cell > width && cell > height)) {
-            break; /* cells wider than the cloud do not help */
-        }
-    }
-    scatter(index, xy, count);
-    index->count = count;
-    return EK_OK;
-}
-
-/* 1 if the grid suits the points: as ek_cell_grid_suits, from occupied cells instead of coordinates. */
-static int grid_suits_points(const ek_index *index)
-{
-    const uint32_t columns = index->cells.columns, rows = index->cells.rows;
-    const uint32_t across = ek_cell_grid_spare_lines(columns),
-                   up = ek_cell_grid_spare_lines(rows), *const start = index->start;
-    if (start[(size_t)up * columns] == 0u || start[(size_t)(rows - up) * columns] == index->count) {
-        return 0;
-    }
-    int left = 0, right = 0;
-    EK_COUNT(EK_CELLS, rows);
-    for (uint32_t row = 0; row < rows && !(left && right); row++) {
-        const uint32_t *const line = start + (size_t)row * columns;
-        left |= line[across] > line[0];
-        right |= line[columns] > line[columns - across];
-    }
-    return left && right;
-}
-
-int ek_index_is_stable(const ek_index *index)
-{
-    return has_target_density(index, index->count) && grid_suits_points(index);
 }
 
 /* Squared distances (m^2) of the best and the second best candidate. */

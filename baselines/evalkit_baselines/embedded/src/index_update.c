@@ -226,7 +226,7 @@ ek_status ek_index_update(ek_index_updater *updater, ek_index *index, size_t rem
     if (count > index->capacity - (index->count - removed)) {
         return EK_TOO_MANY_POINTS;
     }
-    const ek_status status = ek_bounds_compute(xy, count, &span);
+    const ek_status status = ek_bounds_compute(xy, count, index->wide, &span);
     if (status != EK_OK) {
         return status;
     }

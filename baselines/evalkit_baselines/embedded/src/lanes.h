@@ -8,17 +8,19 @@
 #if EK_COPIED
 #include <immintrin.h>
 
-/* Eight numbers of the build, what is done with them, and which of them are below or equal to others. */
+/* Eight numbers of the build, what is done with them, and which of them are below or equal to others, or where one is no number. */
 #ifdef EK_FLOAT
 typedef __m256 ek_lanes;
 #define EK_LANES_OF(operation) _mm256_##operation##_ps
 #define EK_BELOW(one, other) _mm256_cmp_ps_mask(one, other, _CMP_LT_OQ)
 #define EK_EQUAL(one, other) _mm256_cmp_ps_mask(one, other, _CMP_EQ_OQ)
+#define EK_NAN(one, other) _mm256_cmp_ps_mask(one, other, _CMP_UNORD_Q)
 #else
 typedef __m512d ek_lanes;
 #define EK_LANES_OF(operation) _mm512_##operation##_pd
 #define EK_BELOW(one, other) _mm512_cmp_pd_mask(one, other, _CMP_LT_OQ)
 #define EK_EQUAL(one, other) _mm512_cmp_pd_mask(one, other, _CMP_EQ_OQ)
+#define EK_NAN(one, other) _mm512_cmp_pd_mask(one, other, _CMP_UNORD_Q)
 #endif
 
 /* The smallest of eight numbers. */
@@ -44,24 +46,51 @@ EK_WIDEST static inline void ek_store_numbers(uint32_t *to, __m256i numbers)
     _mm256_storeu_si256((__m256i *)(void *)to, numbers);
 }
 
-/* Squared distances of eight points from (x, y); only the pairs x y of the first `count` are read. */
-EK_WIDEST static inline ek_lanes ek_square_pairs(const ek_real *xy, uint32_t count, ek_real x, ek_real y)
+/* x and y of eight points; those after the first `count` are 0, and are not read. */
+EK_WIDEST static inline void ek_split_pairs(const ek_real *xy, uint32_t count, ek_lanes *x, ek_lanes *y)
 {
     const uint32_t both = (1u << (2u * count)) - 1u;
 #ifdef EK_FLOAT
-    const __m512 place = _mm512_setr_ps(x, y, x, y, x, y, x, y, x, y, x, y, x, y, x, y);
-    const __m512 apart = _mm512_sub_ps(_mm512_maskz_loadu_ps((__mmask16)both, xy), place), squares = _mm512_mul_ps(apart, apart);
-    const __m256 low = _mm512_castps512_ps256(squares), high = _mm512_extractf32x8_ps(squares, 1);
-    const __m256i evens = _mm256_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14), odds = _mm256_setr_epi32(1, 3, 5, 7, 9, 11, 13, 15);
-    return _mm256_add_ps(_mm256_permutex2var_ps(low, evens, high), _mm256_permutex2var_ps(low, odds, high));
+    const __m512 all = _mm512_maskz_loadu_ps((__mmask16)both, xy);
+    const __m256 low = _mm512_castps512_ps256(all), high = _mm512_extractf32x8_ps(all, 1);
+    *x = _mm256_permutex2var_ps(low, _mm256_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14), high);
+    *y = _mm256_permutex2var_ps(low, _mm256_setr_epi32(1, 3, 5, 7, 9, 11, 13, 15), high);
 #else
-    const __m512d place = _mm512_setr_pd(x, y, x, y, x, y, x, y);
-    const __m512d left = _mm512_sub_pd(_mm512_maskz_loadu_pd((__mmask8)both, xy), place);
-    const __m512d right = _mm512_sub_pd(_mm512_maskz_loadu_pd((__mmask8)(both >> 8), xy + 8), place);
-    const __m512d low = _mm512_mul_pd(left, left), high = _mm512_mul_pd(right, right);
-    const __m512i evens = _mm512_setr_epi64(0, 2, 4, 6, 8, 10, 12, 14), odds = _mm512_setr_epi64(1, 3, 5, 7, 9, 11, 13, 15);
-    return _mm512_add_pd(_mm512_permutex2var_pd(low, evens, high), _mm512_permutex2var_pd(low, odds, high));
+    const __m512d low = _mm512_maskz_loadu_pd((__mmask8)both, xy);
+    const __m512d high = _mm512_maskz_loadu_pd((__mmask8)(both >> 8), xy + 8);
+    *x = _mm512_permutex2var_pd(low, _mm512_setr_epi64(0, 2, 4, 6, 8, 10, 12, 14), high);
+    *y = _mm512_permutex2var_pd(low, _mm512_setr_epi64(1, 3, 5, 7, 9, 11, 13, 15), high);
 #endif
+}
+
+/* Eight numbers in single precision. */
+EK_WIDEST static inline __m256 ek_single_lanes(ek_lanes numbers)
+{
+#ifdef EK_FLOAT
+    return numbers;
+#else
+    return _mm512_cvtpd_ps(numbers);
+#endif
+}
+
+/* Eight numbers as whole numbers, towards zero. */
+EK_WIDEST static inline __m256i ek_whole_lanes(ek_lanes numbers)
+{
+#ifdef EK_FLOAT
+    return _mm256_cvttps_epi32(numbers);
+#else
+    return _mm512_cvttpd_epi32(numbers);
+#endif
+}
+
+/* Squared distances of eight points from (x, y); only the first `count` are read. */
+EK_WIDEST static inline ek_lanes ek_square_pairs(const ek_real *xy, uint32_t count, ek_real x, ek_real y)
+{
+    ek_lanes xs, ys;
+    ek_split_pairs(xy, count, &xs, &ys);
+    xs = EK_LANES_OF(sub)(xs, EK_LANES_OF(set1)(x));
+    ys = EK_LANES_OF(sub)(ys, EK_LANES_OF(set1)(y));
+    return EK_LANES_OF(add)(EK_LANES_OF(mul)(xs, xs), EK_LANES_OF(mul)(ys, ys));
 }
 
 /* Append to a list of `count` numbers those from `first` to first + 7 whose bit in `which` is set; returns their number. There

@@ -114,22 +114,11 @@ static inline void append_row(surroundings *around, const ek_real *xy, uint32_t 
 EK_WIDEST static inline void append_row_avx512(surroundings *around, const ek_real *xy, uint32_t from, uint32_t points,
                                                ek_real x, ek_real y)
 {
-    const __m256i evens = _mm256_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14), odds = _mm256_setr_epi32(1, 3, 5, 7, 9, 11, 13, 15);
     for (uint32_t k = 0; k < points; k += EK_LANES) {
-        const uint32_t left = points - k, both = left < EK_LANES ? (1u << (2u * left)) - 1u : 0xFFFFu;
-        const ek_real *const first = xy + 2u * k;
-        float *const to_x = around->x + around->count + k, *const to_y = around->y + around->count + k;
-#ifdef EK_FLOAT
-        const __m512 place = _mm512_setr_ps(x, y, x, y, x, y, x, y, x, y, x, y, x, y, x, y);
-        const __m512 moved = _mm512_sub_ps(_mm512_maskz_loadu_ps((__mmask16)both, first), place);
-        const __m256 low = _mm512_castps512_ps256(moved), high = _mm512_extractf32x8_ps(moved, 1);
-#else
-        const __m512d place = _mm512_setr_pd(x, y, x, y, x, y, x, y);
-        const __m256 low = _mm512_cvtpd_ps(_mm512_sub_pd(_mm512_maskz_loadu_pd((__mmask8)both, first), place));
-        const __m256 high = _mm512_cvtpd_ps(_mm512_sub_pd(_mm512_maskz_loadu_pd((__mmask8)(both >> 8), first + 8), place));
-#endif
-        _mm256_storeu_ps(to_x, _mm256_permutex2var_ps(low, evens, high));
-        _mm256_storeu_ps(to_y, _mm256_permutex2var_ps(low, odds, high));
+        ek_lanes xs, ys;
+        ek_split_pairs(xy + 2u * k, points - k < EK_LANES ? points - k : EK_LANES, &xs, &ys);
+        _mm256_storeu_ps(around->x + around->count + k, ek_single_lanes(EK_LANES_OF(sub)(xs, EK_LANES_OF(set1)(x))));
+        _mm256_storeu_ps(around->y + around->count + k, ek_single_lanes(EK_LANES_OF(sub)(ys, EK_LANES_OF(set1)(y))));
         ek_store_numbers(around->slot + around->count + k, ek_count_lanes(from + k));
     }
     around->count += points;
@@ -191,17 +180,48 @@ static ek_bounds find_edges(const ek_cell_grid *grid, const ek_cell_box *box)
     return edges;
 }
 
-/* Distance (m) from a place to the nearest edge behind which there are cells, less what rounding may be. */
-static inline ek_real distance_to_edge(const ek_cell_grid *grid, const ek_cell_box *box, const ek_bounds *edges,
-                                       ek_real x, ek_real y)
+/* What bounds the distances of places to their candidates and to all other points. */
+typedef struct {
+    ek_bounds open;   /* edges behind which there are cells; far away where there are none (m) */
+    ek_real margin;   /* rounding of a distance to an edge (m) */
+    ek_real rounding; /* of a distance in single precision (m) */
+    float per;        /* m^2 of a key without its number */
+} limits;
+
+/* Bounds on the distances of each place, and the slots of its candidates. */
+EK_LOOP void finish(const limits *known, const uint32_t *EK_RESTRICT slots, const ek_real *EK_RESTRICT x,
+                    const ek_real *EK_RESTRICT y, const int32_t (*EK_RESTRICT ranked)[EK_GROUP],
+                    ek_nearby *EK_RESTRICT found)
 {
-    const ek_real left = box->left > 0 ? x - edges->left : EK_FAR, bottom = box->bottom > 0 ? y - edges->bottom : EK_FAR;
-    const ek_real right = box->right + 1 < (int32_t)grid->columns ? edges->right - x : EK_FAR;
-    const ek_real top = box->top + 1 < (int32_t)grid->rows ? edges->top - y : EK_FAR;
-    const ek_real across = left < right ? left : right, up = bottom < top ? bottom : top;
-    const ek_real margin = grid->margin + EK_R(16.0) * EK_EPSILON * (EK_FABS(x) + EK_FABS(y));
-    return (across < up ? across : up) - margin;
+    const ek_bounds open = known->open;
+    const ek_real margin = known->margin, rounding = known->rounding;
+    const float per = known->per;
+    EK_LANE_BY_LANE
+    for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
+        const int32_t first = ranked[0][lane] >> BITS, next = ranked[EK_BLOCK][lane];
+        const ek_real left = x[lane] - open.left, right = open.right - x[lane], bottom = y[lane] - open.bottom,
+                      top = open.top - y[lane];
+        const ek_real across = left < right ? left : right, up = bottom < top ? bottom : top;
+        const ek_real far_off = EK_R(16.0) * EK_EPSILON * (EK_FABS(x[lane]) + EK_FABS(y[lane]));
+        const ek_real border = (across < up ? across : up) - (margin + far_off);
+        const ek_real rest = (ek_real)sqrtf((float)(next >> BITS) * per) - rounding;
+        const ek_real least = next == NO_KEY ? EK_FAR : rest;
+        found->nearest[lane] = (ek_real)sqrtf((float)(first + 1) * per) + rounding;
+        found->others[lane] = least < border ? least : border;
+    }
+    for (uint32_t j = 0; j < EK_BLOCK; j++) {
+        EK_LANE_BY_LANE
+        for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
+            const uint32_t key = (uint32_t)ranked[j][lane], at = slots[key % MAX_AROUND];
+            found->slot[j][lane] = key == (uint32_t)NO_KEY ? EK_NONE : at;
+        }
+    }
 }
+
+EK_COPIES(void, finish,
+          (const limits *known, const uint32_t *slots, const ek_real *x, const ek_real *y, const int32_t (*ranked)[EK_GROUP],
+           ek_nearby *found),
+          { finish(known, slots, x, y, ranked, found); })
 
 int ek_index_nearby(const ek_index *index, const ek_real x[EK_GROUP], const ek_real y[EK_GROUP], ek_real radius, int wide,
                     ek_nearby *found)
@@ -230,20 +250,14 @@ int ek_index_nearby(const ek_index *index, const ek_real x[EK_GROUP], const ek_r
     if (!(across + up > EK_R(0.0))) {
         return 0; /* far away, cells are smaller than the distance between two numbers */
     }
-    const ek_real rounding = ROUNDING * (across + up) + index->cells.margin;
-    const float scale = LARGEST / (float)((across + up) * (across + up)), per = 1.0f / scale;
+    const float scale = LARGEST / (float)((across + up) * (across + up));
+    const ek_cell_box *const box = &around.box;
+    const limits known = {{box->left > 0 ? edges.left : -EK_FAR,
+                           box->right + 1 < (int32_t)index->cells.columns ? edges.right : EK_FAR,
+                           box->bottom > 0 ? edges.bottom : -EK_FAR,
+                           box->top + 1 < (int32_t)index->cells.rows ? edges.top : EK_FAR},
+                          index->cells.margin, ROUNDING * (across + up) + index->cells.margin, 1.0f / scale};
     EK_CALL(wide, rank, (around.count, scale, around.x, around.y, px, py, keys));
-    for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
-        const int32_t first = keys[0][lane] / (int32_t)MAX_AROUND, next = keys[EK_BLOCK][lane];
-        const ek_real border = distance_to_edge(&index->cells, &around.box, &edges, x[lane], y[lane]);
-        const ek_real rest = (ek_real)sqrtf((float)(next / (int32_t)MAX_AROUND) * per) - rounding;
-        const ek_real least = next == NO_KEY ? EK_FAR : rest;
-        found->nearest[lane] = (ek_real)sqrtf((float)(first + 1) * per) + rounding;
-        found->others[lane] = least < border ? least : border;
-        for (uint32_t j = 0; j < EK_BLOCK; j++) {
-            const int32_t key = keys[j][lane];
-            found->slot[lane][j] = key == NO_KEY ? EK_NONE : around.slot[(uint32_t)key % MAX_AROUND];
-        }
-    }
+    EK_CALL(wide, finish, (&known, around.slot, x, y, (const int32_t(*)[EK_GROUP])keys, found));
     return 1;
 }

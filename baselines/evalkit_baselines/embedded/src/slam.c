@@ -205,7 +205,7 @@ static ek_status run_stage(ek_slam *slam, const ek_index *target, const ek_pose 
     }
     const ek_status status = ek_slam_match(slam, target, *pose, predicted, target == &slam->last, match);
     const ek_pose limited = status == EK_OK ? ek_slam_limit(slam, target, match->target_from_source, *pose) : *pose;
-    if (status == EK_OK && !ek_slam_is_believed(&slam->gate, slam->scan.count, *pose, limited, match)) {
+    if (status == EK_OK && !ek_slam_accepts(&slam->gate, slam->scan.count, *pose, limited, match)) {
         match->inliers = 0;
     }
     *accepted = status == EK_OK && match->inliers >= slam->parameters.min_inliers;

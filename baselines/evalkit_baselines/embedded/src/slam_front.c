@@ -255,13 +255,15 @@ static ek_pose try_starts(ek_slam *slam, const ek_index *target, ek_pose centre,
     return best;
 }
 
-/* Of two matches with the map, the one that lies more closely on it; the second one where both do alike. */
-static ek_match more_closely(const ek_slam *slam, const ek_index *target, const ek_match *one, const ek_match *other)
+/* Set a match aside for another one that lies more closely on the target; see rate. */
+static void take_closer(const ek_slam *slam, const ek_index *target, int closely, const ek_match *other, ek_match *match)
 {
     const ek_real *const hits = slam->scan.hits;
     const size_t count = slam->scan.count;
-    const ek_real on = rate(target, hits, count, one->target_from_source, 1);
-    return on > rate(target, hits, count, other->target_from_source, 1) ? *one : *other;
+    const ek_real on = rate(target, hits, count, other->target_from_source, closely);
+    if (on > rate(target, hits, count, match->target_from_source, closely)) {
+        *match = *other;
+    }
 }
 
 /* Match the scan with the map from where a search finds it; 1 if that is clear: no other heading scores nearly as well, or the
@@ -281,11 +283,9 @@ static int search_map(ek_slam *slam, const ek_index *target, ek_pose predicted, 
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,
                         ek_match *match)
 {
-    const ek_real *const hits = slam->scan.hits;
-    const size_t count = slam->scan.count;
     ek_icp_parameters narrow = matcher_of(slam);
     const ek_status status = match_coarse_to_fine(slam, target, guess, &narrow, part_suffices, match);
-    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)count, closely = predicted != NULL;
+    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count, closely = predicted != NULL;
     const ek_real unusual = UNUSUAL * slam->usual_error, most = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
     const int doubted = closely && (slam->tried || slam->usual_error > EK_R(0.0));
     const ek_real poor = doubted && DOUBTED * slam->usual_error < most ? DOUBTED * slam->usual_error : most;
@@ -298,14 +298,13 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, co
     narrow.max_correspondence = slam->parameters.fine_correspondence;
     ek_match other;
     if (closely && search_map(slam, target, *predicted, &narrow, &other)) {
-        *match = more_closely(slam, target, &other, match);
+        take_closer(slam, target, closely, &other, match);
         return EK_OK;
     }
     const ek_pose start = try_starts(slam, target, centre, also, closely, narrow);
     match_coarse_to_fine(slam, target, start, &narrow, part_suffices, &other);
-    if (is_close(centre, other.target_from_source) && rate(target, hits, count, other.target_from_source, closely) >
-                                                          rate(target, hits, count, match->target_from_source, closely)) {
-        *match = other;
+    if (is_close(centre, other.target_from_source)) {
+        take_closer(slam, target, closely, &other, match);
     }
     return EK_OK;
 }
@@ -317,10 +316,18 @@ static ek_real limit_of(ek_real usual, ek_real least, ek_real most)
     return limit < most ? limit : most;
 }
 
+/* The usual gap (m) to the odometry, which is thought to be no better than its step allows. */
+static ek_real usual_gap_of(const ek_slam *slam, ek_pose step)
+{
+    const ek_real least = FIRST_GAP + GAP_SHARE * EK_SQRT(step.x * step.x + step.y * step.y);
+    return slam->usual_gap > least ? slam->usual_gap : least;
+}
+
 ek_gate ek_slam_gate(const ek_slam *slam, int measured, ek_pose step)
 {
     const ek_real fewest = slam->usual_points / TIMES_FEWER;
-    ek_gate gate = {measured, FARTHEST, FARTHEST_THETA, UNUSUAL * slam->usual_error, fewest < FEWEST ? fewest : FEWEST};
+    ek_gate gate = {measured, FARTHEST, FARTHEST_THETA, UNUSUAL * slam->usual_error, fewest < FEWEST ? fewest : FEWEST,
+                    DOUBTED * slam->usual_error, APART * usual_gap_of(slam, step), 0};
     if (slam->compared >= USUAL_COUNT) {
         const ek_real length = EK_SQRT(step.x * step.x + step.y * step.y), turn = EK_FABS(step.theta);
         gate.metres = limit_of(slam->usual_gap, NEAREST + STEP_SHARE * length, FARTHEST);
@@ -334,17 +341,22 @@ int ek_slam_is_good(const ek_gate *gate)
     return gate->measured && gate->metres < FARTHEST;
 }
 
-int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_pose answer, const ek_match *match)
+int ek_slam_accepts(ek_gate *gate, size_t points, ek_pose guess, ek_pose answer, const ek_match *match)
 {
     const ek_pose gap = ek_se2_between(guess, answer);
+    const ek_real squared = gap.x * gap.x + gap.y * gap.y;
     const int few_pairs = (ek_real)match->inliers < MIN_SHARE * (ek_real)points;
     const int poor = few_pairs && gate->poor > EK_R(0.0) && match->error > gate->poor;
     const ek_real share = poor ? POOR_SHARE : EK_R(1.0), metres = share * gate->metres, theta = share * gate->theta;
-    const int far = gap.x * gap.x + gap.y * gap.y > metres * metres || EK_FABS(gap.theta) > theta;
+    const int far = squared > metres * metres || EK_FABS(gap.theta) > theta;
+    const int doubted = few_pairs || match->error > gate->doubted;
+    const int apart = squared > gate->near * gate->near, strays = gate->sure && doubted && apart;
     const int clear = match->converged && match->error < CLEAR &&
                       (ek_real)match->inliers >= CLEAR_SHARE * (ek_real)points;
     const int few = ek_slam_is_good(gate) && (ek_real)points < gate->fewest;
-    return !gate->measured || (!few && (clear || !far));
+    const int accepted = !gate->measured || (!few && (clear || !(far || strays)));
+    gate->sure = ek_slam_is_good(gate) && accepted && !doubted && !apart;
+    return accepted;
 }
 
 /* 0 up to a limit, 1 from twice the limit on, and between them in proportion. */
@@ -365,14 +377,6 @@ static ek_real misfit_of(const ek_slam *slam, const ek_match *match, ek_real usu
 {
     const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
     return paired ? share_over(match->error, DOUBTED * usual) : EK_R(1.0);
-}
-
-/* The usual gap (m) to the odometry, which is thought to be no better than its step allows. */
-static ek_real usual_gap_of(const ek_slam *slam, ek_pose predicted)
-{
-    const ek_pose step = ek_se2_between(slam->motion.start_from_base, predicted);
-    const ek_real least = FIRST_GAP + GAP_SHARE * EK_SQRT(step.x * step.x + step.y * step.y);
-    return slam->usual_gap > least ? slam->usual_gap : least;
 }
 
 void ek_slam_observe(ek_slam *slam)
@@ -405,10 +409,10 @@ int ek_slam_match_directly(ek_slam *slam, ek_pose *pose, ek_match *match)
     }
     const ek_pose limited = ek_slam_limit(slam, &slam->map_index, match->target_from_source, *pose);
     const ek_pose gap = ek_se2_between(*pose, limited);
-    const ek_real metres = EK_SQRT(gap.x * gap.x + gap.y * gap.y), usual_gap = usual_gap_of(slam, *pose);
+    const ek_real metres = EK_SQRT(gap.x * gap.x + gap.y * gap.y);
     const int usual = match->inliers >= slam->parameters.min_inliers &&
-                      misfit_of(slam, match, slam->usual_error) == EK_R(0.0) && metres <= APART * usual_gap &&
-                      ek_slam_is_believed(&slam->gate, count, *pose, limited, match);
+                      misfit_of(slam, match, slam->usual_error) == EK_R(0.0) && metres <= slam->gate.near &&
+                      ek_slam_accepts(&slam->gate, count, *pose, limited, match);
     *pose = usual ? limited : *pose;
     return usual;
 }
@@ -425,7 +429,8 @@ int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, cons
         return fits;
     }
     const ek_pose gap = ek_se2_between(*predicted, matched);
-    const ek_real squared = gap.x * gap.x + gap.y * gap.y, metres = EK_SQRT(squared), usual_gap = usual_gap_of(slam, *predicted);
+    const ek_real squared = gap.x * gap.x + gap.y * gap.y, metres = EK_SQRT(squared);
+    const ek_real usual_gap = usual_gap_of(slam, ek_se2_between(slam->motion.start_from_base, *predicted));
     const ek_real over = share_over(metres, APART * usual_gap), apart = over > share ? over : share;
     const ek_real turn = slam->usual_turn > FIRST_TURN ? slam->usual_turn : FIRST_TURN;
     slam->usual_gap = take_mean(slam->usual_gap, metres, EK_R(2.0) * usual_gap);

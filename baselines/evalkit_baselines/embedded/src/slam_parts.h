@@ -19,7 +19,7 @@
 #define ek_slam_match_directly EK_NAME(slam_match_directly)
 #define ek_slam_gate EK_NAME(slam_gate)
 #define ek_slam_is_good EK_NAME(slam_is_good)
-#define ek_slam_is_believed EK_NAME(slam_is_believed)
+#define ek_slam_accepts EK_NAME(slam_accepts)
 #define ek_slam_doubt EK_NAME(slam_doubt)
 #define ek_slam_init EK_NAME(slam_init)
 #define ek_slam_track EK_NAME(slam_track)
@@ -96,11 +96,12 @@ int ek_slam_match_directly(ek_slam *slam, ek_pose *pose, ek_match *match);
 /* How far a match of this scan may be from its guess, by the predicted motion since the last scan. */
 ek_gate ek_slam_gate(const ek_slam *slam, int measured, ek_pose last_from_predicted);
 
-/* 1 where the odometry has been so good that no match far from it is believed. */
+/* 1 where the odometry has been so good that no match far from it is accepted. */
 int ek_slam_is_good(const ek_gate *gate);
 
-/* 0 where a match of so many points contradicts the odometry that its guess comes from. */
-int ek_slam_is_believed(const ek_gate *gate, size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
+/* 0 where a match of so many points contradicts the odometry that its guess comes from, or fits poorly and leaves a guess that
+ * the match before of this scan and the odometry agree on. Notes whether this match is such a one. */
+int ek_slam_accepts(ek_gate *gate, size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
 
 /* 1 if a match fits about as usual; adds to the doubt of the step: where a match fits poorly or lies farther than usual
  * from the pose that wheel odometry predicts (NULL: without odometry there is no such doubt), the truth may be anywhere

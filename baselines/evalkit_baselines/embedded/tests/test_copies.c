@@ -38,6 +38,34 @@ static void fits_are_the_same(int wide, uint64_t *seed)
     CHECK(memcmp(sums[0], sums[1], sizeof *sums) == 0);
 }
 
+/* The cells of clouds of any size, and what is refused at any place of a cloud. */
+static void clouds_are_indexed_the_same(int wide, uint64_t *seed)
+{
+    const ek_real faults[] = {(ek_real)NAN, (ek_real)INFINITY, -EK_R(2.0) * EK_MAX_COORDINATE, EK_R(2.0) * EK_MAX_COORDINATE};
+    ek_arena arena = memory_of(6000000u);
+    ek_index one[2];
+    for (int copy = 0; copy < 2; copy++) {
+        CHECK(ek_index_init(one + copy, &arena, TARGETS, 40000u) == EK_OK);
+        one[copy].wide = copy ? wide : 0;
+    }
+    for (uint32_t count = 1u; count <= TARGETS; count += count < 40u ? 1u : 740u) {
+        const size_t at = (size_t)uniform(seed, 0.0, 2.0 * (double)count - 0.5);
+        const ek_real kept = cloud[at];
+        for (int copy = 0; copy < 2; copy++) {
+            cloud[at] = faults[count % 4u];
+            CHECK(ek_index_build(one + copy, cloud, count) == (count % 4u < 2u ? EK_NOT_FINITE : EK_OUT_OF_RANGE));
+            cloud[at] = kept;
+            CHECK(ek_index_build(one + copy, cloud, count) == EK_OK && one[copy].count == count);
+        }
+        const size_t cells = (size_t)one[0].cells.columns * one[0].cells.rows;
+        CHECK(memcmp(&one[0].cells, &one[1].cells, sizeof one[0].cells) == 0 && one[0].start[cells] == count);
+        CHECK(memcmp(one[0].start, one[1].start, (cells + 1u) * sizeof *one[0].start) == 0);
+        CHECK(memcmp(one[0].xy, one[1].xy, 2u * count * sizeof *one[0].xy) == 0);
+        CHECK(memcmp(one[0].id, one[1].id, count * sizeof *one[0].id) == 0);
+    }
+    free(arena.memory);
+}
+
 /* Places of a raster, on which some target points are equally near, and others; every eighth in the gap around (0, 0), where
  * lanes without a point would lie. */
 static ek_real draw_place(uint32_t turn, uint64_t *seed, double low, double high)
@@ -165,6 +193,7 @@ static void compare(int wide)
     CHECK(icp.wide == ek_wide() && index.wide == ek_wide());
     CHECK(ek_index_build(&index, cloud, TARGETS) == EK_OK);
     fits_are_the_same(wide, &seed);
+    clouds_are_indexed_the_same(wide, &seed);
     searches_are_the_same(&index, wide, &seed);
     searches_in_groups_are_the_same(&index, wide, &seed);
     nothing_is_near_what_is_no_place(wide);

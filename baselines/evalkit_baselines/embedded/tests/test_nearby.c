@@ -40,14 +40,14 @@ static int bounds_hold(const ek_nearby *found, uint32_t lane, ek_real x, ek_real
         const double distance = sqrt(dx * dx + dy * dy);
         int in = 0;
         for (size_t k = 0; k < EK_BLOCK; k++) {
-            in += found->slot[lane][k] == slot;
+            in += found->slot[k][lane] == slot;
         }
         CHECK(in < 2);
         kept += in ? 1u : 0u;
         inside = in && distance < inside ? distance : inside;
         outside = !in && distance < outside ? distance : outside;
     }
-    CHECK(kept <= EK_BLOCK && (kept == EK_BLOCK || found->slot[lane][kept] == EK_NONE));
+    CHECK(kept <= EK_BLOCK && (kept == EK_BLOCK || found->slot[kept][lane] == EK_NONE));
     CHECK(kept == 0u || inside <= (double)found->nearest[lane]);
     CHECK(outside >= (double)found->others[lane]);
     const int proven = found->nearest[lane] < found->others[lane];
@@ -86,7 +86,7 @@ static void too_many_points_are_not_searched(void)
     CHECK(ek_index_build(&index_, cloud, 256u) == EK_OK && ek_index_nearby(&index_, x, y, EK_R(1e3), 0, &found));
     (void)bounds_hold(&found, 0u, x[0], y[0]);
     CHECK(ek_index_build(&index_, cloud, 3u) == EK_OK && ek_index_nearby(&index_, x, y, EK_R(1e3), 0, &found));
-    CHECK(found.slot[7][2] != EK_NONE && found.slot[7][3] == EK_NONE && found.others[7] > EK_R(1e10)); /* there is no other */
+    CHECK(found.slot[2][7] != EK_NONE && found.slot[3][7] == EK_NONE && found.others[7] > EK_R(1e10)); /* there is no other */
     CHECK(ek_index_build(&index_, cloud, 0u) == EK_OK && !ek_index_nearby(&index_, x, y, EK_R(1e3), 0, &found));
 }
 

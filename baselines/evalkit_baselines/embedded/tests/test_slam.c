@@ -419,17 +419,17 @@ static void a_match_far_from_the_odometry_must_be_clear(void)
         for (size_t known = 0; known < 4u; known++) { /* good odometry; nothing known; bad odometry; none */
             slam.compared = known == 1u ? 49u : 50u;
             slam.usual_gap = slam.usual_turn = known == 2u ? EK_R(1.0) : EK_R(0.0);
-            const ek_gate gate = ek_slam_gate(&slam, known < 3u, guess);
+            ek_gate gate = ek_slam_gate(&slam, known < 3u, guess);
             const int expected = known == 3u || (known == 0u ? cases[k].strict : cases[k].wide);
-            CHECK(ek_slam_is_believed(&gate, cases[k].points, guess, answer, &match) == expected);
+            CHECK(ek_slam_accepts(&gate, cases[k].points, guess, answer, &match) == expected);
         }
     }
     const ek_pose guess = pose_of(0.0, 0.0, 0.0);
     const ek_match match = {guess, 1, 5, 19, EK_R(0.03), 0u};
     slam.usual_gap = slam.usual_turn = EK_R(0.0);
     slam.usual_points = EK_R(60.0);
-    const ek_gate sparse = ek_slam_gate(&slam, 1, guess);
-    CHECK(ek_slam_is_believed(&sparse, 20u, guess, guess, &match) && !ek_slam_is_believed(&sparse, 19u, guess, guess, &match));
+    ek_gate sparse = ek_slam_gate(&slam, 1, guess);
+    CHECK(ek_slam_accepts(&sparse, 20u, guess, guess, &match) && !ek_slam_accepts(&sparse, 19u, guess, guess, &match));
 }
 
 /* Half as far: a match of more than four times the usual error, 0.02 m, with pairs for less than 80 of 100 points. */
@@ -445,8 +445,8 @@ static void a_match_that_fits_poorly_must_be_nearer_to_the_odometry(void)
         const ek_pose answer = pose_of(cases[k].x, 0.0, cases[k].turn_deg * (double)EK_PI / 180.0), guess = pose_of(0.0, 0.0, 0.0);
         const ek_match match = {answer, 1, 5, cases[k].inliers, EK_R(cases[k].error), 0u};
         slam.usual_error = EK_R(0.02);
-        const ek_gate gate = ek_slam_gate(&slam, 1, guess);
-        CHECK(ek_slam_is_believed(&gate, 100u, guess, answer, &match) == cases[k].believed);
+        ek_gate gate = ek_slam_gate(&slam, 1, guess);
+        CHECK(ek_slam_accepts(&gate, 100u, guess, answer, &match) == cases[k].believed);
     }
     slam.usual_error = EK_R(0.0);
 }
@@ -460,11 +460,37 @@ static void a_match_is_believed_up_to_twenty_times_its_usual_distance_or_a_quart
     slam.usual_error = EK_R(0.0);
     for (size_t k = 0; k < 6u; k++) {
         slam.usual_gap = slam.usual_turn = k < 3u ? EK_R(0.02) : EK_R(0.0);
-        const ek_gate gate = ek_slam_gate(&slam, 1, k < 3u ? pose_of(0.0, 0.0, 0.0) : pose_of(0.24, -0.32, -0.2));
+        ek_gate gate = ek_slam_gate(&slam, 1, k < 3u ? pose_of(0.0, 0.0, 0.0) : pose_of(0.24, -0.32, -0.2));
         const ek_pose answer = pose_of(0.0, gaps[k % 3u][0], gaps[k % 3u][1]);
         const ek_match match = {answer, 1, 5, 100, EK_R(0.1), 0u};
-        CHECK(ek_slam_is_believed(&gate, 100u, pose_of(0.0, 0.0, 0.0), answer, &match) == (gaps[k % 3u][2] > 0.5));
+        CHECK(ek_slam_accepts(&gate, 100u, pose_of(0.0, 0.0, 0.0), answer, &match) == (gaps[k % 3u][2] > 0.5));
     }
+}
+
+/* Usually with an error of 0.02 m and beside good odometry: once a match of a scan is not doubted, and within 3 cm of its guess,
+ * another one with more than twice that error, or with pairs for fewer than 80 of 100 points, must be so, too. */
+static void a_doubted_match_stays_where_odometry_and_the_match_before_agree(void)
+{
+    static const struct {
+        double y_before, error_before, x, error;
+        int32_t inliers, accepted;
+        uint32_t compared;
+    } cases[] = {{0.029, 0.03, 0.029, 0.045, 100, 1, 50u}, {0.029, 0.03, 0.031, 0.045, 100, 0, 50u},
+                 {0.029, 0.03, 0.031, 0.039, 80, 1, 50u},  {0.029, 0.03, 0.031, 0.039, 79, 0, 50u},
+                 {0.029, 0.041, 0.031, 0.045, 100, 1, 50u}, {0.031, 0.03, 0.031, 0.045, 100, 1, 50u},
+                 {0.029, 0.03, 0.031, 0.045, 100, 1, 49u}};
+    const ek_pose guess = pose_of(0.0, 0.0, 0.0);
+    slam.usual_error = EK_R(0.02);
+    slam.usual_gap = slam.usual_turn = EK_R(0.0);
+    for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+        slam.compared = cases[k].compared;
+        ek_gate gate = ek_slam_gate(&slam, 1, guess);
+        const ek_match before = {guess, 1, 5, 100, EK_R(cases[k].error_before), 0u};
+        const ek_match match = {pose_of(cases[k].x, 0.0, 0.0), 0, 5, cases[k].inliers, EK_R(cases[k].error), 0u};
+        CHECK(ek_slam_accepts(&gate, 100u, guess, pose_of(0.0, cases[k].y_before, 0.0), &before));
+        CHECK(ek_slam_accepts(&gate, 100u, guess, match.target_from_source, &match) == cases[k].accepted);
+    }
+    slam.usual_error = EK_R(0.0);
 }
 
 /* A standing robot, 0.1 m ahead of itself by its odometry, which was good before: a scan of 39 points says nothing against it. */
@@ -1215,6 +1241,7 @@ int main(void)
     a_step_is_doubted_where_its_matches_are_far_from_the_odometry();
     a_match_far_from_the_odometry_must_be_clear();
     a_match_is_believed_up_to_twenty_times_its_usual_distance_or_a_quarter_of_the_step();
+    a_doubted_match_stays_where_odometry_and_the_match_before_agree();
     a_match_that_fits_poorly_must_be_nearer_to_the_odometry();
     the_gate_believes_the_odometry_before_few_points();
     a_lost_robot_is_looked_for_at_all_places_in_turn();

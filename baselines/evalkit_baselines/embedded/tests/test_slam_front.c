@@ -261,10 +261,10 @@ static void a_scan_is_matched_directly_where_nothing_is_doubted(void)
         for (size_t i = 0; i < POINTS; i++) { /* 3 mm of noise; the last points lie nowhere */
             slam.scan.hits[2u * i] += EK_R(i % 2u ? 0.003 : -0.003) + EK_R(i < POINTS - cases[k].off ? 0.0 : 90.0);
         }
-        slam.gate = ek_slam_gate(&slam, 1, ORIGIN);
         slam.motion.start_from_base = ek_se2_compose(guess, pose_of(-cases[k].x, 0.0, 0.0));
         slam.usual_gap = EK_R(cases[k].usual_gap);
         slam.usual_error = EK_R(cases[k].usual_error);
+        slam.gate = ek_slam_gate(&slam, 1, pose_of(cases[k].x, 0.0, 0.0));
         slam.parameters.min_inliers = (int32_t)cases[k].least;
         CHECK(ek_slam_match_directly(&slam, &pose, &match) == cases[k].direct && match.iterations <= 5);
         CHECK_NEAR(pose.x, cases[k].direct ? truth.x : guess.x, cases[k].direct ? 4e-3 : 0.0);

@@ -14,6 +14,7 @@ from rich.progress import Progress
 from evalkit.core.errors import EvalkitError, UnknownName
 from evalkit.io.toml import load_toml
 from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.parameters import split_settings
 from evalkit.terminal import options
 from evalkit.terminal.console import WordConsole, print_json
 from evalkit.terminal.text_list import print_list
@@ -108,7 +109,7 @@ def example_(
 
     if world not in example_bag.WORLDS:
         raise UnknownName("synthetic data set", world, example_bag.WORLDS)
-    given = from_text(world, example_bag.WORLDS[world].parameters, options.settings(setting or []))
+    given = from_text(world, example_bag.WORLDS[world].parameters, split_settings("--set", setting or []))
     example = example_bag.write_example(bag, world, given)
     if as_json:
         print_json(asdict(example) | {name: str(getattr(example, name)) for name in ("bag", "truth", "map")})

@@ -139,7 +139,14 @@ def _raise_if_different(compare: Callable[Arguments, Equivalence]) -> Callable[A
 
 
 assert_equivalent = _raise_if_different(equivalence)
-"""``equivalence`` with the same arguments and result; raises NotEquivalent with its text if the back ends differ."""
+"""``assert_equivalent(a, b, on="", *, set_a, set_b, set_on, margin=Margin(), scans=30, disturbed=True)``:
+compare two back ends over the first scans of a sequence; raise NotEquivalent with the differences, if there are any.
+
+``a``, ``b``: registered names, "module:SPEC", or specs; ``set_a``, ``set_b``: their parameters. ``on``: a data set, ""
+for a short simulated one; ``set_on``: its parameters. ``margin``: how far answers may differ; "float32" allows what
+rounding to single precision does. ``scans``: how many. ``disturbed``: repeat the last question of each scan with a
+disturbed guess. Raises NotInstalled, DataMissing, BackendFailed if ``a`` raises, and BadData without a question.
+"""
 
 
 def load_backend(name: str, backend: str | BackendSpec, given: GivenParameters) -> ComparedBackend:

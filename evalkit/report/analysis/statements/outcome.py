@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from statistics import median
 from typing import Literal
 
@@ -12,6 +13,7 @@ from evalkit.report.analysis.pairwise import (
     MARGIN_SHARE,
     PairedDifference,
     compute_difference,
+    count_relations,
     is_position,
     is_share_in_map,
     margin,
@@ -19,7 +21,7 @@ from evalkit.report.analysis.pairwise import (
     separation,
 )
 from evalkit.report.analysis.ranking import Ranking
-from evalkit.report.analysis.scores import WITH_TRUTH
+from evalkit.report.analysis.scores import WITH_TRUTH, MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.statements.unranked import describe_lost
 from evalkit.report.formatting import format_amount, format_difference, format_gap, format_median, join_words
@@ -27,6 +29,9 @@ from evalkit.stats.runs import FEW_RUNS, MAX_RUNS, MIN_RUNS
 
 VerdictOutcome = Literal["winner", "tied", "one run", "single", "lost", "disagreement", "degenerate", "unranked"]
 LED: tuple[VerdictOutcome, ...] = ("winner", "tied")
+
+NOT_APART = "not told apart"
+"""Why a sequence does not count on which too few runs tell the ranked methods apart, and none is worse."""
 
 NAMED = 3
 """A sentence on an order without a verdict names at most so many methods."""
@@ -95,15 +100,27 @@ def _describe_leaders(ranking: Ranking, outcome: VerdictOutcome, recorded: bool)
 
 def _describe_others_tied(ranking: Ranking) -> str:
     """Return sentences on the methods after the second that are not clearly worse than the first."""
-    metric, first = ranking.metric, ranking.ranked[0]
+    first = ranking.ranked[0]
     near = [score for score in ranking.tied[2:] if score in ranking.near]
-    small = [score.method for score in near if separation(metric, first, score) == "within the margin"]
+    small = [score for score in near if separation(ranking.metric, first, score) == "within the margin"]
     groups = {
-        "Also tied with the first": [score.method for score in near if score.method not in small],
-        f"Worse by less than {_format_margin(metric, median(first.values))}, which does not matter here": small,
-        "Not told apart from the first": [score.method for score in ranking.tied[2:] if score not in ranking.near],
+        "Also tied with the first": [score for score in near if score not in small],
+        f"Worse by at most {_describe_small(ranking, small)}, which does not matter here": small,
+        "Not told apart from the first": [score for score in ranking.tied[2:] if score not in ranking.near],
     }
-    return "".join(f" {words}: {join_words(methods)}." for words, methods in groups.items() if methods)
+    return "".join(f" {words}: {join_words(one.method for one in own)}." for words, own in groups.items() if own)
+
+
+def _describe_small(ranking: Ranking, scores: Sequence[MethodScore]) -> str:
+    """Return the smallest difference that matters, and the bound of an interval of the differences beyond it, if any.
+
+    "2 mm (interval up to 2.4 mm)"; "2 mm" also over two pairs of runs, which have no interval.
+    """
+    metric, better = ranking.metric, median(ranking.ranked[0].values)
+    found = [compute_difference(score, ranking.ranked[0]) for score in scores]
+    ends = [abs(end) for one in found if one and one.runs >= MIN_RUNS for end in (one.interval.low, one.interval.high)]
+    bound, least = max(ends, default=0.0), _format_margin(metric, better)
+    return f"{least} (interval up to {format_amount(metric, bound)})" if bound > margin(metric, better) else least
 
 
 def _describe_disagreement(agreement: MapAgreement) -> str:
@@ -137,11 +154,11 @@ def _describe_pairs(difference: PairedDifference) -> str:
 
 def _describe_tie(ranking: Ranking) -> str:
     metric, first, second = ranking.metric, *ranking.tied[:2]
-    floor = format_amount(metric, noise_floor(metric))
-    least = _format_margin(metric, median(first.values))
+    relations = count_relations(first, second)
+    floor = f"{format_amount(metric, noise_floor(metric, relations))} over {relations} relations"
     small = {
         "within the noise floor": f"they differ by less than the accuracy of the ground truth ({floor})",
-        "within the margin": f"they are less than {least} apart, which does not matter here",
+        "within the margin": f"they are at most {_describe_small(ranking, [second])} apart, which does not matter here",
     }
     if ranking.why_tied in small:
         return small[ranking.why_tied]
@@ -174,6 +191,8 @@ def _format_margin(metric: Metric, better: float) -> str:
 def _describe_need(metric: Metric, difference: PairedDifference, better: float) -> str:
     """Return how many runs would settle a difference of the measured size, or what so many runs can detect."""
     if abs(difference.interval.value) < margin(metric, better):
+        if difference.misses_double:
+            return "these runs do not even detect a value twice as large"
         return f"these runs can detect a difference of {format_amount(metric, difference.detectable or 0.0, 1)}"
     runs = f"more than {MAX_RUNS}" if difference.needed is None else f"about {max(difference.needed, MIN_RUNS)}"
     return f"{runs} runs of each would settle a difference of this size"

@@ -10,7 +10,7 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.ranking import Mark, mark
 from evalkit.report.analysis.scores import WITH_TRUTH
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.statements.outcome import VerdictOutcome
+from evalkit.report.analysis.statements.outcome import NOT_APART, VerdictOutcome
 from evalkit.report.analysis.statements.verdict import ALL_TIED, SequenceVerdict, describe_success
 from evalkit.report.formatting import join_words
 from evalkit.stats.runs import FEW_CONFIDENCE, MIN_RUNS, PAIRED_CONFIDENCE
@@ -33,7 +33,8 @@ def compute_overview(
 
     ``in_title``: the sequences that the title counts.
     """
-    counted = [verdict for verdict in verdicts if verdict.counts]
+    pairs = list(zip(sequences, verdicts, strict=True))
+    counted = [verdict for sequence, verdict in pairs if verdict.counts or _holds_alone(sequence, verdict, in_title)]
     sentences = [
         describe_success(comparison.records),
         _describe_wins(counted),
@@ -48,6 +49,12 @@ def compute_overview(
         _describe_statistics(comparison),
     ]
     return tuple(sentence for sentence in sentences if sentence)
+
+
+def _holds_alone(sequence: SequenceAnalysis, verdict: SequenceVerdict, in_title: Collection[str]) -> bool:
+    """Return whether a sequence with ground truth counts for the one method that is ranked there."""
+    truth = sequence.deciding is not None and sequence.deciding.metric.group in WITH_TRUTH
+    return verdict.outcome == "single" and truth and verdict.sequence in in_title
 
 
 def _describe_wins(counted: Sequence[SequenceVerdict]) -> str:
@@ -65,6 +72,7 @@ def _describe_wins(counted: Sequence[SequenceVerdict]) -> str:
         ("the best methods are tied", tied),
         ("all ranked methods are tied", every),
         ("too few runs show a leader", undecided),
+        ("one method alone is ranked", [verdict.sequence for verdict in counted if verdict.outcome == "single"]),
     )
     for words, where in groups:
         if where:
@@ -147,9 +155,9 @@ def _describe_not_counted(
 ) -> str:
     reasons: dict[str, list[str]] = {}
     for sequence, verdict in zip(sequences, verdicts, strict=True):
-        if verdict.counts and verdict.all_tied and verdict.sequence not in in_title:
-            reasons.setdefault(ALL_TIED, []).append(sequence.label)
-        elif not verdict.counts:
+        if verdict.counts and verdict.sequence not in in_title:
+            reasons.setdefault(ALL_TIED if verdict.all_tied else NOT_APART, []).append(sequence.label)
+        elif not verdict.counts and not _holds_alone(sequence, verdict, in_title):
             reasons.setdefault(_find_why_not_counted(sequence, verdict), []).append(sequence.label)
     parts = [f"{join_words(labels)} ({why})" for why, labels in reasons.items()]
     return f"Not counted: {join_words(parts)}." if parts else ""

@@ -10,6 +10,7 @@ from evalkit.core.run_status import BROKEN, NOT_EXECUTED
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.statements.outcome import NOT_APART
 from evalkit.report.analysis.statements.verdict import ALL_TIED, SequenceVerdict
 from evalkit.report.formatting import format_losses, join_words, name_or_count
 from evalkit.results.run_record import RunRecord
@@ -51,7 +52,7 @@ def compute_pills(
         *(Pill(f"{sequence.label}: {text}") for sequence in sequences for text in sequence.card.warnings),
         *(_describe_degenerate(comparison, sequence) for sequence in sequences if sequence.card.degenerate),
         _describe_known_map(comparison, sequences),
-        *_group("lost the track on", _find_lost(sequences)),
+        *_group("lost the track on", _find_lost(sequences), _find_lost_by_geometry(sequences)),
         *_group("did not finish", _find_broken(runs)),
         _describe_load(runs),
         *_describe_tuned(comparison, sequences),
@@ -115,6 +116,12 @@ def _find_lost(sequences: Iterable[SequenceAnalysis]) -> dict[str, list[str]]:
     return grouped
 
 
+def _find_lost_by_geometry(sequences: Iterable[SequenceAnalysis]) -> list[str]:
+    """Return the sequences on which a method lost the track where the geometry explains it."""
+    degenerate = [one for one in sequences if one.card.degenerate]
+    return [one.label for one in degenerate if any(run.scores.lost is not None for run in one.all_runs)]
+
+
 def _find_broken(runs: Iterable[RunRecord]) -> dict[str, list[str]]:
     grouped: dict[str, dict[str, None]] = {}
     for run in runs:
@@ -123,11 +130,15 @@ def _find_broken(runs: Iterable[RunRecord]) -> dict[str, list[str]]:
     return {method: list(where) for method, where in grouped.items()}
 
 
-def _group(what: str, found: Mapping[str, Sequence[str]]) -> list[Pill]:
-    """Return one pill per method; of more than two methods one with their names, of many sequences the number."""
+def _group(what: str, found: Mapping[str, Sequence[str]], left_out: Sequence[str] = ()) -> list[Pill]:
+    """Return one pill per method; of more than two methods one with their names, of many sequences the number.
+
+    ``left_out``: sequences that ``found`` does not regard.
+    """
     if len(found) > MAX_OF_A_KIND:
         names = f": {', '.join(found)}" if len(found) <= MAX_NAMED else ""
-        return [Pill(f"{len(found)} methods {what} a sequence{names}")]
+        where = f"{what.removesuffix(' on')} outside {join_words(left_out)}" if left_out else f"{what} a sequence"
+        return [Pill(f"{len(found)} methods {where}{names}")]
     return [
         Pill(f"{method} {what} {join_words(where) if len(where) < 4 else f'{len(where)} sequences'}")
         for method, where in found.items()
@@ -175,9 +186,12 @@ def _describe_not_counted(
         for sequence, verdict in zip(sequences, verdicts, strict=True)
         if verdict.sequence not in counted and not sequence.card.degenerate and not sequence.none_finished
     ]
-    tied = [one.sequence for one in left if one.counts and one.all_tied]
-    others = [one.sequence for one in left if one.sequence not in tied]
-    parts = ([join_words(others)] if others else []) + ([f"{join_words(tied)} ({ALL_TIED})"] if tied else [])
+    groups = {
+        "": [one.sequence for one in left if not one.counts],
+        f" ({ALL_TIED})": [one.sequence for one in left if one.counts and one.all_tied],
+        f" ({NOT_APART})": [one.sequence for one in left if one.counts and not one.all_tied],
+    }
+    parts = [f"{join_words(where)}{why}" for why, where in groups.items() if where]
     return Pill(f"not counted: {'; '.join(parts)}", "") if left and counted else None
 
 

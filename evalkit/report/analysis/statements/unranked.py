@@ -65,5 +65,5 @@ def explain_unranked_score(score: MethodScore) -> str:
 def _find_cause(score: MethodScore) -> str:
     """Return the first cause for which a score is not ranked."""
     if not score.whole:
-        return "unfinished"
+        return "unfinished" if score.expected else "absent"
     return "lost" if score.lost is not None else "tuned" if score.registers else "guessed"

@@ -83,16 +83,19 @@ def _tells_none_apart(comparison: Comparison, ranking: Ranking, leaders: Sequenc
 
 
 def describe_success(runs: Sequence[RunRecord]) -> str:
-    """Return how many runs finished, which did not, and which could not start, by method."""
+    """Return how many runs finished, and which did not, were interrupted, or could not start, by method."""
     if not runs:
         return "There were no runs."
     missing = select_unfinished(runs)
-    absent = [run for run in missing if run.result.status in NOT_EXECUTED]
+    interrupted = [run for run in missing if run.result.status == RunStatus.INTERRUPTED]
+    absent = [run for run in missing if run.result.status in NOT_EXECUTED and run not in interrupted]
     broken = [run for run in missing if run.result.status not in NOT_EXECUTED]
     expected = Counter(run.method for run in runs)
     sentences = [f"{len(runs) - len(missing)} of {len(runs)} runs finished."]
     if broken:
         sentences.append(f"Did not finish: {_count_statuses(broken, expected)}.")
+    if interrupted:
+        sentences.append(f"Left out: {_count_statuses(interrupted, expected)}.")
     if absent:
         sentences.append(f"Could not start: {_count_absent(absent, runs, expected)}.")
     return " ".join(sentences)

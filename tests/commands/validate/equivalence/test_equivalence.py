@@ -1,9 +1,12 @@
 """Injected faults of registrations and odometries are detected and named; equal implementations are equivalent."""
 
+import importlib
 import json
 import math
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,6 +30,9 @@ from evalkit.plugins.specs import BackendSpec, DatasetSpec, OdometrySpec
 from evalkit_baselines import open3d_icp, paper
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.icp import Icp
+
+sys.path.append(str(Path(__file__).parents[3] / "misfits"))
+answer_faults, injected = map(importlib.import_module, ("answer_faults", "injected_faults"))
 
 TIGHT = {"epsilon": 1e-10, "max_iterations": 200}
 FEW = 6
@@ -62,12 +68,6 @@ def with_fault(make: Callable[..., object], spec: BackendSpec = paper.SPEC) -> B
     return replace(spec, make=make)
 
 
-class Transposed(Icp):
-    def _step(self, source, target, normals, share):
-        theta = -super()._step(source, target, normals, share)[2]
-        return icp._about(icp._centroid(source), icp._centroid(target), theta)
-
-
 class WrongCentroid(Icp):
     def _step(self, source, target, normals, share):
         x, y, theta = super()._step(source, target, normals, share)
@@ -85,34 +85,15 @@ class GuessInDegrees(Icp):
         return super().register(target, source, Pose(guess.x, guess.y, math.radians(guess.theta)))
 
 
-class AnswerInDegrees(Icp):
-    def register(self, target, source, guess):
-        match = super().register(target, source, guess)
-        pose = match.target_from_source
-        return replace(match, target_from_source=Pose(pose.x, pose.y, math.degrees(pose.theta)))
+class WrongSign(answer_faults.Clockwise, Icp): ...
 
 
-class WrongSign(Icp):
-    def register(self, target, source, guess):
-        match = super().register(target, source, guess)
-        pose = match.target_from_source
-        return replace(match, target_from_source=Pose(pose.x, pose.y, -pose.theta))
-
-
-class Inverse(Icp):
-    def register(self, target, source, guess):
-        match = super().register(target, source, guess)
-        return replace(match, target_from_source=match.target_from_source.inverse())
+class Inverse(answer_faults.Inverse, Icp): ...
 
 
 class Exchanged(Icp):
     def register(self, target, source, guess):
         return super().register(source, target, guess)
-
-
-class Rounded(Icp):
-    def register(self, target, source, guess):
-        return super().register(*(Cloud(np.float32(cloud.points)) for cloud in (target, source)), guess)
 
 
 class OneMore(Icp):
@@ -195,15 +176,15 @@ def test_a_registration_is_equal_to_itself_in_every_pair_of_every_iteration():
 NEAR = {"max_correspondence_m": 0.2}
 
 FAULTS = {
-    "transposed rotation": (Transposed, {}, "different pose", "rotation is transposed"),
+    "transposed rotation": (injected.Transposed, {}, "different pose", "rotation is transposed"),
     "translation without rotation": (WrongCentroid, {}, "different pose", "translation leaves out the rotation"),
     "inverted step": (Backwards, {}, "different pose", "step is inverted"),
     "guess read as degrees": (GuessInDegrees, {}, "units pairs", "guess's angle is interpreted as degrees"),
-    "answer in degrees": (AnswerInDegrees, {}, "units answer", "angle is in degrees"),
+    "answer in degrees": (injected.Degrees, {}, "units answer", "angle is in degrees"),
     "sign of the angle": (WrongSign, {}, "sign answer", "angle has the wrong sign"),
     "inverse answer": (Inverse, {}, "different answer", "inverse"),
     "exchanged clouds": (Exchanged, {}, "different pairs", "target and source are exchanged"),
-    "rounded to float32": (Rounded, {}, "precision pose", "within rounding to float32"),
+    "rounded to float32": (injected.Rounded, {}, "precision pose", "within rounding to float32"),
     "one iteration more": (OneMore, {}, "stop rule iterations", "A stops after"),
     "one iteration fewer": (OneFewer, {}, "stop rule iterations", "B stops after"),
     "fewer iterations allowed": (option(max_iterations=2), TIGHT, "iteration cap iterations", "B ends unconverged"),
@@ -227,12 +208,12 @@ def test_an_injected_fault_is_detected_and_named(name):
 
 
 UNTRACED = {
-    "answer in degrees": (AnswerInDegrees, "units"),
+    "answer in degrees": (injected.Degrees, "units"),
     "inverse answer": (Inverse, "different"),
     "sign of the angle": (WrongSign, "sign"),
     "one iteration more": (OneMore, "stop rule"),
     "no one-to-one filter": (option(one_to_one=False, max_iterations=1), "outlier rule"),
-    "rounded to float32": (Rounded, "precision"),
+    "rounded to float32": (injected.Rounded, "precision"),
     "fewer iterations allowed": (option(max_iterations=2), "iteration cap"),
 }
 
@@ -277,8 +258,8 @@ def test_a_point_between_two_targets_is_a_tie():
 
 
 def test_rounding_to_float32_is_equivalent_within_its_budget_and_not_below():
-    assert equivalence("paper", with_fault(Rounded), ROOM, scans=FEW, margin="float32").equivalent
-    found = equivalence("paper", with_fault(Rounded), ROOM, scans=FEW)
+    assert equivalence("paper", with_fault(injected.Rounded), ROOM, scans=FEW, margin="float32").equivalent
+    found = equivalence("paper", with_fault(injected.Rounded), ROOM, scans=FEW)
     assert not found.equivalent
     assert set(found.classes) == {"precision"}
     assert not equivalence("paper", with_fault(OneFewer), ROOM, scans=FEW, margin="float32").equivalent
@@ -319,7 +300,7 @@ def test_a_failure_of_the_first_back_end_raises_an_error_with_its_label():
 def test_the_assertion_error_contains_the_comparison():
     assert assert_equivalent("paper", "paper", ROOM, scans=4).equivalent
     with pytest.raises(NotEquivalent, match="first divergence: scan 2, s2s, iteration 1, pose: different"):
-        assert_equivalent("paper", with_fault(Transposed), ROOM, scans=4)
+        assert_equivalent("paper", with_fault(injected.Transposed), ROOM, scans=4)
 
 
 def test_open3d_is_equivalent_to_the_paper_with_the_same_outlier_rule():

@@ -28,9 +28,9 @@ typedef struct {
 #define ek_cell_grid_spare_lines EK_NAME(cell_grid_spare_lines)
 #define ek_cell_grid_suits EK_NAME(cell_grid_suits)
 
-/* Compute the bounding box of count pairs x y (m). Without points it is empty: right < left.
+/* Compute the bounding box of count pairs x y (m); wide: ek_wide(). Without points it is empty: right < left.
  * EK_NOT_FINITE; EK_OUT_OF_RANGE: a coordinate is larger than EK_MAX_COORDINATE. */
-ek_status ek_bounds_compute(const ek_real *xy, size_t count, ek_bounds *bounds);
+ek_status ek_bounds_compute(const ek_real *xy, size_t count, int wide, ek_bounds *bounds);
 
 /* Cover a bounding box and a border around it with cells of the given width (m), or with wider cells if more than
  * `max_cells` (1 or more) would be needed. The border is 1/16 of width and height on each side, or 1/64 if the larger

@@ -17,7 +17,7 @@ extern "C" {
 
 /* For each place up to EK_BLOCK points. One of them is nearest to it where `nearest` is below `others`. */
 typedef struct {
-    uint32_t slot[EK_GROUP][EK_BLOCK]; /* in no order; EK_NONE where there are fewer */
+    uint32_t slot[EK_BLOCK][EK_GROUP]; /* in no order; EK_NONE where there are fewer */
     ek_real nearest[EK_GROUP];         /* upper bound on the distance from the place to the nearest of them (m) */
     ek_real others[EK_GROUP];          /* lower bound on the distance from the place to all other points (m) */
 } ek_nearby;

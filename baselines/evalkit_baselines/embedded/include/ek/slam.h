@@ -96,7 +96,10 @@ typedef struct {
     int32_t measured;      /* 0: the guess is none of wheel odometry */
     ek_real metres, theta; /* m, rad */
     ek_real poor;          /* m: a match with a larger error and few pairs may be at most half as far; 0: unknown */
-    ek_real fewest;        /* points: a match of fewer is not believed where the odometry is good */
+    ek_real fewest;        /* points: a match of fewer is not accepted where the odometry is good */
+    ek_real doubted;       /* m: a match with a larger error is doubted; 0: unknown */
+    ek_real near;          /* m: a doubted match may be so far from its guess where the match before is `sure` */
+    int32_t sure;          /* 1: the match before of this scan agrees with good odometry, and is not doubted */
 } ek_gate;
 
 #define EK_TURNS_RIGHT 2
