@@ -12,6 +12,7 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 
+import click
 import numpy as np
 import psutil
 import pytest
@@ -20,7 +21,9 @@ from typer.testing import CliRunner
 
 from evalkit import __version__, cli, metrics
 from evalkit.cli import COMMANDS
+from evalkit.commands.calibration import command as calibration
 from evalkit.commands.compare.command import VERDICT_REPETITIONS
+from evalkit.commands.metric_validation import command as metric_validation
 from evalkit.core.errors import NotInstalled, StoreError
 from evalkit.plugins import registry
 from evalkit.results.reader import load_results_json
@@ -196,6 +199,32 @@ def test_commands_without_computation_import_no_heavy_library(words):
 @pytest.mark.parametrize("words", [["--version"], ["--help"], ["list"]])
 def test_the_version_the_help_and_the_names_import_no_numerical_library(words):
     assert not (HEAVY | {"numpy", "psutil"}) & modules_after(*words)
+
+
+def number_options(command):
+    """Return the options of a command and its subcommands that take a number, but for seeds, which may be large."""
+    found = [one for each in getattr(command, "commands", {}).values() for one in number_options(each)]
+    numbers = (click.types.IntParamType, click.types.FloatParamType)
+    return [*found, *(one for one in command.params if isinstance(one.type, numbers) and one.name != "seed")]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        *(
+            pytest.param(lambda name=name: cli.load_command(name), id=name)
+            for name in (*COMMANDS, "inspect", "datasets")
+        ),
+        pytest.param(lambda: typer.main.get_command(calibration.app), id="calibration"),
+        pytest.param(lambda: typer.main.get_command(metric_validation.app), id="metric_validation"),
+    ],
+)
+def test_every_option_with_a_number_refuses_more_than_its_largest_and_nan(command):
+    for option in number_options(command()):
+        with pytest.raises(click.BadParameter, match=rf"1{'0' * 30} is not in the range"):
+            option.type.convert(f"1{'0' * 30}", option, None)
+        with pytest.raises(click.BadParameter, match=r"nan'? is not a"):
+            option.process_value(click.Context(click.Command("it")), "nan")
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "inspect"])
@@ -403,7 +432,7 @@ def test_an_interrupt_keeps_finished_runs_and_leaves_no_process(experiment, tmp_
     os.killpg(process.pid, ending)  # to the whole foreground process group, like a terminal
     _, err = process.communicate(timeout=600.0)
     assert process.returncode == 128 + ending
-    assert "interrupted; finished runs are kept: repeat the command with --resume to continue" in err
+    assert "finished runs are kept: repeat the command with --resume to continue\nevalkit: interrupted\n" in err
     assert "Traceback" not in err
     assert [run.parent.name.rsplit("-", 1)[0] for run in folder.glob("runs/*/result.json")] == ["straight-none"]
     assert not list(folder.glob("runs/straight-raise-*"))

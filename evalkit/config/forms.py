@@ -20,13 +20,17 @@ Type = Literal["text", "texts", "flag", "whole", "wholes", "number", "positive",
 MAX_WHOLES = 1000
 """Numbers of one list: more seeds would take minutes to list, before the first run."""
 
+MAX_POINTS = 5000
+"""Points of one design or of the search of one method: more fill the memory, or take months to run."""
+
 Plugins = Literal["", "backends", "datasets", "mappers"]
 
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A key of a table. ``default``: its value where it is absent, None if there is none; ``low``: its lower bound.
+    """A key of a table. ``default``: its value where it is absent, None if there is none.
 
+    ``low``, ``high``: its bounds.
     ``form``: the keys of the table that it holds, None: any.
     """
 
@@ -36,6 +40,7 @@ class Key:
     low: float | None = None
     required: bool = False
     form: Form | None = None
+    high: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +130,7 @@ DESIGN = Form("DesignTable", "Points that a study runs.", {
     "name": Key("text"),
     "kind": Key("text", "kind of design", required=True),
     "factors": Key("texts", "names of factors", required=True),
-    "points": Key("whole", "of an optimal, sobol or latin design", low=1),
+    "points": Key("whole", "of an optimal, sobol or latin design", low=1, high=MAX_POINTS),
     "resolution": Key("whole", "of a fractional design", low=1),
     "seed": Key("whole", "of the points", 0, 0),
     "seeds": Key("wholes", "of the simulated drives", []),
@@ -159,7 +164,7 @@ OBJECTIVE = Form("ObjectiveTable", "What a tuning minimises.", {
 
 TUNING = Form("TuningFile", "A tuning with equal budgets (``evalkit tune FILE``).", {
     **TEXTS,
-    "points": Key("whole", "points that each method is tried at", 24, 2),
+    "points": Key("whole", "points that each method is tried at", 24, 2, high=MAX_POINTS),
     "seed": Key("whole", "of the points", 0, 0),
     "run_cpu_s": Key("number", "s of CPU time of a training run", 60.0, 1e-3),
     "objective": Key("table", form=OBJECTIVE),

@@ -67,7 +67,7 @@ def _conditions(names: list[str], parameters_of: Callable[[str], tuple[Parameter
 
 def _key_schema(key: Key) -> Schema:
     table: Schema = {"type": "object"} if key.form is None else {"$ref": f"#/$defs/{key.form.name}"}
-    whole: Schema = {"type": "integer", "minimum": key.low or 0}
+    whole: Schema = {"type": "integer", "minimum": key.low or 0} | ({} if key.high is None else {"maximum": key.high})
     types: Mapping[Type, Schema] = {
         "text": {"type": "string"},
         "texts": {"type": "array", "items": {"type": "string"}},

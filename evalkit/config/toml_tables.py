@@ -111,10 +111,10 @@ class TomlTable:
         return value
 
     def whole_number(self, key: str, default: int | None = None) -> int:
-        """A whole number of at least its bound, which is 0 without one."""
-        value, low = self._find(key, default), self._key(key).low or 0
-        if type(value) is not int or value < low:
-            raise self.bad_value(key, f"a whole number from {low:g}")
+        """A whole number within its bounds; the lower one is 0 where it has none."""
+        value, low, high = self._find(key, default), self._key(key).low or 0, self._key(key).high
+        if type(value) is not int or value < low or (high is not None and value > high):
+            raise self.bad_value(key, f"a whole number from {low:g}" + (f" to {high}" if high is not None else ""))
         return value
 
     def whole_numbers(self, key: str, empty: bool = False) -> tuple[int, ...]:

@@ -190,15 +190,17 @@ class StoreError(_RemediedError):
 class MachineFault(_RemediedError):
     """The machine failed evalkit, not a method: ``MachineFault(where, what, remedy)``."""
 
-    REMEDY = "free disk, memory, /dev/shm or open files, and repeat with --resume"
+    FREE = "free disk, memory, /dev/shm or open files, and repeat"
+    REMEDY = f"{FREE} with --resume"
+    """What to do after a fault in a comparison, which alone has this option."""
 
     @classmethod
-    def of(cls, where: str, error: BaseException) -> MachineFault | None:
+    def of(cls, where: str, error: BaseException, remedy: str = REMEDY) -> MachineFault | None:
         """Return the fault behind an error of evalkit's own writing or starting, None if it is of another kind."""
         system = error if isinstance(error, OSError) else error.__cause__
         if not isinstance(system, OSError) or system.errno not in _MACHINE_ERRORS:
             return None
-        return cls(where, f"the machine failed ({system.strerror})", cls.REMEDY)
+        return cls(where, f"the machine failed ({system.strerror})", remedy)
 
 
 def format_exception(error: BaseException) -> str:

@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
 
+MAX_COORDINATE_M = 1e7
+"""Answers and files with a pose farther away are refused: no robot drives so far, and computations overflow."""
+
 
 @dataclass(frozen=True, slots=True)
 class Pose:
@@ -39,6 +42,11 @@ class Pose:
         put(pose, "y", y)
         put(pose, "theta", theta)
         return pose
+
+    @property
+    def is_too_far(self) -> bool:
+        """Whether a coordinate is beyond ``MAX_COORDINATE_M``."""
+        return not max(abs(self.x), abs(self.y)) <= MAX_COORDINATE_M
 
     @property
     def row(self) -> Floats:

@@ -65,7 +65,7 @@ class Executor(Protocol):
 
 @dataclass(frozen=True)
 class LocalExecutor:
-    """Executes ``jobs`` runs at a time on this machine, each pinned to a core of its own."""
+    """Executes up to ``jobs`` runs at a time on this machine, each pinned to a core of its own."""
 
     jobs: int = 1
 
@@ -74,7 +74,8 @@ class LocalExecutor:
     ) -> FinishedRuns:
         """See Executor."""
         os.environ.update(environment.SINGLE_THREAD)  # inherited by the scoring processes, as by the runs
-        cores, stop = environment.queue_cores(self.jobs), threading.Event()
+        jobs = max(min(self.jobs, len(pending)), 1)
+        cores, stop = environment.queue_cores(jobs), threading.Event()
 
         def execute(run: PendingRun) -> tuple[RunSpec, RunResult]:
             """Execute one run; an exception stops all other runs at once."""
@@ -93,9 +94,9 @@ class LocalExecutor:
 
         specs = [run.spec for run in pending if not run.is_executed]
         with (
-            WorkerPool([None] * self.jobs) as scoring,
+            WorkerPool([None] * jobs) as scoring,
             SharedFrames(store.folder, specs, scoring, settings.limits.run_s) as frames,
-            ThreadPoolExecutor(self.jobs) as threads,
+            ThreadPoolExecutor(jobs) as threads,
         ):
             futures = [threads.submit(execute, run) for run in pending]
             try:

@@ -16,13 +16,14 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextvars import ContextVar
 from io import RawIOBase
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
@@ -38,6 +39,9 @@ from evalkit.plugins.registry import MARK
 
 Parameters = ParamSpec("Parameters")
 R = TypeVar("R")
+
+STOP: ContextVar[threading.Event | None] = ContextVar("STOP", default=None)
+"""An event that ends the children of this thread when it is set."""
 
 POLL_S = 0.05
 """Interval between two measurements of a child."""
@@ -99,8 +103,14 @@ class ChildProcess:
         return self._process.returncode
 
     def watch(self) -> Iterator[Usage]:
-        """Yield the resources used so far, every ``POLL_S``, until the process ends."""
+        """Yield the resources used so far, every ``POLL_S``, until the process ends.
+
+        Raises CancelledError when the event of ``STOP`` is set.
+        """
+        stop = STOP.get()
         while self._process.poll() is None:
+            if stop is not None and stop.is_set():
+                raise CancelledError
             time.sleep(POLL_S)
             self._truncate_output()
             yield self._measure()
@@ -216,6 +226,8 @@ class WorkerPool:
     def __init__(self, cores: Sequence[int | None]) -> None:
         self._idle: SimpleQueue[tuple[Executor, int | None]] = SimpleQueue()
         self._count = len(cores)
+        self._busy: set[Executor] = set()
+        self._killed = False
         for core in cores:
             self._idle.put((start_process(core), core))
 
@@ -230,16 +242,40 @@ class WorkerPool:
         for _ in range(self._count):
             self._idle.get()[0].shutdown(wait=True)
 
-    def run(self, function: Callable[Parameters, R], *arguments: Parameters.args, **keywords: Parameters.kwargs) -> R:
-        """Call a function in an idle process. Raises BrokenProcessPool if the call ends its process."""
-        process, core = self._idle.get()
+    def kill(self) -> None:
+        """End the calls by killing their processes, and refuse all later ones."""
+        self._killed = True
+        idle: list[tuple[Executor, int | None]] = []
         try:
+            while len(idle) < self._count:
+                for executor in tuple(self._busy):
+                    for process in tuple((getattr(executor, "_processes", None) or {}).values()):
+                        process.kill()
+                with contextlib.suppress(Empty):  # a process was being started
+                    idle.append(self._idle.get(timeout=POLL_S))
+        finally:
+            for one in idle:
+                self._idle.put(one)
+
+    def run(self, function: Callable[Parameters, R], *arguments: Parameters.args, **keywords: Parameters.kwargs) -> R:
+        """Call a function in an idle process. Raises BrokenProcessPool if the call ends its process.
+
+        Raises CancelledError after ``kill``.
+        """
+        process, core = self._idle.get()
+        self._busy.add(process)
+        try:
+            if self._killed:
+                raise CancelledError
             return process.submit(function, *arguments, **keywords).result()
         except BrokenProcessPool:
-            process.shutdown(wait=False)
-            process = start_process(core)
+            if not self._killed:
+                process.shutdown(wait=False)
+                self._busy.remove(process)
+                process = start_process(core)
             raise
         finally:
+            self._busy.discard(process)
             self._idle.put((process, core))
 
 

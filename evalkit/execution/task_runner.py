@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -17,7 +18,7 @@ from typing import Generic
 from evalkit.core.errors import EvalkitError, StoreError, plain
 from evalkit.execution import environment, task_time_limit
 from evalkit.execution.dask_cluster import Call, Cluster, NoCluster, Slot
-from evalkit.execution.subprocesses import WorkerPool
+from evalkit.execution.subprocesses import STOP, WorkerPool
 from evalkit.execution.task import R, Task
 from evalkit.execution.task_store import TaskStore
 from evalkit.io.output_files import REMEDY
@@ -133,24 +134,29 @@ def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -
     if not tasks:
         return
     collector.store.create()
+    workers = min(workers, len(tasks))
     os.environ.update(environment.SINGLE_THREAD)  # inherited by the processes
     own_processes = all(task.own_process for task in tasks)
+    stop = threading.Event()
     cores = () if own_processes else environment.core_of_each(workers)
     with WorkerPool(cores) as pool, ThreadPoolExecutor(workers) as threads:
         if own_processes:
             idle = environment.queue_cores(workers)
-            futures = {threads.submit(_run_on_core, idle, task): task for task in tasks}
+            futures = {threads.submit(_run_on_core, idle, task, stop): task for task in tasks}
         else:
             futures = {threads.submit(_run_in_pool, pool, task, collector.store.note(task)): task for task in tasks}
         try:
             collector.collect((futures[future], future) for future in as_completed(futures))
         except BaseException:  # an interrupt or an unwritable folder
+            stop.set()
+            pool.kill()
             threads.shutdown(wait=True, cancel_futures=True)
             raise
 
 
-def _run_on_core(idle: SimpleQueue[int | None], task: Task[R]) -> tuple[R, float]:
-    """Run a task that starts its own process in this thread, on an idle core."""
+def _run_on_core(idle: SimpleQueue[int | None], task: Task[R], stop: threading.Event) -> tuple[R, float]:
+    """Run a task that starts its own process in this thread, on an idle core, until ``stop`` is set."""
+    STOP.set(stop)
     core = idle.get()
     try:
         if core is not None:

@@ -23,6 +23,7 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.arrays import Ints, freeze
 from evalkit.core.errors import BadData, brief
+from evalkit.core.pose import MAX_COORDINATE_M
 from evalkit.core.pose_graph import PoseGraph
 from evalkit.core.se2 import Floats
 from evalkit.io.text_lines import iter_lines, parse_numbers
@@ -36,7 +37,6 @@ _G2O_ORDER = (0, 1, 2, 1, 3, 4, 2, 4, 5)
 """Place of each element of the information matrix (row by row) among the six numbers of a line."""
 _TORO_ORDER = (0, 1, 4, 1, 2, 5, 4, 5, 3)
 
-MAX_COORDINATE_M = 1e7
 MAX_INFORMATION = 1e15
 MAX_ID = 2**62
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -128,8 +130,9 @@ def find_map_image(path: Path) -> Path | None:
 
 def _read_settings(path: Path) -> dict[str, Any]:
     """Return the keys of the YAML file, checked, with defaults filled in."""
-    from ruamel.yaml import YAML  # noqa: PLC0415 - heavy, and used for maps only
-    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415 - heavy, and used for maps only
+
+    from evalkit.io.plain_yaml import make_yaml  # noqa: PLC0415 - as above
 
     content = read_bytes(path, "the YAML file of a map")
     if len(content) > MAX_YAML_BYTES:
@@ -139,7 +142,7 @@ def _read_settings(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise _no_yaml_error(path, f"no UTF-8 text at byte {error.start}") from None
     try:
-        loaded = YAML(typ="safe", pure=True).load(text)
+        loaded = make_yaml().load(text)
     except (YAMLError, ValueError, RecursionError) as error:
         raise BadData(
             str(path), "", f"not valid YAML ({' '.join(str(error).split())[:100]})", "save the map again"
@@ -151,8 +154,8 @@ def _read_settings(path: Path) -> dict[str, Any]:
         if key not in known:
             raise _no_yaml_error(path, f"missing key '{key}'")
     for key in ("image", "mode"):
-        if not isinstance(known[key], str):  # value not shown: nested aliases can be arbitrarily long
-            raise BadData(str(path), key, "not a string", "give the YAML file of a map")
+        if not isinstance(known[key], str):
+            raise BadData(str(path), key, f"{brief(known[key])} is not a string", "give the YAML file of a map")
     if known["mode"] not in MODES:
         raise BadData(str(path), "mode", f"{brief(known['mode'])} is no mode", f"expected one of {', '.join(MODES)}")
     return known | _check_geometry(path, known)
@@ -164,16 +167,27 @@ def _no_yaml_error(path: Path, why: str) -> BadData:
 
 
 def _check_geometry(path: Path, known: dict[str, Any]) -> dict[str, Any]:
-    try:
-        checked: dict[str, Any] = {
-            key: float(known[key]) for key in ("resolution", "occupied_thresh", "free_thresh", "negate")
-        }
-        x, y, yaw = (float(value) for value in known["origin"])
-    except (TypeError, ValueError):
-        raise BadData(str(path), "", "a value is not a number", "expected numbers, and origin: [x, y, yaw]") from None
-    if not (checked["resolution"] > 0.0 and np.isfinite([checked["resolution"], x, y, yaw]).all()):
+    checked: dict[str, Any] = {
+        key: _parse_number(path, key, known[key]) for key in ("resolution", "occupied_thresh", "free_thresh", "negate")
+    }
+    origin = known["origin"]
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise BadData(str(path), "origin", f"found {brief(origin)}", "expected [x, y, yaw]")
+    if not checked["resolution"] > 0.0:
         raise BadData(str(path), "resolution", f"{checked['resolution']}", "expected metres per cell, more than 0")
-    return checked | {"origin": (x, y, yaw)}
+    for key in ("occupied_thresh", "free_thresh"):
+        if not 0.0 <= checked[key] <= 1.0:
+            raise BadData(str(path), key, f"found {brief(known[key])}", "expected a probability, 0 to 1")
+    return checked | {"origin": tuple(_parse_number(path, "origin", value) for value in origin)}
+
+
+def _parse_number(path: Path, key: str, value: object) -> float:
+    number = math.nan
+    with suppress(TypeError, ValueError, OverflowError):
+        number = float(cast(float, value))
+    if not math.isfinite(number):
+        raise BadData(str(path), key, f"found {brief(value)}", "expected a finite number")
+    return number
 
 
 def _read_grey(path: Path) -> tuple[Shades, int]:

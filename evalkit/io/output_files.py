@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -47,6 +48,18 @@ def write_bytes(path: Path, content: bytes, root: Path | None = None) -> None:
 def write_text(path: Path, text: str, root: Path | None = None) -> None:
     """As ``write_bytes``, in UTF-8."""
     write_bytes(path, text.encode(), root)
+
+
+def write_named_file(path: Path, content: bytes | str) -> None:
+    """Write a file that the user named, with the folders above it. Raises StoreError where it is no plain file.
+
+    A link is not followed, because it may lead to any file, and a device or a pipe is not replaced.
+    """
+    with as_store_error(path), suppress(FileNotFoundError):
+        if not stat.S_ISREG(path.lstat().st_mode):
+            what = "is a link, a device, a pipe or a folder, which is not replaced"
+            raise StoreError(str(path), what, "name another file")
+    write_bytes(path, content.encode() if isinstance(content, str) else content, path.parent)
 
 
 def write_texts(folder: Path, texts: Mapping[str, str]) -> None:

@@ -19,11 +19,11 @@ def load_toml(path: Path, expected: str) -> dict[str, Any]:
     Raises BadExperiment if the file does not exist, cannot be read, or is not valid TOML.
     """
     try:
-        return parse_toml(path.read_text(encoding="utf-8"))
+        return parse_toml(path.read_text(encoding="utf-8-sig"))  # some editors begin a file with a mark
     except FileNotFoundError:
         raise BadExperiment(str(path), "", f"no such file; give the path of {expected}") from None
     except UnicodeDecodeError as error:
-        raise BadExperiment(str(path), "", f"cannot be read ({error})") from error
+        raise BadExperiment(str(path), "", f"not UTF-8 text at byte {error.start}; save it as UTF-8") from error
     except OSError as error:
         raise BadExperiment(str(path), "", f"cannot be read ({error.strerror or error})") from error
     except ValueError as error:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from evalkit.core.errors import BadData
+from evalkit.core.pose import MAX_COORDINATE_M
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.io.text_lines import iter_rows, parse_numbers
@@ -75,6 +76,9 @@ def yaw_from_quaternion(qx: float, qy: float, qz: float, qw: float) -> float:
 def _check_pose(path: Path, line: int, values: list[float]) -> list[float]:
     if not np.isfinite(values).all():
         raise BadData(str(path), f"line {line}", "a value is not finite", "remove the pose from the file")
+    if max(map(abs, values[:3])) > MAX_COORDINATE_M:
+        found = f"a length above {MAX_COORDINATE_M:,.0f} m"
+        raise BadData(str(path), f"line {line}", found, "remove the pose from the file")
     length = float(np.linalg.norm(values[3:]))
     if abs(length - 1.0) > 0.01:
         found = f"a quaternion of length {length:g}"

@@ -14,7 +14,7 @@ import numpy as np
 
 from evalkit.core import se2
 from evalkit.core.odometry_estimate import OdometryEstimate, Stage, StageEstimate
-from evalkit.core.pose import Pose
+from evalkit.core.pose import MAX_COORDINATE_M, Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import NO_COST, Cost
@@ -236,9 +236,12 @@ class FrontEnd:
         self, stage: Stage, target: Cloud, source: Cloud, guess: Pose, registration: Registration | None = None
     ) -> _StageAnswer:
         match = (registration or self._registrations[stage]).register(target, source, guess)
+        if (found := match.target_from_source).is_too_far:
+            what = f"farther away than {MAX_COORDINATE_M:,.0f} m: ({found.x}, {found.y})"
+            raise ValueError(f"register() returned a pose {what}")
         accepted = match.inliers >= self._settings.min_inliers
         estimate = StageEstimate(accepted, bool(match.converged), match.iterations, match.error, match.inliers)
-        return _StageAnswer(match.target_from_source if accepted else guess, estimate, match.cost)
+        return _StageAnswer(found if accepted else guess, estimate, match.cost)
 
     def is_keyframe(self, start_from_base: Pose) -> bool:
         """Return whether a scan at a pose, which is not the first one, enters the local map."""

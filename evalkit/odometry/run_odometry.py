@@ -11,7 +11,7 @@ import numpy as np
 
 from evalkit.core.errors import BadData
 from evalkit.core.odometry_estimate import OdometryEstimate
-from evalkit.core.pose import Pose
+from evalkit.core.pose import MAX_COORDINATE_M, Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import CallTiming, timed
@@ -78,7 +78,10 @@ def check_order(frames: Iterable[Frame], source: str) -> Iterator[Frame]:
 
 
 def check_estimate(answer: object) -> OdometryEstimate:
-    """Return the answer of ``update``; raises TypeError for another type, ValueError for a pose that is not finite."""
+    """Return the answer of ``update``; raises TypeError for another type.
+
+    Raises ValueError for a pose that is not finite, or farther away than ``MAX_COORDINATE_M``.
+    """
     if not isinstance(answer, OdometryEstimate):
         raise TypeError(f"update() returned a {type(answer).__name__}, expected an evalkit.OdometryEstimate")
     pose: object = answer.pose
@@ -86,4 +89,6 @@ def check_estimate(answer: object) -> OdometryEstimate:
         raise TypeError(f"update() returned a pose of type {type(pose).__name__}, expected an evalkit.Pose")
     if not all(map(math.isfinite, (pose.x, pose.y, pose.theta))):  # a subclass of Pose may skip the check
         raise ValueError(f"update() returned a pose that is not finite: ({pose.x}, {pose.y}, {pose.theta})")
+    if pose.is_too_far:
+        raise ValueError(f"update() returned a pose farther away than {MAX_COORDINATE_M:,.0f} m: ({pose.x}, {pose.y})")
     return answer

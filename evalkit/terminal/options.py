@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -54,6 +55,28 @@ def complete_status() -> list[str]:
     return [*(status.value for status in RunStatus), DISTURBED]
 
 
+MAX_COUNT = 10_000
+"""Largest number of an option that counts and has no other limit: more would take days or fill the memory."""
+
+MAX_JOBS, MAX_SEEDS, MAX_SECONDS = 1_000, 1_000, 1e6
+
+
+def count(low: int, *names: str, high: int = MAX_COUNT, **shown: Any) -> Any:
+    """Return an option that takes a whole number from ``low`` to ``high``."""
+    return typer.Option(*names, min=low, max=high, **shown)
+
+
+def number(low: float, high: float, **shown: Any) -> Any:
+    """Return an option that takes a number from ``low`` to ``high``, which nan is not."""
+    return typer.Option(min=low, max=high, callback=_refuse_nan, **shown)
+
+
+def _refuse_nan(value: float) -> float:
+    if math.isnan(value):
+        raise typer.BadParameter(f"{value} is not a number")
+    return value
+
+
 Backend = Annotated[
     str,
     typer.Argument(
@@ -82,8 +105,14 @@ Seeds = Annotated[list[int] | None, typer.Option(help="Only this seed (repeatabl
 Out = Annotated[Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="./evalkit-results")]
 Jobs = Annotated[
     int | None,
-    typer.Option(
-        "--jobs", "-j", min=1, help="Parallel runs.", show_default="physical cores", rich_help_panel=EXECUTION
+    count(
+        1,
+        "--jobs",
+        "-j",
+        high=MAX_JOBS,
+        help="Parallel runs.",
+        show_default="physical cores",
+        rich_help_panel=EXECUTION,
     ),
 ]
 Resume = Annotated[

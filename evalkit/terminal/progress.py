@@ -164,7 +164,7 @@ def announce_kept(console: WordConsole, what: str, option: str = "") -> Iterator
     try:
         yield
     except KeyboardInterrupt:
-        console.print(f"interrupted; {what} are kept: repeat the command{option} to continue")
+        console.print(f"{what} are kept: repeat the command{option} to continue")
         raise
 
 

@@ -9,6 +9,7 @@ import typer
 
 from evalkit.terminal.console import out
 from evalkit.terminal.entry_point import run
+from evalkit.terminal.options import Jobs
 
 
 def paper(
@@ -16,9 +17,7 @@ def paper(
     folder: Annotated[
         Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="reports/build/NAME")
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, help="At a time.", show_default="physical cores")
-    ] = None,
+    workers: Jobs = None,
 ) -> None:
     """Reproduce the paper: compare every table, figure and claim with a measurement. Finished parts are kept."""
     from evalkit_paper.build import build_page  # noqa: PLC0415 - loads matplotlib

@@ -54,7 +54,7 @@ def log(tmp_path):
         ("", ["no [[method]]"]),
         (WHEELS, ["no [[sequence]]"]),
         ("title =\n", ["not valid TOML", "line 1"]),
-        (b"title = '\xff'\n", ["cannot be read"]),
+        (b"title = '\xff'\n", ["not UTF-8 text at byte 9", "save it as UTF-8"]),
         ("titel = 'x'\n" + WHEELS + ROOM,
          ["no key named 'titel' (did you mean 'title'?)", "known: description, limits, mapper, method"]),
         ("title = 3\n" + WHEELS + ROOM, ["'title': found 3, expected a text"]),

@@ -146,6 +146,13 @@ def test_shipped_files_have_no_mistake_and_fit_the_schema(path, kind):
     jsonschema.Draft202012Validator(make_schema(kind)).validate(content)
 
 
+def test_the_schema_has_the_largest_value_of_a_number():
+    jsonschema = pytest.importorskip("jsonschema")
+    validator = jsonschema.Draft202012Validator(make_schema("tuning"))
+    said = [[error.message for error in validator.iter_errors({"points": count})] for count in (5000, 5001)]
+    assert "5001 is greater than the maximum of 5000" in set(said[1]) - set(said[0])
+
+
 def test_the_schema_knows_installed_names_and_the_parameters_of_each(tmp_path):
     jsonschema = pytest.importorskip("jsonschema")
     file = tmp_path / "experiment.schema.json"

@@ -8,7 +8,8 @@ from evalkit.core.errors import BadExperiment, UnknownName
 
 FORM = Form(keys={
     "on": Key("flag", default=True), "size": Key("number", low=1.0), "plain": Key("number"), "limit": Key("positive"),
-    "count": Key("whole"), "points": Key("whole", default=7, low=3), "seeds": Key("wholes", default=[0]),
+    "count": Key("whole"), "points": Key("whole", default=7, low=3, high=5000),
+    "seeds": Key("wholes", default=[0]),
     "kind": Key("text"), "part": Key("tables", form=Form(keys={"x": Key("whole", default=5)})),
 })  # fmt: skip
 
@@ -28,6 +29,7 @@ def table(**content):
         (lambda: table(size=float("inf")).number("size"), "'size': found inf, expected a number from 1"),
         (lambda: table(limit=0).positive_number("limit"), "'limit': found 0, expected a positive number"),
         (lambda: table(points=2).whole_number("points"), "'points': found 2, expected a whole number from 3"),
+        (lambda: table(points=5001).whole_number("points"), "found 5001, expected a whole number from 3 to 5000"),
         (lambda: table(count=2.0).whole_number("count"), "'count': found 2.0, expected a whole number from 0"),
         (lambda: table(seeds=[]).whole_numbers("seeds"), "found [], expected a list of whole numbers from 0, at least"),
         (lambda: table(seeds=[True]).whole_numbers("seeds"), "'seeds': found [True], expected a list of whole"),

@@ -80,6 +80,7 @@ EXPECTED = (
     ("leak", "out-of-memory", "used more than 300 MiB"),
     ("nan", "failed", "pose: not finite"),
     ("unchecked-nan", "failed", "a pose that is not finite: (nan, 0.0, 0.0)"),
+    ("farthest", "failed", f"farther away than 10,000,000 m: (1e+300, -1e+300); at scan {AT + 1} "),
     ("no-pose", "failed", "update() returned a tuple, expected an evalkit.OdometryEstimate"),
     ("child", "timeout", "no answer"),
     ("orphan", "failed", "left a child behind"),

@@ -243,6 +243,14 @@ def test_a_run_is_scored_on_its_core_before_the_core_is_released(tmp_path, monke
     assert told == ["started none", f"scored on {only}", "started far", f"scored on {only}"]
 
 
+def test_no_more_runs_than_there_are_get_a_core_and_a_scoring_process(tmp_path, monkeypatch):
+    pools, cores = [], []
+    monkeypatch.setattr(subprocesses, "start_process", lambda core: pools.append(core) or ThreadPoolExecutor(1))
+    monkeypatch.setattr(environment, "core_of_each", lambda jobs: cores.append(jobs) or [None] * jobs)
+    run(plan("none", "far"), tmp_path, 500)
+    assert (len(pools), cores) == (2, [2])
+
+
 def test_without_resume_every_run_is_executed_again(tmp_path, threaded_scoring):
     records(plan("none"), tmp_path)
     before = written_times(tmp_path)

@@ -14,10 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
-from evalkit.execution import task_time_limit
+from evalkit.execution import environment, task_time_limit
 from evalkit.execution.dask_cluster import Cluster, NoCluster, Slot
+from evalkit.execution.sandbox import make_sandboxed_task
 from evalkit.execution.task import make_task
 from evalkit.execution.task_runner import TasksFailed, on_worker, run_tasks
 from evalkit.execution.task_store import TaskStore
@@ -41,6 +43,13 @@ def die():
 def hang(how):
     {"sleeps": lambda: time.sleep(900), "spins": lambda: sum(itertools.repeat(0)),
      "holds": lambda: ctypes.PyDLL(None).sleep(900)}[how]()  # fmt: skip
+
+
+def hang_after(started):
+    part = Path(f"{started}.part")
+    part.write_text(str(os.getpid()))
+    part.rename(started)
+    time.sleep(900)
 
 
 def give_up():
@@ -106,6 +115,13 @@ def test_stored_results_are_not_computed_again(squares, tmp_path):
     assert [result["square"] for result in again.values()] == [0, 1, 4, 9]
 
 
+def test_more_workers_than_tasks_start_no_more_processes(squares, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(environment, "core_of_each", lambda processes: asked.append(processes) or [None] * processes)
+    run_tasks(TaskStore(tmp_path), [squares(f"n{n}", "square", number=n) for n in range(2)], workers=500)
+    assert asked == [2]
+
+
 def test_the_key_changes_with_the_arguments(squares):
     assert squares("n", "square", number=1).key != squares("n", "square", number=2).key
 
@@ -154,6 +170,28 @@ def test_a_task_that_hangs_is_ended_once_and_does_not_stop_others(squares, tmp_p
     assert time.monotonic() - begun < 600  # not 900
     assert all(TaskStore(tmp_path).load(task) for task in tasks[1:])
     assert not list(tmp_path.glob("*.running"))
+
+
+@pytest.mark.parametrize("own_process", [False, True])
+def test_an_interrupt_ends_the_tasks_that_run(squares, tmp_path, wait_for, own_process):
+    """A task that never returns, in a process of the pool or in a sandbox; a task that waits does not start."""
+    started, log = tmp_path / "started", tmp_path / "log"
+    waiting = squares("waiting", "square", number=2, log=str(log))
+    tasks = [squares("endless", "hang_after", started=str(started)), waiting]
+    if own_process:
+        tasks = [make_sandboxed_task(task, 900.0, 4096) for task in tasks]
+
+    def interrupt():
+        wait_for(started.exists)
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        run_tasks(TaskStore(tmp_path / "kept"), tasks)
+    thread.join()
+    assert wait_for(lambda: not psutil.pid_exists(int(started.read_text())))
+    assert not log.exists()
 
 
 def test_a_second_time_limit_in_a_process_waits_for_the_first(tmp_path):

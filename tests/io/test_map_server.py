@@ -88,6 +88,8 @@ def test_a_png_equals_the_pgm_with_the_same_grey_values(tmp_path, mode):
 
 LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}, *a{k - 1}]\n" for k in range(1, 41))
 """Two words, doubled forty times: a terabyte when written out."""
+MERGED = "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k} {{<<: [{', '.join(12 * [f'*a{k - 1}'])}]}}\n" for k in range(1, 12))
+"""Merge keys multiply: a key is copied 12 to the power of 11 times."""
 
 
 @pytest.mark.parametrize(
@@ -102,7 +104,14 @@ LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}, *a{k - 1}]\n" 
         (b"P5 1 1 255\n\0", YAML.replace("trinary", "grey"), "'grey' is no mode; expected one of trinary, scale, raw"),
         (b"P5 1 1 255\n\0", YAML.replace("2.0, 0]", "2.0, 0.3]"), "rotated by 0.3"),
         (b"P5 1 1 255\n\0", YAML.replace("0.05", "-1"), "expected metres per cell"),
-        (b"P5 1 1 255\n\0", YAML.replace("[-1.5, 2.0, 0]", "nowhere"), "not a number"),
+        (b"P5 1 1 255\n\0", YAML.replace("[-1.5, 2.0, 0]", "nowhere"), "origin: found 'nowhere'; expected [x, y, yaw]"),
+        (b"P5 1 1 255\n\0", YAML.replace("[-1.5, 2.0, 0]", "'123'"), "origin: found '123'; expected [x, y, yaw]"),
+        (b"P5 1 1 255\n\0", YAML.replace("-1.5", "9" * 400), "origin: found 9999"),
+        (b"P5 1 1 255\n\0", YAML.replace("0.05", "9" * 400), "resolution: found 9999"),
+        (b"P5 1 1 255\n\0", YAML.replace("0.05", ".inf"), "resolution: found inf; expected a finite number"),
+        (b"P5 1 1 255\n\0", YAML.replace("0.65", "65"), "occupied_thresh: found 65; expected a probability, 0 to 1"),
+        (b"P5 1 1 255\n\0", YAML.replace("0.65", ".nan"), "occupied_thresh: found nan; expected a finite number"),
+        (b"P5 1 1 255\n\0", YAML + "free_thresh: -0.1\n", "free_thresh: found -0.1; expected a probability, 0 to 1"),
         (b"P5 1 1 255\n\0", "image: [", "not valid YAML"),
         (b"P5 1 1 255\n\0", "just words", "this is not the YAML file of a map (it has no keys)"),
         (b"P5 1000000000 1000000000 255\n\0", YAML, "1000000000 x 1000000000 pixels; the limit is 67108864"),
@@ -113,9 +122,9 @@ LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}, *a{k - 1}]\n" 
         (b"P5 1 1 255\n\0", "image: " + "[" * 1000, "not valid YAML"),
         (b"P5 1 1 255\n\0", "#" * 5000 + YAML, "this is not the YAML file of a map ("),
         (b"P5 1 1 255\n\0", "# t x y\n" + "1.5 0 0 0 0 0 0 1\n" * 9, "not the YAML file of a map (it has no keys)"),
-        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("map.pgm", "*a40"), "image: not a string"),
-        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("trinary", "*a40"), "mode: not a string"),
-        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("0.05", "*a40"), "not a number"),
+        (b"P5 1 1 255\n\0", YAML.replace("map.pgm", "[map.pgm]"), "image: ['map.pgm'] is not a string"),
+        (b"P5 1 1 255\n\0", LAUGHS + YAML, "not valid YAML (aliases such as *a0 are not read"),
+        (b"P5 1 1 255\n\0", MERGED + YAML, "not valid YAML (aliases such as *a0 are not read"),
     ],
 )
 def test_an_invalid_map_is_reported_with_the_cause(tmp_path, pgm, yaml, part):

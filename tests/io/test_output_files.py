@@ -53,6 +53,24 @@ def test_links_are_replaced_and_never_followed(tmp_path):
     assert victim.read_text() == "mine"
 
 
+def test_a_file_that_the_user_named_replaces_no_link_no_pipe_and_no_folder(tmp_path):
+    plain, link, pipe, folder = (tmp_path / name for name in ("plain", "link", "pipe", "folder"))
+    output_files.write_named_file(tmp_path / "new" / "name.txt", "new")
+    assert (tmp_path / "new" / "name.txt").read_text() == "new"
+    plain.write_text("old")
+    link.symlink_to(plain)
+    os.mkfifo(pipe)
+    folder.mkdir()
+    for path in (link, pipe, folder, tmp_path / "plain" / "below"):
+        with pytest.raises(StoreError, match=f"{path.name}: (is a link, a device, a pipe or|cannot be written)"):
+            output_files.write_named_file(path, "new")
+    assert plain.read_text() == "old"
+    assert link.is_symlink()
+    assert pipe.is_fifo()
+    output_files.write_named_file(plain, b"new")
+    assert plain.read_text() == "new"
+
+
 def test_the_content_is_on_disk_before_it_gets_its_name_and_the_folder_after(tmp_path, monkeypatch):
     order, replace = [], os.replace
     monkeypatch.setattr(os, "fsync", lambda file: order.append(stat.S_ISDIR(os.fstat(file).st_mode)))

@@ -2,7 +2,8 @@
 
 import pytest
 
-from evalkit.io.toml import parse_toml
+from evalkit.core.errors import BadExperiment
+from evalkit.io.toml import load_toml, parse_toml
 
 
 @pytest.mark.parametrize(
@@ -20,6 +21,15 @@ from evalkit.io.toml import parse_toml
 def test_costly_toml_is_rejected(text, message):
     with pytest.raises(ValueError, match=message):
         parse_toml(text)
+
+
+def test_a_byte_order_mark_is_read_over_and_another_encoding_is_named(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_bytes(b'\xef\xbb\xbftitle = "x"\r\n')
+    assert load_toml(path, "a study") == {"title": "x"}
+    path.write_text('title = "x"\n', encoding="utf-16")
+    with pytest.raises(BadExperiment, match=r"a\.toml: not UTF-8 text at byte 0; save it as UTF-8"):
+        load_toml(path, "a study")
 
 
 def test_sentences_and_lists_of_numbers_are_not_long_keys():

@@ -105,6 +105,7 @@ def test_poses_of_a_lidar_upside_down_keep_their_heading(tmp_path):
         (b"1 0 zero 0 0 0 0 1\n", ["line 1", "'zero'", "column 2"]),
         (b"soon 0 0 0 0 0 0 1\n", ["line 1", "'soon'"]),
         (b"1 nan 0 0 0 0 0 1\n", ["line 1", "not finite"]),
+        (b"1 0 2e7 0 0 0 0 1\n", ["line 1", "a length above 10,000,000 m"]),
         (b"1 0 0 0 0 0 0 0\n", ["line 1", "quaternion"]),
         (b"\x1f\x8b\x08\x00\xff\xfe\x00\x01", ["not UTF-8 text"]),
     ],

@@ -42,6 +42,11 @@ def broken_trajectory():
         (Trajectory([10, 30], np.zeros((2, 3))), ValueError, "2 poses for 3 answered frames"),
         (Trajectory([10, 21, 30], np.zeros((3, 3))), ValueError, "the stamp 21 ns at index 1, expected 20 ns"),
         (broken_trajectory(), ValueError, "a pose that is not finite"),
+        (
+            Trajectory([10, 20, 30], [[0, 0, 0], [0, -1e300, 0], [0, 2e7, 0]]),
+            ValueError,
+            "a pose farther away than 10,000,000 m at stamp 20 ns",
+        ),
     ],
 )
 def test_another_answer_is_refused(answer, kind, what):

@@ -117,6 +117,15 @@ def test_a_result_from_too_few_pairs_is_not_accepted():
     assert accepted[1].tolist() == [70.0, 80.0, 1.0]
 
 
+def test_a_motion_that_no_robot_makes_is_refused_before_it_is_used():
+    class FarRegistration:
+        def register(self, target, source, guess):
+            return Match(Pose(1e300, 0.0, 0.0), True, 1, 0.0, 60)
+
+    with pytest.raises(ValueError, match=r"returned a pose farther away than 10,000,000 m: \(1e\+300, 0.0\)"):
+        run_poses(build_odometry(FarRegistration()), [frame(pose, i) for i, pose in enumerate(PATH)])
+
+
 @pytest.mark.parametrize(("inliers", "accepted"), [(9, True), (8, False)])
 def test_an_estimate_reports_which_stages_were_accepted(inliers, accepted):
     method = build_odometry(RegistrationByIndex(inliers=inliers), min_inliers=9)

@@ -84,6 +84,7 @@ def test_other_exceptions_propagate():
         (None, TypeError, "returned a NoneType"),
         (OdometryEstimate(np.eye(3)), TypeError, "returned a pose of type ndarray, expected an evalkit.Pose"),
         (OdometryEstimate(UncheckedPose(math.nan)), ValueError, r"not finite: \(nan, 0.0, 0.0\)"),
+        (OdometryEstimate(Pose(0.0, -1e308)), ValueError, r"farther away than 10,000,000 m: \(0.0, -1e\+308\)"),
     ],
 )
 def test_a_result_of_another_type_raises(answer, error, message):

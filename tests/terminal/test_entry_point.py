@@ -4,6 +4,7 @@ import errno
 import io
 import os
 import signal
+import subprocess
 import sys
 
 import pytest
@@ -57,7 +58,33 @@ def test_the_exit_code_tells_the_signal_that_ended_a_command(called, number, exp
         except KeyboardInterrupt:  # as typer does
             sys.exit(130)
 
-    assert called(app)[0] == expected
+    assert called(app) == (expected, "evalkit: interrupted")
+
+
+@pytest.mark.parametrize("library", ["rich", "typer"])
+def test_a_closed_pipe_is_exit_code_141_and_no_failed_run(library):
+    """The reader of the output ends before the first line, as ``head -0`` does."""
+    printing = {"rich": "from evalkit.terminal.console import out\nout.print('x')", "typer": "print('x', flush=True)"}
+    program = (
+        "import typer\nfrom evalkit.terminal.entry_point import run\napp = typer.Typer()\n"
+        f"@app.command()\ndef it():\n    {printing[library].replace(chr(10), chr(10) + '    ')}\nrun(app)\n"
+    )
+    closed = _closed_pipe()
+    command = [sys.executable, "-c", program]
+    ended = subprocess.run(command, stdout=closed, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(closed)
+    assert (ended.returncode, ended.stderr) == (141, "")
+
+
+@pytest.mark.parametrize(("command", "remedy"), [("compare", "repeat with --resume"), ("list", "repeat the command")])
+def test_a_full_device_names_only_options_that_the_command_has(called, command, remedy):
+    def app():
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    code, err = called(app, command)
+    assert code == 2
+    assert err.endswith(f"evalkit {command}: the machine failed (No space left on device); free disk, memory, "
+                        f"/dev/shm or open files, and {remedy}")  # fmt: skip
 
 
 def test_an_error_of_the_system_without_a_path_is_not_hidden():

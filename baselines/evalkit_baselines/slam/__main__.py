@@ -8,8 +8,8 @@ from pathlib import Path
 
 from evalkit.core.errors import BadData, EvalkitError
 from evalkit.io.g2o import format_g2o, read_g2o
-from evalkit.io.output_files import write_text
-from evalkit_baselines.slam.pose_graph import optimise, start_from_linear_angles
+from evalkit.io.output_files import write_named_file
+from evalkit_baselines.slam.pose_graph import free_nodes, optimise, start_from_linear_angles
 
 
 def main(words: list[str] | None = None) -> None:
@@ -26,10 +26,12 @@ def main(words: list[str] | None = None) -> None:
         before = float(file.graph.chi_squares().sum())
         solution = optimise(start_from_linear_angles(file.graph))
         if arguments.optimised is not None:
-            write_text(arguments.optimised, format_g2o(solution.graph, file.ids))
+            write_named_file(arguments.optimised, format_g2o(solution.graph, file.ids))
     except EvalkitError as error:
         parser.error(str(error))
     ended = "converged" if solution.converged else "not converged"
+    if apart := len(file.graph) - 1 - len(free_nodes(file.graph)):
+        ended += f"; {apart} of {len(file.graph)} poses did not move: no edges connect them with the first one"
     sys.stdout.write(
         f"{arguments.graph}: chi-square {before:.8g} before, {solution.chi_square:.8g} after "
         f"{solution.iterations} iterations from linear angles, {ended}\n"

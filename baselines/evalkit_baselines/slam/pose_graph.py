@@ -69,7 +69,7 @@ def optimise(
     chi-square changes by less than the share ``tolerance``, or after ``max_iterations``: not converged. A part of the
     graph without a connection to the first pose stays where it is.
     """
-    poses, free = np.array(graph.poses), _free_nodes(graph)
+    poses, free = np.array(graph.poses), free_nodes(graph)
     given = np.ones(len(graph.first)) if weights is None else weights
     share, current = given, graph
     before = np.inf
@@ -96,7 +96,7 @@ def start_from_linear_angles(graph: PoseGraph) -> PoseGraph:
     ``_LOOP_GROUPS`` groups: each is assumed to close with the number of full turns that is nearest to the headings of
     the groups before, because those of a long chain may be more than half a turn off.
     """
-    free = _free_nodes(graph)
+    free = free_nodes(graph)
     if not len(free):
         return graph
     start = _chain_along_tree(graph)
@@ -155,7 +155,7 @@ def relative_covariance(graph: PoseGraph, first: int, second: int) -> Floats:
 
     First-order, at the graph's poses: what a measured motion ``first_from_second`` must agree with (m^2, m rad, rad^2).
     """
-    free = _free_nodes(graph)
+    free = free_nodes(graph)
     normal, _ = _normal_equations(graph, np.ones(len(graph.first)), free)
     jacobians = _edge_jacobians(graph.poses[[first]], graph.poses[[second]], np.zeros((1, 3)), relative=True)
     columns = np.zeros((3 * len(free), 3))
@@ -172,7 +172,7 @@ def _truncated_weights(chi: Floats, mu: float) -> Floats:
     return np.where(chi <= low, 1.0, np.where(chi >= high, 0.0, np.clip(between, 0.0, 1.0)))
 
 
-def _free_nodes(graph: PoseGraph) -> Ints:
+def free_nodes(graph: PoseGraph) -> Ints:
     """Return the rows (K,), ascending, of the poses that edges connect with the first one, without the first."""
     from scipy.sparse import coo_matrix  # noqa: PLC0415 - specs are listed without SciPy
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415 - likewise

@@ -55,7 +55,7 @@ def bounded_unpacking(file_bytes: int) -> Iterator[None]:
 
     The reader raises UnpackedTooMuch at the first piece that exceeds a limit.
     """
-    _replace_decompressors()
+    _replace_in_rosbags()
     budget = Budget(file_bytes)
     _open.append(budget)
     try:
@@ -90,14 +90,19 @@ def _spend(count: int) -> None:
 
 
 @cache
-def _replace_decompressors() -> None:
-    """Replace the decompressors of rosbags, once and for the whole process."""
+def _replace_in_rosbags() -> None:
+    """Replace the decompressors and the YAML reader of rosbags, once and for the whole process."""
     import lz4.frame  # noqa: PLC0415 - heavy, and used for bags only
     from rosbags.rosbag1 import reader as ros1  # noqa: PLC0415
+    from rosbags.rosbag2 import metadata  # noqa: PLC0415
     from rosbags.rosbag2 import reader as ros2  # noqa: PLC0415
     from rosbags.rosbag2 import storage_mcap as mcap  # noqa: PLC0415
     from rosbags.rosbag2 import storage_sqlite3 as sqlite  # noqa: PLC0415
 
+    from evalkit.io.plain_yaml import make_yaml  # noqa: PLC0415
+
+    for module in (ros2, metadata):
+        setattr(module, "YAML", make_yaml)  # noqa: B010 - not declared as an attribute
     zstd: Any = getattr(vars(ros2)["zstd"], "original", vars(ros2)["zstd"])  # not ours, if this module was loaded again
     unpack_lz4 = partial(unpack, lz4.frame.LZ4FrameDecompressor)
     unpack_zstd = partial(unpack, zstd.ZstdDecompressor)

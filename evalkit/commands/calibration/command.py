@@ -38,8 +38,8 @@ MIN_POPULATION = 20
 @app.command()
 def calibrate(
     file: Annotated[Path, typer.Argument(help="Experiment with methods, worlds and perturbed recordings (TOML).")],
-    seeds: Annotated[int, typer.Option(min=MIN_POPULATION, help="Seeds of each world.")] = 120,
-    subsets: Annotated[int, typer.Option(min=50, help="Random subsets for each number of runs.")] = 400,
+    seeds: Annotated[int, options.count(MIN_POPULATION, help="Seeds of each world.")] = 120,
+    subsets: Annotated[int, options.count(50, help="Random subsets for each number of runs.")] = 400,
     folder: Out = None,
     jobs: options.Jobs = None,
     as_json: Json = False,

@@ -21,7 +21,7 @@ from evalkit.config.adhoc_experiment import (
     read_first_frame,
     split_names,
 )
-from evalkit.config.experiment import RESULTS, Experiment, load_experiment
+from evalkit.config.experiment import MAX_NUISANCE, RESULTS, Experiment, load_experiment
 from evalkit.core.run_result import NO_STEPS
 from evalkit.execution.environment import describe
 from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor
@@ -115,8 +115,9 @@ def compare(
     ] = None,
     nuisance: Annotated[
         int,
-        typer.Option(
-            min=0,
+        options.count(
+            0,
+            high=MAX_NUISANCE,
             help=f"Repeat each run this many times, slightly perturbed; a verdict needs {VERDICT_REPETITIONS}.",
             show_default=False,
             rich_help_panel=RECORDING,

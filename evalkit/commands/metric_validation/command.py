@@ -36,8 +36,8 @@ def validate(
         list[str] | None, typer.Option(help="A data set (repeatable).", show_default="a simulated one")
     ] = None,
     mapper: MapperOption = "",
-    scans: Annotated[int, typer.Option(min=20, help="Scans per map.")] = 150,
-    sizes: Annotated[int, typer.Option(min=2, max=5, help="Sizes of every perturbation.")] = 5,
+    scans: Annotated[int, options.count(20, help="Scans per map.")] = 150,
+    sizes: Annotated[int, options.count(2, high=5, help="Sizes of every perturbation.")] = 5,
     seed: Seed = 0,
     quick: Annotated[bool, typer.Option("--quick", help="One world, two sizes, few scans: seconds.")] = False,
     folder: Out = None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from evalkit.terminal.ranked_table import RankedRow
 
 RULE = BreakingRule()
+MAX_FACTOR = 1e6
 
 MIN_WAIT_PERIODS, MIN_WAIT_COSTS = 0.1, 2.0
 """A scan that waits is named where the wait exceeds this share of the period and this many times its CPU time."""
@@ -55,7 +55,7 @@ def realtime(
         typer.Option(metavar="<policy>", help="What happens to a scan that arrives early: drop or queue-of-one."),
     ] = "queue-of-one",
     odometry: Annotated[bool, typer.Option(help="Use wheel odometry between estimates.")] = True,
-    repetitions: Annotated[int, typer.Option(min=1, help="Time measurements per scan; the median counts.")] = 3,
+    repetitions: Annotated[int, options.count(1, high=1000, help="Time measurements per scan; the median counts.")] = 3,
     folder: options.Out = RESULTS / "realtime",
     as_json: Json = False,
 ) -> None:
@@ -103,8 +103,9 @@ def _parse_factors(text: str) -> list[float]:
         factors = [float(word) for word in text.split(",")]
     except ValueError:
         factors = [-1.0]
-    if not all(0.0 < factor < math.inf for factor in factors):
-        raise typer.BadParameter(f"--factors: found '{text}', expected positive numbers: 1,5,10")
+    if not all(0.0 < factor <= MAX_FACTOR for factor in factors):
+        expected = f"positive numbers of at most {MAX_FACTOR:,.0f}: 1,5,10"
+        raise typer.BadParameter(f"--factors: found '{text}', expected {expected}")
     return sorted(factors)
 
 

@@ -10,7 +10,7 @@ import typer
 from evalkit.config.forms import FileKind
 from evalkit.core.errors import UnknownName
 from evalkit.io.json_values import indent_json
-from evalkit.io.output_files import write_texts
+from evalkit.io.output_files import write_named_file
 from evalkit.terminal.console import out
 
 
@@ -32,4 +32,4 @@ def schema(
     if file is None:
         out.file.write(text)
     else:
-        write_texts(file.parent, {file.name: text})
+        write_named_file(file, text)

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from evalkit.config.forms import MAX_POINTS
 from evalkit.core.errors import BadParameter
 from evalkit.core.se2 import Floats
 from evalkit.design.designs import Model, make_fractional, make_grid, make_optimal, make_space_filling
 from evalkit.design.factors import Factor, FactorLevel
 
-MAX_POINTS = 5000
 LevelsByFactor = Mapping[str, FactorLevel]
 """A point's levels by factor."""
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from evalkit.config.experiment import RESULTS
+from evalkit.config.forms import MAX_POINTS
 from evalkit.core.run_status import RunStatus
 from evalkit.execution import environment
 from evalkit.io.output_files import write_texts
@@ -44,7 +45,8 @@ def tune(
         list[str] | None, typer.Option(help="Judge on this data set (repeatable).", show_default="fresh seeds of --on")
     ] = None,
     budget: Annotated[
-        int | None, typer.Option(min=2, help="Parameter points tried for each back end.", show_default=str(BUDGET))
+        int | None,
+        options.count(2, high=MAX_POINTS, help="Parameter points tried for each back end.", show_default=str(BUDGET)),
     ] = None,
     setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for every data set.")] = None,
     folder: Out = None,

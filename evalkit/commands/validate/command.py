@@ -85,7 +85,8 @@ def validate(
     ] = None,
     on: options.On = None,
     seeds: Annotated[
-        int | None, typer.Option(min=1, help="Seeds of simulated sequences.", show_default="3, quick: 1")
+        int | None,
+        options.count(1, high=options.MAX_SEEDS, help="Seeds of simulated sequences.", show_default="3, quick: 1"),
     ] = None,
     claim: Annotated[
         Literal["equal", "as-good"], typer.Option(help="equal: the answers of the reference; as-good: no worse.")
@@ -94,9 +95,7 @@ def validate(
         str,
         typer.Option(help="auto, exact (1e-9), float32 (computed), or metres, radians, log-odds: 0.01,0.002,0.1."),
     ] = "auto",
-    share: Annotated[
-        float, typer.Option(min=0.01, max=1.0, help="as-good: the tolerated share of the noise level.")
-    ] = 0.5,
+    share: Annotated[float, options.number(0.01, 1.0, help="as-good: the tolerated share of the noise level.")] = 0.5,
     setting: Annotated[
         list[str] | None, typer.Option("--set", help="NAME=VALUE, also for the reference if it has it (repeatable).")
     ] = None,
@@ -124,19 +123,25 @@ def validate(
         list[str] | None,
         typer.Option(help="Only this rule (repeatable); implies --only rules.", rich_help_panel=RULES),
     ] = None,
-    limit: Annotated[float, typer.Option(min=0.1, help="Time limit of a rule (s).", rich_help_panel=RULES)] = 30.0,
-    frames: Annotated[int, typer.Option(min=1, help="Frames of a data set to check.", rich_help_panel=RULES)] = 50,
+    limit: Annotated[
+        float, options.number(0.1, options.MAX_SECONDS, help="Time limit of a rule (s).", rich_help_panel=RULES)
+    ] = 30.0,
+    frames: Annotated[
+        int, options.count(1, high=1_000_000, help="Frames of a data set to check.", rich_help_panel=RULES)
+    ] = 50,
     scans: Annotated[
         int | None,
-        typer.Option(min=3, help="Scans compared.", show_default="150, quick: 45", rich_help_panel=LOCKSTEP),
+        options.count(
+            3, high=1_000_000, help="Scans compared.", show_default="150, quick: 45", rich_help_panel=LOCKSTEP
+        ),
     ] = None,
     disturb: Annotated[
         bool, typer.Option(help="Repeat questions with disturbed guesses.", rich_help_panel=LOCKSTEP)
     ] = True,
     threads: Annotated[
-        int, typer.Option(min=2, help="Threads of libraries, beside one.", rich_help_panel=DETERMINISM)
+        int, options.count(2, help="Threads of libraries, beside one.", rich_help_panel=DETERMINISM)
     ] = 2,
-    repetitions: Annotated[int, typer.Option(min=2, help="Runs of each.", rich_help_panel=DETERMINISM)] = 2,
+    repetitions: Annotated[int, options.count(2, help="Runs of each.", rich_help_panel=DETERMINISM)] = 2,
     folder: Out = None,
     jobs: Jobs = None,
     as_json: Json = False,

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from evalkit.commands.validate.acceptance import AcceptanceReport, Check, CheckOutcome, as_junit
 from evalkit.io.json_values import indent_json
-from evalkit.io.output_files import write_texts
+from evalkit.io.output_files import write_named_file, write_texts
 from evalkit.terminal import progress
 from evalkit.terminal.console import out, print_json
 
@@ -34,7 +34,7 @@ def finish(report: AcceptanceReport, folder: Path, as_json: bool, junit: Path | 
         {"acceptance.json": indent_json(content), "index.html": page.render_page(report, command)},
     )
     if junit is not None:
-        write_texts(junit.parent, {junit.name: as_junit(report)})
+        write_named_file(junit, as_junit(report))
     if as_json:
         print_json(content)
     else:

@@ -322,3 +322,18 @@ def test_the_command_refuses_a_graph_that_fixes_another_pose(tmp_path, capsys):
     with pytest.raises(SystemExit):
         slam_command.main([str(begin)])
     assert "it fixes the poses 7; fix its first pose" in " ".join(capsys.readouterr().err.split())
+
+
+def test_the_command_says_how_many_poses_no_edges_connect_with_the_first_one(tmp_path, capsys):
+    """Each part has an edge that is 2 m and 1 m too long: chi-square 4 + 1 before, 1 is left in the second part."""
+    begin = tmp_path / "a.g2o"
+    begin.write_text(
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 3 0 0\nVERTEX_SE2 5 0 0 0\nVERTEX_SE2 6 1 0 0\n"
+        "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 5 6 2 0 0 1 0 0 1 0 1\n"
+    )
+    slam_command.main([str(begin)])
+    assert re.search(
+        r"chi-square 5 before, 1 after \d iterations from linear angles, converged; "
+        r"2 of 4 poses did not move: no edges connect them with the first one$",
+        capsys.readouterr().out,
+    )

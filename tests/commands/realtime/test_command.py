@@ -85,7 +85,12 @@ def test_a_machine_that_is_too_slow_is_not_called_up_to_one_times_slower(capsys)
 
 @pytest.mark.parametrize(
     ("words", "option"),
-    [(["--factors", "1,-2"], "--factors"), (["--factors", "fast"], "--factors"), (["--policy", "wait"], "--policy")],
+    [
+        (["--factors", "1,-2"], "--factors"),
+        (["--factors", "fast"], "--factors"),
+        (["--factors", "1e308"], "--factors"),
+        (["--policy", "wait"], "--policy"),
+    ],
 )
 def test_an_invalid_option_is_a_usage_error(tmp_path, words, option):
     result = call(*ARGUMENTS, *words, "--out", tmp_path)

@@ -67,6 +67,12 @@ def test_time_ranges_code_and_odometry_are_found(tmp_path):
     layout_from_table("the proposal", layout)
 
 
+def test_numbers_that_are_no_lengths_are_no_ranges(tmp_path):
+    path = tmp_path / "huge.csv"
+    path.write_text("".join(f"{0.1 * at} {'1.7e308 ' * 360}\n" for at in range(80)))
+    assert propose_layout(path) is None
+
+
 def test_beams_that_turn_against_the_odometry_are_clockwise(tmp_path):
     proposal = propose_layout(write_log(tmp_path / "drive.log", clockwise=True))
     assert tomllib.loads(proposal.toml)["scan"]["clockwise"] is True

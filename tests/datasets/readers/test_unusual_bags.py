@@ -1,6 +1,7 @@
 """Bags without laser scans or without an index: point clouds, messages of other types, files cut short."""
 
 import dataclasses
+import json
 import math
 import re
 import shlex
@@ -666,6 +667,28 @@ def test_a_bag_with_too_many_topics_is_refused_at_once_with_what_to_do(tmp_path,
         ):
             read(str(path))
     assert call_count.calls < 100_000
+
+
+MERGED = "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k} {{<<: [{', '.join(12 * [f'*a{k - 1}'])}]}}\n" for k in range(1, 12))
+"""Merge keys multiply: a key is copied 12 to the power of 11 times."""
+
+
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
+def test_metadata_that_multiply_are_not_read(tmp_path, kind, nested):
+    """Also the text with the quality of service of a topic is YAML. An MCAP file is read without them."""
+    path = Bag(kind).scan(T0, [1, 2]).write(tmp_path)
+    file = (path if path.is_dir() else path.parent) / "metadata.yaml"
+    text = file.read_text()
+    assert "offered_qos_profiles: []" in text
+    if nested:
+        text = text.replace("offered_qos_profiles: []", f"offered_qos_profiles: {json.dumps(MERGED)}")
+    file.write_text(text if nested else MERGED + text)
+    if kind == "mcap":
+        assert len(RosBag(str(path))) == 1
+        return
+    with pytest.raises(BadData, match=r"aliases such as \*a0 are not read"):
+        RosBag(str(path))
 
 
 def two_robots(folder):

@@ -15,6 +15,7 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.errors import EvalkitError
+from evalkit.core.pose import MAX_COORDINATE_M
 from evalkit.core.se2 import Floats
 from evalkit.io.text_lines import iter_lines
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, ScanSample
@@ -162,7 +163,8 @@ def _find_time(rows: Floats, columns: list[int]) -> tuple[int, str, int, float] 
 def _describe_ranges(ranges: Floats) -> tuple[dict[str, Any], list[str]]:
     """Return unit, angles, limits and codes of the ranges (N, B), and why."""
     hits = ranges[np.isfinite(ranges) & (ranges > 0.0)]
-    middle = float(np.median(hits)) if len(hits) else 1.0
+    with np.errstate(over="ignore"):  # numbers that are no lengths
+        middle = float(np.median(hits)) if len(hits) else 1.0
     whole = bool((hits == np.round(hits)).all())
     order = ("mm", "cm", "m") if whole and float(np.percentile(hits, 99)) > 900.0 else ("cm", "m") if whole else ("m",)
     unit = next((one for one in order if MEDIAN_M[0] <= middle * LENGTH_UNITS[one] <= MEDIAN_M[1]), order[-1])
@@ -182,7 +184,7 @@ def _describe_ranges(ranges: Floats) -> tuple[dict[str, Any], list[str]]:
     beams = ranges.shape[1]
     first_deg, step_deg = VIEWS.get(beams, (0.0, 360.0 / beams))
     scan |= {"first_angle_deg": first_deg, "step_deg": round(step_deg, 7)}
-    scan["range_max_m"] = math.ceil(10.0 * highest * metres * 1.001) / 10.0
+    scan["range_max_m"] = math.ceil(10.0 * min(highest * metres * 1.001, MAX_COORDINATE_M)) / 10.0
     view = f"{abs(step_deg) * (beams if beams not in VIEWS else beams - 1):.0f} deg"
     why.append(f"{beams} beams: {view} from {first_deg:g} deg on, counter-clockwise; check it")
     return scan, why
