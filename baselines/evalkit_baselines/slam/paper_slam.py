@@ -76,7 +76,7 @@ class _Recorded:
     edge: Edge | None = None
 
 
-class _Scan(NamedTuple):
+class _TrackedScan(NamedTuple):
     """A scan, as it came and prepared, and what is known before it is matched."""
 
     came: Frame
@@ -90,7 +90,7 @@ class _Scan(NamedTuple):
     uneven_rad: float
 
 
-class _Outcome(Enum):
+class _Judgement(Enum):
     """How a scan is used."""
 
     SET_ASIDE = auto()
@@ -168,14 +168,14 @@ class PaperSlam:
         scan = self._begin(frame)
         matched = self._track(scan)
         outcome = self._judge(scan, matched)
-        on_map = matched if outcome is _Outcome.MATCHED else None
+        on_map = matched if outcome is _Judgement.MATCHED else None
         self._note_turn(scan, on_map)
         self._observe_sweep(scan, on_map)
-        if matched is None or outcome is _Outcome.SET_ASIDE:
+        if matched is None or outcome is _Judgement.SET_ASIDE:
             return self._set_aside(scan, matched)
-        return self._keep(scan, matched, lost=outcome is _Outcome.LOST)
+        return self._keep(scan, matched, lost=outcome is _Judgement.LOST)
 
-    def _begin(self, came: Frame) -> _Scan:
+    def _begin(self, came: Frame) -> _TrackedScan:
         """Prepare a scan, and predict its pose."""
         frame = self._prepare(came)
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
@@ -183,7 +183,9 @@ class PaperSlam:
         step = last.inverse() @ predicted if measured and last is not None else None
         elapsed_ns = frame.scan.stamp_ns - self._stamps_ns[-1] if self._stamps_ns else 0
         uneven_rad = self._turns.measure(frame, step, elapsed_ns)
-        return _Scan(came, frame, int(frame.scan.hits.sum()), predicted, measured, last, step, elapsed_ns, uneven_rad)
+        return _TrackedScan(
+            came, frame, int(frame.scan.hits.sum()), predicted, measured, last, step, elapsed_ns, uneven_rad
+        )
 
     def _prepare(self, frame: Frame) -> Frame:
         """Return a frame with what is known of the wheels, of the lidar and of what moves along corrected."""
@@ -195,7 +197,7 @@ class PaperSlam:
         frame = replace(frame, scan=self._companions.drop(frame.scan, odom_from_sensor))
         return deskew(frame, self._front.extrapolate(took_ns)) if took_ns else frame
 
-    def _track(self, scan: _Scan) -> Matched | None:
+    def _track(self, scan: _TrackedScan) -> Matched | None:
         """Match a scan, with the map alone where good odometry allows it; None: it is set aside, and not matched."""
         is_closed = self._is_closed(scan.hits, scan.predicted)
         for icp in self._icps:
@@ -226,21 +228,21 @@ class PaperSlam:
         usual = match.accepted and self._doubt.is_usual(last, predicted, matched.start_from_points, match, points)
         return matched if usual else None
 
-    def _judge(self, scan: _Scan, matched: Matched | None) -> _Outcome:
+    def _judge(self, scan: _TrackedScan, matched: Matched | None) -> _Judgement:
         """Return whether a scan is set aside, or the track is lost, or else whether it matched with the map."""
         if matched is None:
-            return _Outcome.SET_ASIDE
+            return _Judgement.SET_ASIDE
         stamp_ns = scan.frame.scan.stamp_ns
         lost = self._is_lost(scan, matched)
         if not lost or self._fitted_ns is None:
             self._fitted_ns = stamp_ns
         if lost:
             within = scan.measured and stamp_ns - self._fitted_ns <= PATIENCE_NS
-            return _Outcome.SET_ASIDE if within else _Outcome.LOST
+            return _Judgement.SET_ASIDE if within else _Judgement.LOST
         match = matched.estimate.stages.get("s2m")
-        return _Outcome.MATCHED if match is not None and match.accepted else _Outcome.KEPT
+        return _Judgement.MATCHED if match is not None and match.accepted else _Judgement.KEPT
 
-    def _is_lost(self, scan: _Scan, matched: Matched) -> bool:
+    def _is_lost(self, scan: _TrackedScan, matched: Matched) -> bool:
         """Return whether a scan lies neither on the one before nor on the map; a direct match lies on the map."""
         if _is_direct(matched):
             return False
@@ -248,12 +250,12 @@ class PaperSlam:
         is_predicted = scan.frame.odom_from_base is not None or scan.elapsed_ns <= SOON_NS
         return self._continuity.is_lost(matched.source.points, pose, is_predicted, cloud.points)
 
-    def _note_turn(self, scan: _Scan, matched: Matched | None) -> None:
+    def _note_turn(self, scan: _TrackedScan, matched: Matched | None) -> None:
         """Note how uneven a scan is, and after an uneven one whether the odometry was right over its turn."""
         pose = None if matched is None else matched.start_from_points
         self._turns.note(scan.uneven_rad, scan.frame.odom_from_base, scan.last, pose)
 
-    def _observe_sweep(self, scan: _Scan, matched: Matched | None) -> None:
+    def _observe_sweep(self, scan: _TrackedScan, matched: Matched | None) -> None:
         """Learn the times of the beams from a scan, as it came, if it matched with the map."""
         if matched is None or scan.last is None:
             return
@@ -264,7 +266,7 @@ class PaperSlam:
             pairs = self._icps[0].find_pairs(cloud, matched.source, pose)
             self._sweeps.observe(came.scan.angles, came.base_from_sensor, step, pairs)
 
-    def _set_aside(self, scan: _Scan, matched: Matched | None) -> OdometryEstimate:
+    def _set_aside(self, scan: _TrackedScan, matched: Matched | None) -> OdometryEstimate:
         """Answer with the pose that wheel odometry predicts: nothing is matched with this scan."""
         estimate = OdometryEstimate(scan.predicted)
         if matched is not None:
@@ -272,7 +274,7 @@ class PaperSlam:
         self._front.set_aside(scan.frame, scan.predicted)
         return self._answer(scan.frame, replace(estimate, accepted=False))
 
-    def _keep(self, scan: _Scan, matched: Matched, lost: bool) -> OdometryEstimate:
+    def _keep(self, scan: _TrackedScan, matched: Matched, lost: bool) -> OdometryEstimate:
         """Keep a scan as the one before, and unless it is uneven in the map if it fits, or as a keyframe.
 
         It is a keyframe if the base has moved enough, and in any case if the track was lost.
@@ -291,7 +293,7 @@ class PaperSlam:
             self._map.add_between(points, pose, frame.base_from_sensor)
         return self._answer(frame, replace(estimate, accepted=False) if lost else estimate)
 
-    def _observe_match(self, scan: _Scan, matched: Matched) -> bool:
+    def _observe_match(self, scan: _TrackedScan, matched: Matched) -> bool:
         """Sum up the doubt about a match with the map; return whether it fits about as usual."""
         match = matched.estimate.stages.get("s2m")
         if match is None or not match.accepted or scan.last is None:
@@ -329,7 +331,7 @@ class PaperSlam:
         """Return all candidates so far."""
         return tuple(recorded.closure for recorded in self._candidates)
 
-    def _insert(self, scan: _Scan, new: NewKeyframe, lost: bool) -> None:
+    def _insert(self, scan: _TrackedScan, new: NewKeyframe, lost: bool) -> None:
         """Add a keyframe; after a lost track the graph has it where the odometry predicts, not where it matched."""
         kind = Step.MATCHED if not lost else Step.MEASURED if scan.measured else Step.UNKNOWN
         odom_from_base = scan.predicted if kind is Step.MEASURED else new.odom_from_base
