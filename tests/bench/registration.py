@@ -270,7 +270,7 @@ def warm_up(calls: Calls) -> None:
             call(k)
 
 
-def measure_ns(calls: Calls, rounds: int, in_a_row: int) -> dict[str, Floats]:
+def measure_ns(calls: Calls, rounds: int, in_a_row: int = 1) -> dict[str, Floats]:
     """Return the CPU times (rounds * in_a_row,) of each method, which take turns in alternating order."""
     times: dict[str, list[int]] = {name: [] for name in calls}
     for round_ in range(rounds):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from evalkit import Pose
-from evalkit.commands.diff.benchmark import Benchmark, BenchmarkSeries
+from evalkit.commands.diff.benchmark import FOLDER, Benchmark, BenchmarkSeries, load_benchmarks
 from evalkit_baselines.embedded.compiled import compiled_missing
 
 HERE = Path(__file__).parent
@@ -106,6 +106,19 @@ def test_every_method_registers_the_same_scans_in_turn_or_in_a_row(monkeypatch):
     asked.clear()
     registration.measure_ns(calls, 1, 3)
     assert asked == [("two", 0), ("two", 1), ("two", 2), ("one", 0), ("one", 1), ("one", 2)]
+
+
+@pytest.mark.skipif(bool(compiled_missing()), reason="the core is not built")
+def test_the_benchmark_of_normals_writes_a_sample_a_round(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(HERE))
+    normals = load_script("normals")
+    cloud = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 2))
+    monkeypatch.setattr(normals.registration, "questions", lambda _: normals.registration.Questions(cloud, [], []))
+    monkeypatch.setattr(sys, "argv", ["normals.py", "--rounds", "3", "--targets", "60"])
+    monkeypatch.chdir(tmp_path)
+    normals.main()
+    found = load_benchmarks(tmp_path / FOLDER / "normals.json")["normals"]
+    assert {one.name: len(one.samples) for one in found.series} == {"core, 60 points": 3, "NumPy, 60 points": 3}
 
 
 def test_the_commands_that_are_timed_run():
