@@ -3,12 +3,14 @@
 #include "ek/wide.h"
 #include "lanes.h"
 
+#include <float.h>
 #include <string.h>
 
 #define WIDER EK_R(1.2) /* first search: as wide as the last point's neighbours, and this much wider, */
 #define NARROW EK_R(0.25) /* but not narrower than this (cells) */
 #define BLOCK 32u      /* points compared at once, at most EK_MAX_NEIGHBOURS */
 #define MIN_WALL 3u    /* points within the radius that define a wall */
+#define LEAST_SQUARE (sizeof(ek_real) == sizeof(float) ? EK_R(FLT_MIN) : EK_R(DBL_MIN)) /* m^4: smaller ones have lost digits */
 
 /* The nearest points found so far, nearest first. */
 typedef struct {
@@ -253,7 +255,8 @@ static void normal_of(const ek_index *index, const nearest_points *found, ek_rea
         product += weight * EK_R(2.0) * u * v;
     }
     /* cosine and sine of twice the line's angle, which lies in (-90, 90] degrees */
-    const ek_real length = EK_SQRT(difference * difference + product * product);
+    const ek_real square = difference * difference + product * product;
+    const ek_real length = square >= LEAST_SQUARE ? EK_SQRT(square) : EK_R(0.0); /* else the points coincide */
     const ek_real cosine = length > EK_R(0.0) ? difference / length : EK_R(1.0);
     const ek_real sine = length > EK_R(0.0) ? product / length : EK_R(0.0);
     if (cosine >= EK_R(0.0)) {

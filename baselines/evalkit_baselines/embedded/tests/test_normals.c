@@ -82,6 +82,17 @@ static void without_a_direction_the_normal_is_y(void)
     normals_of(same, 0u, 3u);
 }
 
+/* However near they are: squares of squares of metres are below the smallest numbers that have all digits. */
+static void normals_of_points_that_hardly_differ_have_length_1(void)
+{
+    ek_real s = EK_R(1.0);
+    for (int k = 0; k < 1200; k++, s *= EK_R(0.7)) {
+        const ek_real near[] = {0, 0, s, EK_R(2.0) * s, EK_R(3.0) * s, EK_R(4.0) * s};
+        normals_of(near, 3u, 3u);
+        CHECK_NEAR(sqrt((double)(normals[0] * normals[0] + normals[1] * normals[1])), 1.0, 1e-6);
+    }
+}
+
 static void points_beyond_the_radius_are_no_neighbours(void)
 {
     const ek_real wall[] = {0, 0, 1, 0, 2, 0, 1, 5, 3, 4, 3, 4, 3, 4};
@@ -162,6 +173,7 @@ int main(void)
     normals_are_those_of_a_sort_of_all_points(POINTS, 3u);
     a_line_has_the_normal_across_it();
     without_a_direction_the_normal_is_y();
+    normals_of_points_that_hardly_differ_have_length_1();
     points_beyond_the_radius_are_no_neighbours();
     deferred_normals_are_the_same_to_the_bit();
     a_mean_of_n_points_counts_as_n_in_a_noisy_index();
