@@ -349,7 +349,7 @@ int ek_slam_accepts(ek_gate *gate, size_t points, ek_pose guess, ek_pose answer,
     const int poor = few_pairs && gate->poor > EK_R(0.0) && match->error > gate->poor;
     const ek_real share = poor ? POOR_SHARE : EK_R(1.0), metres = share * gate->metres, theta = share * gate->theta;
     const int far = squared > metres * metres || EK_FABS(gap.theta) > theta;
-    const int doubted = few_pairs || match->error > gate->doubted;
+    const int doubted = few_pairs || (gate->doubted > EK_R(0.0) && match->error > gate->doubted);
     const int apart = squared > gate->near * gate->near, strays = gate->sure && doubted && apart;
     const int clear = match->converged && match->error < CLEAR &&
                       (ek_real)match->inliers >= CLEAR_SHARE * (ek_real)points;

@@ -491,6 +491,11 @@ static void a_doubted_match_stays_where_odometry_and_the_match_before_agree(void
         CHECK(ek_slam_accepts(&gate, 100u, guess, match.target_from_source, &match) == cases[k].accepted);
     }
     slam.usual_error = EK_R(0.0);
+    slam.compared = 50u; /* and no error is usual */
+    ek_gate unknown = ek_slam_gate(&slam, 1, guess);
+    const ek_match match = {pose_of(0.031, 0.0, 0.0), 0, 5, 100, EK_R(0.045), 0u};
+    CHECK(ek_slam_accepts(&unknown, 100u, guess, guess, &match) && unknown.sure);
+    CHECK(ek_slam_accepts(&unknown, 100u, guess, match.target_from_source, &match) && !unknown.sure);
 }
 
 /* A standing robot, 0.1 m ahead of itself by its odometry, which was good before: a scan of 39 points says nothing against it. */
