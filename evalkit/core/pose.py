@@ -14,6 +14,8 @@ from evalkit.core.se2 import Floats
 MAX_COORDINATE_M = 1e7
 """Answers and files with a pose farther away are refused: no robot drives so far, and computations overflow."""
 
+TOO_FAR = f"farther away than {MAX_COORDINATE_M:,.0f} m"
+
 
 @dataclass(frozen=True, slots=True)
 class Pose:

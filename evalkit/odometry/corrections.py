@@ -11,7 +11,7 @@ import numpy as np
 
 from evalkit.core.errors import plain
 from evalkit.core.loop_closure import LoopClosure
-from evalkit.core.pose import MAX_COORDINATE_M
+from evalkit.core.pose import MAX_COORDINATE_M, TOO_FAR
 from evalkit.core.se2 import Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins.protocols import Odometry, Remarking, Slam
@@ -58,8 +58,7 @@ def read_trajectory(slam: Slam, stamps_ns: Stamps) -> Trajectory:
     if found.poses.shape != (len(found), 3) or not np.isfinite(found.poses).all():  # a subclass may skip the check
         raise ValueError("trajectory() returned a pose that is not finite")
     if (far := np.flatnonzero((np.abs(found.poses[:, :2]) > MAX_COORDINATE_M).any(axis=1))).size:
-        what = f"farther away than {MAX_COORDINATE_M:,.0f} m at stamp {stamps_ns[far[0]]} ns"
-        raise ValueError(f"trajectory() returned a pose {what}")
+        raise ValueError(f"trajectory() returned a pose {TOO_FAR} at stamp {stamps_ns[far[0]]} ns")
     return Trajectory(found.stamps_ns, found.poses, "start", "base")
 
 

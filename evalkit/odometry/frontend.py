@@ -14,7 +14,7 @@ import numpy as np
 
 from evalkit.core import se2
 from evalkit.core.odometry_estimate import OdometryEstimate, Stage, StageEstimate
-from evalkit.core.pose import MAX_COORDINATE_M, Pose
+from evalkit.core.pose import TOO_FAR, Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import NO_COST, Cost
@@ -237,8 +237,7 @@ class FrontEnd:
     ) -> _StageAnswer:
         match = (registration or self._registrations[stage]).register(target, source, guess)
         if (found := match.target_from_source).is_too_far:
-            what = f"farther away than {MAX_COORDINATE_M:,.0f} m: ({found.x}, {found.y})"
-            raise ValueError(f"register() returned a pose {what}")
+            raise ValueError(f"register() returned a pose {TOO_FAR}: ({found.x}, {found.y})")
         accepted = match.inliers >= self._settings.min_inliers
         estimate = StageEstimate(accepted, bool(match.converged), match.iterations, match.error, match.inliers)
         return _StageAnswer(found if accepted else guess, estimate, match.cost)

@@ -11,7 +11,7 @@ import numpy as np
 
 from evalkit.core.errors import BadData
 from evalkit.core.odometry_estimate import OdometryEstimate
-from evalkit.core.pose import MAX_COORDINATE_M, Pose
+from evalkit.core.pose import TOO_FAR, Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import CallTiming, timed
@@ -90,5 +90,5 @@ def check_estimate(answer: object) -> OdometryEstimate:
     if not all(map(math.isfinite, (pose.x, pose.y, pose.theta))):  # a subclass of Pose may skip the check
         raise ValueError(f"update() returned a pose that is not finite: ({pose.x}, {pose.y}, {pose.theta})")
     if pose.is_too_far:
-        raise ValueError(f"update() returned a pose farther away than {MAX_COORDINATE_M:,.0f} m: ({pose.x}, {pose.y})")
+        raise ValueError(f"update() returned a pose {TOO_FAR}: ({pose.x}, {pose.y})")
     return answer
