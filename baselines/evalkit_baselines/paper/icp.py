@@ -149,11 +149,10 @@ class Icp:
 
     def _error(self, residuals: Floats, normals: Floats | None) -> float:
         """Return equation 5 over residual vectors (K, 2), in the unit of the stop rule."""
-        x, y = residuals.T if normals is None else normals.T * _dot(residuals, normals)
-        squares = x * x + y * y
+        squares = _dot(residuals, residuals) if normals is None else _dot(residuals, normals) ** 2
         if self.error == "mean":
-            return float(np.sqrt(squares).mean())
-        squared = float(squares.mean())
+            return float(np.sqrt(squares).sum()) / len(squares)
+        squared = float(squares.sum()) / len(squares)
         return squared if self.error == "mean-squared" else math.sqrt(squared)
 
     def _metres(self, error: float) -> float:
@@ -191,7 +190,9 @@ def fit_to_lines(
     (nx, ny), (ax, ay) = normals.T, arm.T
     jacobian = np.array([nx, ny, ax * ny - ay * nx])
     weighted = jacobian * weight
-    x, y, theta = np.linalg.lstsq(weighted @ jacobian.T, weighted @ distance, rcond=1e-9)[0]
+    values, axes = np.linalg.eigh(weighted @ jacobian.T)
+    inverse = np.divide(1.0, values, out=np.zeros(3), where=values > 1e-9 * values[-1])  # an unconstrained direction: 0
+    x, y, theta = axes @ (inverse * (weighted @ distance @ axes))
     return _about(centre, centre + np.array([x, y]), theta)
 
 
