@@ -70,7 +70,8 @@ def test_existing_files_are_not_replaced(make_bag):
 def test_an_unknown_world_or_parameter_is_answered_with_the_known_ones(tmp_path):
     with pytest.raises(
         UnknownName,
-        match="known: corridor, doors, lab, long-loop, loop, office, random-office, room, symmetric-office, wings",
+        match="known: corridor, doors, lab, long-loop, loop, office, random-home, random-office, random-warehouse, "
+        "room, symmetric-office, wings",
     ):
         example_bag.write_example(tmp_path / "drive", "moon", {})
     with pytest.raises(BadParameter, match="laps"):

@@ -14,6 +14,7 @@ from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter, resolve_parameters
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec
+from evalkit_datasets.worlds import synthetic
 
 pytestmark = pytest.mark.slow(40)
 
@@ -167,6 +168,8 @@ def test_every_shipped_name_is_found():
         "symmetric-office",
         "long-loop",
         "random-office",
+        "random-home",
+        "random-warehouse",
     }
 
 
@@ -208,7 +211,9 @@ def test_a_synthetic_sequence_is_repeatable_and_differs_with_another_seed(name):
     assert bits(sequence) == bits(small(name, 3)) == first
     assert bits(small(name, 4)) != first
     others, own = small(name, 4).truth().trajectory.poses, sequence.truth().trajectory.poses
-    assert np.array_equal(others, own) == (name != "random-office")  # the building and the route are drawn, too
+    assert np.array_equal(others, own) == (
+        name not in synthetic.DRAWN_WORLDS
+    )  # the building and the route are drawn, too
 
 
 @pytest.mark.parametrize("name", SYNTHETIC)

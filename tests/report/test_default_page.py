@@ -49,11 +49,11 @@ def like_default(compared, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def lost_here(compared, tmp_path_factory):
-    """Return the page of the same comparison where KISS-ICP lost the track in the room."""
+    """Return the page of the same comparison where KISS-ICP lost the track in the office."""
     lost = LostTrack(5.0, "1.2 m away")
     runs = tuple(
         replace(run, scores=replace(run.scores, lost=lost))
-        if (run.method, run.sequence) == ("kiss-icp", "room")
+        if (run.method, run.sequence) == ("kiss-icp", "random-office")
         else run
         for run in compared.records
     )
@@ -134,7 +134,7 @@ def test_the_numbers_fit_the_page_also_where_tracks_were_lost(browser, compared,
     losses = {0: LostTrack(111.0, "1.2 m away", 131.0), 1: LostTrack(130.0, "1.4 m away")}
     runs = tuple(
         replace(run, scores=replace(run.scores, lost=losses.get(run.seed)))
-        if run.sequence in ("lab", "corridor", "office", "random-office") else run
+        if run.sequence in ("random-home", "corridor", "random-warehouse", "random-office") else run
         for run in compared.records
     )  # fmt: skip
     page = browser.new_page(viewport={"width": width, "height": 900})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property, partial
 from types import MappingProxyType
 
@@ -20,7 +20,9 @@ from evalkit_datasets.worlds.disturbances import NEVER, Episodes
 from evalkit_datasets.worlds.floorplans import FloorPlan, load_plan
 from evalkit_datasets.worlds.lidar import LidarModel
 from evalkit_datasets.worlds.pedestrians import Walk, plan_walks
+from evalkit_datasets.worlds.random_home import draw_home
 from evalkit_datasets.worlds.random_office import draw_office
+from evalkit_datasets.worlds.random_warehouse import draw_warehouse
 from evalkit_datasets.worlds.robot import Route, RouteDrive, WheelOdometryModel
 from evalkit_datasets.worlds.true_map import build_true_grid
 
@@ -184,14 +186,22 @@ PARAMETERS = (
 )  # fmt: skip
 
 
+DRAWN_WORLDS: Mapping[str, Callable[[int], FloorPlan]] = {
+    "random-office": draw_office,
+    "random-home": draw_home,
+    "random-warehouse": draw_warehouse,
+}
+"""Worlds with another plan for each seed. No settings may be chosen on them: all methods are compared there."""
+
+
 def make_sequence(name: str, base_from_sensor: Pose, **parameters: object) -> Synthetic:
     """Return the sequence of a floor plan by its name; ``parameters`` not given have the defaults of ``PARAMETERS``.
 
-    The plan of ``random-office`` is drawn from the seed.
+    The plan of a name in ``DRAWN_WORLDS`` is drawn from the seed.
     """
     value = resolve_parameters(name, PARAMETERS, parameters)
     number = {key: float(setting) for key, setting in value.items()}
-    floor_plan = draw_office(int(value["seed"])) if name == "random-office" else load_plan(name)
+    floor_plan = DRAWN_WORLDS[name](int(value["seed"])) if name in DRAWN_WORLDS else load_plan(name)
     return Synthetic(
         floor_plan,
         _make_drive(floor_plan.route, number["speed_mps"], number["laps"], float(np.radians(number["turn_dps"]))),
@@ -310,5 +320,17 @@ LONG_LOOP = _make_spec(
 RANDOM_OFFICE = _make_spec(
     "random-office",
     "another office for each seed, 25 to 46 m, turns up to 43 deg/s at 0.3 m/s; no settings are chosen on it",
+    _AHEAD,
+)
+RANDOM_HOME = _make_spec(
+    "random-home",
+    "another furnished flat for each seed, 24 to 58 m through all rooms, turns up to 43 deg/s at 0.3 m/s; "
+    "no settings are chosen on it",
+    _AHEAD,
+)
+RANDOM_WAREHOUSE = _make_spec(
+    "random-warehouse",
+    "another warehouse for each seed, 39 to 80 m, many walls out of range, turns up to 43 deg/s at 0.3 m/s; "
+    "no settings are chosen on it",
     _AHEAD,
 )

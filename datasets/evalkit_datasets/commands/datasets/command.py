@@ -94,8 +94,8 @@ def example_(
     world: Annotated[
         str,
         typer.Option(
-            help="A synthetic data set: room, lab, loop, corridor, office, random-office, doors, wings, "
-            "symmetric-office or long-loop."
+            help="A synthetic data set: room, lab, loop, corridor, office, random-office, random-home, "
+            "random-warehouse, doors, wings, symmetric-office or long-loop."
         ),
     ] = "lab",
     setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for the data set.")] = None,

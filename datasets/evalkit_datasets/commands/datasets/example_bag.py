@@ -29,6 +29,8 @@ WORLDS = {
     "symmetric-office": synthetic.SYMMETRIC_OFFICE,
     "long-loop": synthetic.LONG_LOOP,
     "random-office": synthetic.RANDOM_OFFICE,
+    "random-home": synthetic.RANDOM_HOME,
+    "random-warehouse": synthetic.RANDOM_WAREHOUSE,
 }
 DEFAULTS: Mapping[str, Value] = {"laps": 0.25}
 """Defaults of an example: long enough to contain a turn, short enough to compare in seconds."""
