@@ -206,8 +206,8 @@ class PaperSlam:
         if self._gate.is_good:
             if scan.uneven_rad and self._turns.is_odometry_right:
                 return None
-            direct = self._match_directly(scan.frame, scan.predicted)
-            if direct is not None:
+            direct = self._front.match(scan.frame, with_map=self._direct)
+            if self._gate.is_sure and direct.estimate.accepted:
                 return direct
         self._tries.begin_scan(self._doubt.usual_m, None if scan.measured else scan.predicted)
         return self._front.match(scan.frame)
@@ -219,14 +219,6 @@ class PaperSlam:
         """
         as_many = abs(hits - self._hits) <= AS_MANY * self._hits
         return as_many and self._keyframes.is_last_in_room() and not self._front.is_keyframe(predicted)
-
-    def _match_directly(self, frame: Frame, predicted: Pose) -> Matched | None:
-        """Match a scan with the map from where good odometry puts it; None if anything about the answer is doubted."""
-        matched = self._front.match(frame, with_map=self._direct)
-        match, last = matched.estimate.stages["s2m"], Pose.of(self._odom_from_base[-1])
-        points = len(matched.source)
-        usual = match.accepted and self._doubt.is_usual(last, predicted, matched.start_from_points, match, points)
-        return matched if usual else None
 
     def _judge(self, scan: _TrackedScan, matched: Matched | None) -> _Judgement:
         """Return whether a scan is set aside, or the track is lost, or else whether it matched with the map."""

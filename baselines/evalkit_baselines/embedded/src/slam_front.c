@@ -142,6 +142,12 @@ void ek_slam_note_turn(ek_slam *slam, const ek_prior *prior, ek_real by, const e
     noted->beyond = slam->motion.start_from_base.theta - slam->motion.odom_from_base.theta;
 }
 
+/* 1 if enough of so many points have a pair. */
+static int is_paired(const ek_match *match, size_t points)
+{
+    return (ek_real)match->inliers >= MIN_SHARE * (ek_real)points;
+}
+
 /* How well a scan lies on a target: its number of points within NEAR; `closely`: within CLOSE, where each counts in
  * proportion to how much nearer it is than that. */
 static ek_real rate(const ek_index *target, const ek_real *xy, size_t count, ek_pose pose, int closely)
@@ -276,8 +282,7 @@ static int search_map(ek_slam *slam, const ek_index *target, ek_pose predicted, 
         match_coarse_to_fine(slam, target, start, narrow, 0, match) != EK_OK) {
         return 0;
     }
-    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
-    return alone || (paired && match->error <= DOUBTED * slam->usual_error);
+    return alone || (is_paired(match, slam->scan.count) && match->error <= DOUBTED * slam->usual_error);
 }
 
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,
@@ -285,7 +290,7 @@ ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, co
 {
     ek_icp_parameters narrow = matcher_of(slam);
     const ek_status status = match_coarse_to_fine(slam, target, guess, &narrow, part_suffices, match);
-    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count, closely = predicted != NULL;
+    const int paired = is_paired(match, slam->scan.count), closely = predicted != NULL;
     const ek_real unusual = UNUSUAL * slam->usual_error, most = unusual > EK_R(0.0) && unusual < POOR ? unusual : POOR;
     const int doubted = closely && (slam->tried || slam->usual_error > EK_R(0.0));
     const ek_real poor = doubted && DOUBTED * slam->usual_error < most ? DOUBTED * slam->usual_error : most;
@@ -345,11 +350,11 @@ int ek_slam_accepts(ek_gate *gate, size_t points, ek_pose guess, ek_pose answer,
 {
     const ek_pose gap = ek_se2_between(guess, answer);
     const ek_real squared = gap.x * gap.x + gap.y * gap.y;
-    const int few_pairs = (ek_real)match->inliers < MIN_SHARE * (ek_real)points;
-    const int poor = few_pairs && gate->poor > EK_R(0.0) && match->error > gate->poor;
+    const int paired = is_paired(match, points);
+    const int poor = !paired && gate->poor > EK_R(0.0) && match->error > gate->poor;
     const ek_real share = poor ? POOR_SHARE : EK_R(1.0), metres = share * gate->metres, theta = share * gate->theta;
     const int far = squared > metres * metres || EK_FABS(gap.theta) > theta;
-    const int doubted = few_pairs || (gate->doubted > EK_R(0.0) && match->error > gate->doubted);
+    const int doubted = !paired || (gate->doubted > EK_R(0.0) && match->error > gate->doubted);
     const int apart = squared > gate->near * gate->near, strays = gate->sure && doubted && apart;
     const int clear = match->converged && match->error < CLEAR &&
                       (ek_real)match->inliers >= CLEAR_SHARE * (ek_real)points;
@@ -375,8 +380,7 @@ static ek_real take_mean(ek_real mean, ek_real value, ek_real most)
 /* How much a match is doubted, 0 to 1, because it fits poorly. */
 static ek_real misfit_of(const ek_slam *slam, const ek_match *match, ek_real usual)
 {
-    const int paired = (ek_real)match->inliers >= MIN_SHARE * (ek_real)slam->scan.count;
-    return paired ? share_over(match->error, DOUBTED * usual) : EK_R(1.0);
+    return is_paired(match, slam->scan.count) ? share_over(match->error, DOUBTED * usual) : EK_R(1.0);
 }
 
 void ek_slam_observe(ek_slam *slam)
@@ -408,13 +412,10 @@ int ek_slam_match_directly(ek_slam *slam, ek_pose *pose, ek_match *match)
         return 0;
     }
     const ek_pose limited = ek_slam_limit(slam, &slam->map_index, match->target_from_source, *pose);
-    const ek_pose gap = ek_se2_between(*pose, limited);
-    const ek_real metres = EK_SQRT(gap.x * gap.x + gap.y * gap.y);
-    const int usual = match->inliers >= slam->parameters.min_inliers &&
-                      misfit_of(slam, match, slam->usual_error) == EK_R(0.0) && metres <= slam->gate.near &&
-                      ek_slam_accepts(&slam->gate, count, *pose, limited, match);
-    *pose = usual ? limited : *pose;
-    return usual;
+    const int sure = match->inliers >= slam->parameters.min_inliers &&
+                     ek_slam_accepts(&slam->gate, count, *pose, limited, match) && slam->gate.sure;
+    *pose = sure ? limited : *pose;
+    return sure;
 }
 
 int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match)

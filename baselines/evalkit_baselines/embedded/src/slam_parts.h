@@ -90,7 +90,7 @@ void ek_slam_observe(ek_slam *slam);
 ek_pose ek_slam_limit(ek_slam *slam, const ek_index *target, ek_pose answer, ek_pose guess);
 
 /* Match the projected scan with the map in few iterations, all points with near pairs, from `pose`, where good odometry puts
- * it. 1 if nothing about the answer is doubted: *pose is then the answer. 0: the scan has to be matched in two stages. */
+ * it. 1 if that leaves the gate `sure`: *pose is then the answer. 0: the scan has to be matched in two stages. */
 int ek_slam_match_directly(ek_slam *slam, ek_pose *pose, ek_match *match);
 
 /* How far a match of this scan may be from its guess, by the predicted motion since the last scan. */
@@ -100,7 +100,7 @@ ek_gate ek_slam_gate(const ek_slam *slam, int measured, ek_pose last_from_predic
 int ek_slam_is_good(const ek_gate *gate);
 
 /* 0 where a match of so many points contradicts the odometry that its guess comes from, or fits poorly and leaves a guess that
- * the match before of this scan and the odometry agree on. Notes whether this match is such a one. */
+ * the match before of this scan and the odometry agree on. Sets `sure`. */
 int ek_slam_accepts(ek_gate *gate, size_t points, ek_pose guess, ek_pose answer, const ek_match *match);
 
 /* 1 if a match fits about as usual; adds to the doubt of the step: where a match fits poorly or lies farther than usual

@@ -99,7 +99,7 @@ typedef struct {
     ek_real fewest;        /* points: a match of fewer is not accepted where the odometry is good */
     ek_real doubted;       /* m: a match with a larger error is doubted; 0: unknown */
     ek_real near;          /* m: a doubted match may be so far from its guess where the match before is `sure` */
-    int32_t sure;          /* 1: the match before of this scan agrees with good odometry, and is not doubted */
+    int32_t sure;          /* 1: the last match of this scan is accepted, agrees with good odometry, and is not doubted */
 } ek_gate;
 
 #define EK_TURNS_RIGHT 2
