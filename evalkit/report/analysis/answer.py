@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.lead import find_lead
-from evalkit.report.analysis.map_agreement import decided_by_maps
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.significance import Significance
 from evalkit.report.analysis.standings import (
@@ -20,7 +19,8 @@ from evalkit.report.analysis.standings import (
     find_lost,
 )
 from evalkit.report.analysis.statements.pills import Pill, compute_pills
-from evalkit.report.analysis.statements.title import explain_no_contest, format_subtitle, format_title
+from evalkit.report.analysis.statements.subtitle import format_subtitle
+from evalkit.report.analysis.statements.title import explain_no_contest, format_title
 from evalkit.report.analysis.statements.verdict import SequenceVerdict
 
 
@@ -87,5 +87,5 @@ def compute_answer(
         standings,
         contests,
         tally.common,
-        bool(contests) and decided_by_maps(contests[0].ranking),
+        bool(contests) and contests[0].by_maps,
     )

@@ -46,6 +46,16 @@ class Contest:
         """The metric that decides the data set."""
         return self.ranking.metric
 
+    @property
+    def by_fit(self) -> bool:
+        """Whether the fit to a known map decides the data set, without ground truth."""
+        return decided_by_fit(self.ranking)
+
+    @property
+    def by_maps(self) -> bool:
+        """Whether the maps drawn alone decide the data set, without ground truth."""
+        return decided_by_maps(self.ranking)
+
     def was_tuned(self, method: str) -> bool:
         """Whether settings of a method were chosen here."""
         score = self.ranking.of(method)
@@ -134,7 +144,7 @@ def find_contests(
     by_evidence: tuple[list[Contest], ...] = ([], [], [])
     for sequence, verdict in zip(sequences, verdicts, strict=True):
         if (one := _find_contest(comparison, sequence, verdict)) is not None:
-            by_evidence[2 if decided_by_maps(one.ranking) else decided_by_fit(one.ranking)].append(one)
+            by_evidence[2 if one.by_maps else one.by_fit].append(one)
     found: list[Contest] = next(filter(None, by_evidence), [])
     if len({score.method for one in found for score in one.ranked}) < 2:
         return ()
@@ -243,6 +253,12 @@ def compare(contests: Sequence[Contest], method: str, other: str) -> Relative:
     return Relative(len(errors), _compute_geometric_mean(errors), _compute_geometric_mean(times))
 
 
+def count_led_of_shared(contests: Sequence[Contest], methods: Sequence[str]) -> tuple[int, tuple[int, ...]]:
+    """Return on how many data sets all of these methods take part, and on how many of those each of them leads."""
+    shared = [one for one in contests if set(methods) <= set(one.part)]
+    return len(shared), tuple(sum(method in one.leaders for one in shared) for method in methods)
+
+
 def find_mean_cpu_ms(contests: Sequence[Contest], method: str) -> float | None:
     """Return the CPU time of a scan (ms), the geometric mean over the data sets on which a method has a value."""
     found = [one.find_cpu_ms(method) for one in contests if one.find_value(method) is not None]
@@ -297,6 +313,6 @@ def find_losses(winner: str, contests: Sequence[Contest]) -> tuple[Loss, ...]:
     losses = []
     for one in contests:
         own = next((score for score in one.ranked if score.method == winner), None)
-        if own is not None and mark(one.ranking, winner) == "worse" and not decided_by_maps(one.ranking):
+        if own is not None and mark(one.ranking, winner) == "worse" and not one.by_maps:
             losses.append(Loss(one.sequence, one.metric, median(own.values), median(one.ranked[0].values)))
     return tuple(sorted(losses, key=lambda loss: -abs(math.log(max(loss.own, 1e-9) / max(loss.best, 1e-9)))))
