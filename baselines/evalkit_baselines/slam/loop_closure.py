@@ -56,8 +56,8 @@ _COARSE = 2.0
 """After a lost track the cells of branch and bound have so many times the side: the windows are large."""
 
 _ALL, _AROUND = 2, 3
-"""Turns at which the next of all places is compared, and a place around where the robot seems to be, whatever the graph
-believes."""
+"""Turns at which the next of all places is compared, and a place around where the robot seems to be, as if the graph
+predicted no motion."""
 
 _PART, _PART_DEGENERATE = 0.75, 0.5
 """Share of ``loop_score`` and ``loop_overlap`` that is enough for maps that lie on each other in part, and share of
@@ -197,10 +197,10 @@ class LoopFinder:
     def _next_unexpected_place(self, keyframes: Keyframes, measured: bool) -> _Place | None:
         """Return the nearest place; while another part of the drive is not connected, by turns one of it.
 
-        Of five turns three are for its place nearest to where the robot seems to be, the first and the fourth as far as
-        the graph believes the odometry since then, the third within the radius. The second is for the next of all
-        places, the last for the nearest place of the own part. Without such a belief, or such a place, these are as the
-        second.
+        Of five turns three are for its place nearest to where the robot seems to be: the first and the fourth within
+        what the graph predicts by the odometry since then, the third within the radius. The second is for the next of
+        all places, the last for the nearest place of the own part. Without such a prediction, or such a place, these
+        are as the second.
         """
         pose = keyframes.pose(len(keyframes) - 1)
         row, apart = self._nearest_place(keyframes, pose), keyframes.apart_m

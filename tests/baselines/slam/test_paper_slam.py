@@ -228,7 +228,7 @@ def test_the_distance_through_the_graph_is_short_across_a_loop_and_beyond_all_ma
     assert keyframes.apart_m[31] >= DOUBTED_M
 
 
-def test_after_a_lost_track_the_graph_believes_the_odometry_to_half_a_metre_and_10_degrees():
+def test_after_a_lost_track_the_odometry_has_an_error_of_half_a_metre_and_10_degrees():
     keyframes = make_chain(3)
     keyframes.add(3, np.zeros((0, 2)), Pose(1.0, 0.0, 0.0), Step.MEASURED)
     usual, lost = (np.linalg.inv(keyframes.steps[row].information) for row in (1, 2))

@@ -13,7 +13,7 @@
 #define PART_DEGENERATE EK_R(0.5)  /* and of the largest 1-sigma error that is then allowed */
 #define PART_VARIANCE EK_R(15.0)   /* and the further variance of such a match, as a multiple of FLOOR */
 #define ALL 2u                 /* turns at which the next of all places is compared, */
-#define AROUND 3u              /* and a place around where the robot seems to be, whatever the graph believes */
+#define AROUND 3u              /* and a place around where the robot seems to be, as if the graph predicted no motion */
 
 static const ek_sym3 FLOOR = {EK_R(0.015) * EK_R(0.015), EK_R(0.0), EK_R(0.0), EK_R(0.015) * EK_R(0.015), EK_R(0.0),
                               EK_R(0.004) * EK_R(0.004)};

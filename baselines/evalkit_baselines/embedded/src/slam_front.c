@@ -21,7 +21,7 @@
 #define FARTHEST EK_R(0.5)   /* m, and 36 deg: a further try that ends farther from the guess does not count */
 #define FARTHEST_THETA (EK_R(36.0) * EK_PI / EK_R(180.0))
 
-#define UNLIKELY EK_R(20.0)  /* times the usual gap to the odometry: a match farther from its guess by odometry is not believed, */
+#define UNLIKELY EK_R(20.0)  /* times the usual gap to the odometry: a match farther from its guess by odometry is not accepted, */
 #define NEAREST EK_R(0.3)    /* m, and 20 deg, and STEP_SHARE of the step: nearer than this it is, beyond FARTHEST it is not, */
 #define NEAREST_THETA (EK_R(20.0) * EK_PI / EK_R(180.0))
 #define STEP_SHARE EK_R(0.25)
@@ -35,7 +35,7 @@
 #define FIRST_GAP EK_R(0.01) /* m: odometry is thought to be no better than this, */
 #define GAP_SHARE EK_R(0.05) /* and this share of its step, */
 #define FIRST_TURN EK_R(0.01) /* rad: nor in heading */
-#define FEWEST EK_R(40.0)    /* a match of a scan with fewer points is not believed where the odometry is good enough for less than FARTHEST; */
+#define FEWEST EK_R(40.0)    /* a match of a scan with fewer points is not accepted where the odometry is good enough for less than FARTHEST; */
 #define TIMES_FEWER EK_R(3.0) /* of a lidar with few beams, of one with so many times fewer than usual */
 
 static const ek_real TURNS[] = {EK_R(0.0), EK_R(-12.0), EK_R(12.0), EK_R(-24.0), EK_R(24.0)}; /* deg: of further tries */
