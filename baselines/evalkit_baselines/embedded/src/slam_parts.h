@@ -1,5 +1,6 @@
-/* slam_parts.h - parts of slam.h: slam.c (one call per scan), slam_front.c (matching),
- * slam_search.c (search of a doubted scan), slam_loops.c, slam_solve.c. */
+/* slam_parts.h - parts of slam.h: slam_start.c (parameters, memory), slam.c (one call per scan), slam_prepare.c (wheels and
+ * lidar), slam_track.c (what a scan is matched with), slam_match.c (matches), slam_search.c (search of a doubted scan),
+ * slam_gate.c (what is expected of a match), slam_loops.c, slam_solve.c. */
 #ifndef EK_SLAM_PARTS_H
 #define EK_SLAM_PARTS_H
 
@@ -12,6 +13,7 @@
 #define ek_slam_observe_wheels EK_NAME(slam_observe_wheels)
 #define ek_slam_unevenness EK_NAME(slam_unevenness)
 #define ek_slam_note_turn EK_NAME(slam_note_turn)
+#define ek_slam_is_paired EK_NAME(slam_is_paired)
 #define ek_slam_observe EK_NAME(slam_observe)
 #define ek_slam_match EK_NAME(slam_match)
 #define ek_slam_search EK_NAME(slam_search)
@@ -22,6 +24,11 @@
 #define ek_slam_accepts EK_NAME(slam_accepts)
 #define ek_slam_doubt EK_NAME(slam_doubt)
 #define ek_slam_init EK_NAME(slam_init)
+#define ek_slam_is_measured EK_NAME(slam_is_measured)
+#define ek_slam_is_keyframe EK_NAME(slam_is_keyframe)
+#define ek_slam_take_map EK_NAME(slam_take_map)
+#define ek_slam_keep_last EK_NAME(slam_keep_last)
+#define ek_slam_forget_last EK_NAME(slam_forget_last)
 #define ek_slam_track EK_NAME(slam_track)
 #define ek_slam_draw EK_NAME(slam_draw)
 #define ek_slam_redraw EK_NAME(slam_redraw)
@@ -36,6 +43,11 @@
 /* The voxels of the maps are turned against the continuous frame: walls that run along rows of voxels, as they do where a
  * robot starts along a wall, bend the map. */
 static const ek_pose ek_grid_from_odom = {EK_R(0.0), EK_R(0.0), EK_R(0.4)};
+
+#define EK_UNUSUAL EK_R(4.0)  /* times the usual error of matches: a match with more is tried again, */
+#define EK_DOUBTFUL EK_R(2.0) /* and with more than this it is doubted, with twice that wholly */
+#define EK_FARTHEST EK_R(0.5) /* m, and 36 deg: farther from its guess neither a further try nor a match by odometry counts */
+#define EK_FARTHEST_THETA (EK_R(36.0) * EK_PI / EK_R(180.0))
 
 /* Initialise in an arena (or measure it). */
 ek_status ek_slam_init(ek_slam *slam, ek_arena *arena, const ek_slam_parameters *parameters);
@@ -67,6 +79,9 @@ ek_real ek_slam_unevenness(const ek_slam *slam, const ek_sweep *sweep);
 
 /* Note the unevenness of a scan. After an uneven one, note whether the odometry was right over its turn. */
 void ek_slam_note_turn(ek_slam *slam, const ek_prior *prior, ek_real by, const ek_slam_estimate *estimate);
+
+/* 1 if at least 80 % of so many points have a pair. */
+int ek_slam_is_paired(const ek_match *match, size_t points);
 
 /* Match the projected scan with a target, a large one first with a part of its points. The first answer of a scan that
  * fits poorly (`tried` says that there was one) is tried again with near pairs from five headings. `predicted`: of the
@@ -107,6 +122,21 @@ int ek_slam_accepts(ek_gate *gate, size_t points, ek_pose guess, ek_pose answer,
  * from the pose that wheel odometry predicts (NULL: without odometry there is no such doubt), the truth may be anywhere
  * between the two. Averages what is usual. */
 int ek_slam_doubt(ek_slam *slam, const ek_pose *predicted, ek_pose matched, const ek_match *match);
+
+/* 1 if wheel odometry measured the motion since the last scan. */
+int ek_slam_is_measured(const ek_slam *slam, const ek_prior *prior);
+
+/* 1 if a scan at a pose is a keyframe: the first one, or far enough from the last. */
+int ek_slam_is_keyframe(const ek_slam *slam, ek_pose odom_from_base);
+
+/* Take the part of the map around a pose, if the map has changed or the robot has moved on. */
+ek_status ek_slam_take_map(ek_slam *slam, ek_pose near, ek_work *work);
+
+/* Keep the scan, at its pose, to match and compare the next one with. */
+void ek_slam_keep_last(ek_slam *slam, ek_pose odom_from_base);
+
+/* Match the next scan with no scan before it; it is still compared with the one that was kept last. */
+ek_status ek_slam_forget_last(ek_slam *slam);
 
 /* Match the projected scan with the last one and with the map; fills stages and odom_from_base. One that is to be set aside is
  * not matched where the odometry is good, and not set aside where it is not. */

@@ -1,5 +1,5 @@
-/* Parts of the front end of the SLAM, each by hand: samples of a scan, further tries, the scale of the wheels. */
-#include "src/slam_front.c"
+/* Matches of the SLAM, each part by hand: samples of a scan, further tries, direct matches; and the scale of the wheels. */
+#include "src/slam_match.c"
 
 #include "ek/normals.h"
 #include "line.h"
