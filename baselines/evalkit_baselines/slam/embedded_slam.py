@@ -25,8 +25,7 @@ from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded.compiled import compiled_missing, load_core, to_real
 from evalkit_baselines.embedded.pipeline import NOT_RUN, make_stage_estimate, read_beams, to_row
 from evalkit_baselines.embedded.registration import make_icp
-from evalkit_baselines.slam.loop_closure import (
-    LoopSettings,
+from evalkit_baselines.slam.loop_finder import (
     describe_contradiction,
     describe_degenerate,
     describe_little_overlap,
@@ -34,7 +33,7 @@ from evalkit_baselines.slam.loop_closure import (
 )
 from evalkit_baselines.slam.paper_slam import SPEC as REFERENCE
 from evalkit_baselines.slam.second_try import FINE_CORRESPONDENCE_M
-from evalkit_baselines.slam.settings import SlamSettings
+from evalkit_baselines.slam.settings import LoopSettings, SlamSettings
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,11 @@ class LastingMap:
         else:
             self._draw(last)
 
+    def move(self, odom_from_last: Pose) -> None:
+        """Put the last keyframe to this pose, and draw the keyframes around it again."""
+        self.odom_from_start = odom_from_last @ self._keyframes.pose(len(self._keyframes) - 1).inverse()
+        self.rebuild()
+
     def rebuild(self) -> None:
         """Draw all keyframes that belong to the map at their poses of now, the oldest first."""
         keyframes = self._keyframes

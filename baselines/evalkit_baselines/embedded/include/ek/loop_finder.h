@@ -1,7 +1,7 @@
 /* loop_finder.h - find and verify loop closures: place, branch and bound, ICP, overlap, observability, chi-square; in
  * slices.
  *
- * Computes the same as evalkit_baselines/slam/loop_closure.py, which gives the reasons. Points of several keyframes are
+ * Computes the same as evalkit_baselines/slam/loop_finder.py, which gives the reasons. Points of several keyframes are
  * taken as far as there is memory for them, those nearest along the path first.
  */
 #ifndef EK_LOOP_FINDER_H
