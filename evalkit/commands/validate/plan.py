@@ -12,7 +12,8 @@ from evalkit.commands.validate import probes, question_probes, timing_probes
 from evalkit.commands.validate.acceptance import Claim
 from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.commands.validate.probes import EXACT
-from evalkit.config.experiment import Experiment, SequenceSpec, experiment_from_tables
+from evalkit.config.experiment import Experiment, SequenceSpec
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.config.limits import Limits
 from evalkit.core.errors import NotInstalled
 from evalkit.execution import sandbox

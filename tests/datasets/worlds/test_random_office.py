@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.config.experiment import load_experiment
+from evalkit.config.experiment_file import load_experiment
 from evalkit.core import se2
 from evalkit.plugins import registry
 from evalkit_datasets.worlds import synthetic
