@@ -207,7 +207,8 @@ static void take_maps(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *
 static void draw(ek_loop_finder *finder, ek_work *work)
 {
     const ek_real cell = (finder->apart ? COARSE : EK_R(1.0)) * finder->settings.cell;
-    ek_score_grid_draw(&finder->grid, &finder->thinner, finder->target, finder->target_count, cell, finder->motion.x, finder->motion.y, finder->raw, work);
+    ek_score_grid_draw(&finder->grid, &finder->thinner, finder->target, finder->target_count, cell, finder->motion.x,
+                       finder->motion.y, finder->raw, work);
     finder->level = 1u;
     finder->phase = EK_FINDER_RAISE;
 }

@@ -83,19 +83,20 @@ void ek_slam_note_turn(ek_slam *slam, const ek_prior *prior, ek_real by, const e
 /* 1 if at least 80 % of so many points have a pair. */
 int ek_slam_is_paired(const ek_match *match, size_t points);
 
-/* Match the projected scan with a target, a large one first with a part of its points. The first answer of a scan that
- * fits poorly (`tried` says that there was one) is tried again with near pairs from five headings. `predicted`: of the
- * match with the map, without odometry, the pose at constant velocity, else NULL: one of more than twice the usual error is
- * tried again, too: from where ek_slam_search finds it, if that is clear. Otherwise, where the match with the scan before was tried
- * again, from headings at `predicted` and from `guess`. `part_suffices`:
- * of the match with the scan before, whose answer is only where that with the map begins: a part of a large scan is matched,
- * and its pairs, if enough, are counted as those of all points. */
+/* Match the projected scan with a target from `guess`; a large scan first with a part of its points. The first answer of a
+ * scan that fits poorly is tried again, with near pairs from five headings; `tried` notes it.
+ * `predicted`: the pose at constant velocity where a scan without odometry is matched with the map, else NULL. An answer of more
+ * than twice the usual error is then tried again, too, from where ek_slam_search finds the scan. If that is not clear, it is
+ * tried from headings at `guess`; but from headings at `predicted`, and from `guess`, if the match with the scan before was tried
+ * again.
+ * `part_suffices`: the answer is only where the match with the map begins. A part of a large scan is matched, and its pairs, if
+ * enough, are counted as those of all points. */
 ek_status ek_slam_match(ek_slam *slam, const ek_index *target, ek_pose guess, const ek_pose *predicted, int part_suffices,
                         ek_match *match);
 
-/* Without wheel odometry: the motion of the best score of count points x y on the map, within 0.8 m and 60 deg of `centre`, and
- * whether no other heading there scores nearly as well. 0: there is none, or the work does not suffice: ten times that
- * allowed to a scan. Before it the grid of scores is drawn, once for each part of the map that is taken. */
+/* Without wheel odometry: find the motion of the best score of count points x y on the map, within 0.8 m and 60 deg of `centre`.
+ * *alone: 1 if no other heading there scores nearly as well. Returns 0 if there is none, or if the work does not suffice: ten
+ * times that allowed to a scan. The grid of scores is drawn first, once for each part of the map that is taken. */
 int ek_slam_search(ek_slam *slam, const ek_real *xy, size_t count, ek_pose centre, ek_pose *best, int *alone);
 
 /* Let the observer take the projected scan, once. */
