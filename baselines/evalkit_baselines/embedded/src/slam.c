@@ -175,6 +175,28 @@ static ek_status project(ek_slam *slam, const ek_sweep *prepared)
     return status;
 }
 
+/* Go on with loops, optimisation and map; with more work while a lost part of the drive is searched for. */
+static void go_on(ek_slam *slam, ek_work *task)
+{
+    ek_slam_work(slam, task);
+    if (slam->task == EK_TASK_FIND && slam->finder.apart) {
+        task->left += ek_slam_spare_work(slam, ek_slam_allowed_work(slam));
+        ek_slam_work(slam, task);
+    }
+    EK_COUNT(EK_TASK, task->done);
+}
+
+/* Fill in the pose of the scan, and what the SLAM has done. */
+static void report(const ek_slam *slam, const ek_work *task, ek_slam_estimate *estimate)
+{
+    estimate->odom_from_base = slam->motion.start_from_base;
+    estimate->start_from_base = ek_se2_compose(ek_se2_inverse(slam->odom_from_start), estimate->odom_from_base);
+    estimate->corrected = slam->corrected;
+    estimate->full = slam->full;
+    estimate->keyframe = slam->keyframes.count ? (uint32_t)(slam->keyframes.count - 1u) : 0u;
+    estimate->work = task->done;
+}
+
 ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate *estimate)
 {
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
@@ -227,17 +249,7 @@ ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate 
     }
     slam->noise = noted.noise;
     slam->dirt = noted.dirt;
-    estimate->odom_from_base = slam->motion.start_from_base;
-    ek_slam_work(slam, &task);
-    if (slam->task == EK_TASK_FIND && slam->finder.apart) {
-        task.left += ek_slam_spare_work(slam, ek_slam_allowed_work(slam));
-        ek_slam_work(slam, &task);
-    }
-    estimate->work = task.done;
-    EK_COUNT(EK_TASK, task.done);
-    estimate->start_from_base = ek_se2_compose(ek_se2_inverse(slam->odom_from_start), estimate->odom_from_base);
-    estimate->corrected = slam->corrected;
-    estimate->full = slam->full;
-    estimate->keyframe = slam->keyframes.count ? (uint32_t)(slam->keyframes.count - 1u) : 0u;
+    go_on(slam, &task);
+    report(slam, &task, estimate);
     return status;
 }
