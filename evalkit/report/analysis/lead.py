@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from evalkit.report.analysis.contests import count_led_of_shared
 from evalkit.report.analysis.ranking import mark
 from evalkit.report.analysis.significance import Significance
-from evalkit.report.analysis.standings import MAX_NAMED, Standing, Tally, count_led_of_shared
+from evalkit.report.analysis.standings import MAX_NAMED, Standing, Tally
 from evalkit.report.formatting import join_words
 
 

@@ -5,17 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 
+from evalkit.report.analysis.contests import Contest, compare, count_led_of_shared
 from evalkit.report.analysis.lead import Lead
 from evalkit.report.analysis.scores import MethodScore
-from evalkit.report.analysis.standings import (
-    MAX_NAMED,
-    Contest,
-    Loss,
-    Standing,
-    Tally,
-    compare,
-    count_led_of_shared,
-)
+from evalkit.report.analysis.standings import MAX_NAMED, Loss, Standing, Tally
 from evalkit.report.formatting import capitalise, format_amount, format_milliseconds, join_words, name_or_count
 
 

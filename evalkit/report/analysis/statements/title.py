@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from evalkit.report.analysis.contests import Contest
 from evalkit.report.analysis.lead import Lead
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.standings import MAX_NAMED, Contest, Tally
+from evalkit.report.analysis.standings import MAX_NAMED, Tally
 from evalkit.report.analysis.statements.outcome import LED
 from evalkit.report.analysis.statements.unranked import explain_unranked
 from evalkit.report.analysis.statements.verdict import SequenceVerdict
