@@ -14,7 +14,7 @@ from evalkit.core.pose import Pose
 from evalkit_baselines.slam.keyframes import DOUBTED_M, Edge, Keyframes
 from evalkit_baselines.slam.settings import LoopSettings
 
-ALL, AROUND = 2, 3
+_ALL, _AROUND = 2, 3
 """Turns at which the next of all places is compared, and a place around where the robot seems to be, as if the graph
 predicted no motion."""
 
@@ -64,8 +64,8 @@ class LoopPlaces:
         known = near is not None and measured and bool(np.isfinite(apart[near]))
         if self._turn == 0 and row is not None:
             return LoopPlace(row, pose)
-        if near is not None and (self._turn in {1, AROUND} or (known and self._turn != ALL)):
-            return LoopPlace(near, pose if measured else None, known and self._turn != AROUND)
+        if near is not None and (self._turn in {1, _AROUND} or (known and self._turn != _ALL)):
+            return LoopPlace(near, pose if measured else None, known and self._turn != _AROUND)
         return LoopPlace(self._next_of_all(keyframes), None, known=False)
 
     def _nearest_place(self, keyframes: Keyframes, pose: Pose) -> int | None:

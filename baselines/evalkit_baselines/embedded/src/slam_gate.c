@@ -2,8 +2,8 @@
  * (match_doubt.py). */
 #include "slam_parts.h"
 
-#define UNLIKELY EK_R(20.0)  /* times the usual gap to the odometry: a match farther from its guess by odometry is not accepted, */
-#define NEAREST EK_R(0.3)    /* m, and 20 deg, and STEP_SHARE of the step: nearer than this it is; beyond EK_FARTHEST it is not, */
+#define UNLIKELY EK_R(20.0)  /* times the usual gap to the odometry: a match farther than this from its guess by odometry is too far, */
+#define NEAREST EK_R(0.3)    /* m, and 20 deg, and STEP_SHARE of the step: a nearer match is not, and one beyond EK_FARTHEST is, */
 #define NEAREST_THETA (EK_R(20.0) * EK_PI / EK_R(180.0))
 #define STEP_SHARE EK_R(0.25)
 #define CLEAR EK_R(0.04)     /* m: unless it has converged to a smaller error with CLEAR_SHARE of the points in pairs */
