@@ -12,6 +12,7 @@ from evalkit.core.loop_closure import LoopClosure
 from evalkit_baselines.slam import pose_graph
 from evalkit_baselines.slam.keyframes import DOUBTED_M, Edge, Keyframes
 from evalkit_baselines.slam.loop_finder import Candidate, LoopFinder
+from evalkit_baselines.slam.loop_reasons import describe_found_again, describe_unconfirmed, describe_withdrawn
 
 DCS_PHI = 10.0
 _CONFIRMED_WITHIN_M = 6.0
@@ -58,18 +59,18 @@ class LoopCloser:
         quick = candidate.is_local and candidate.chi_square <= self._quick_gate
         agreeing = [other for other in self._waiting if passed and self._agree(other, candidate)]
         if not passed or not (quick or agreeing):
-            reason = candidate.reason if not passed else f"not confirmed yet: {candidate.reason}"
+            reason = candidate.reason if not passed else describe_unconfirmed(candidate.reason)
             self._record(candidate.edge, False, reason)
             if passed:
                 self._waiting = [*self._waiting[-3:], candidate]
             return False
         self._waiting = []
-        edge, sections = candidate.edge, self._keyframes.sections
+        edge, reason = candidate.edge, candidate.reason
         found_again = bool(self._keyframes.apart_m[edge.first] >= DOUBTED_M)
         if found_again:
             self._keyframes.join(edge, contradicts=not candidate.known)
-        lost = f"found again after a lost track (part {sections[edge.second]}): " if found_again else ""
-        self._record(edge, True, lost + candidate.reason, found_again)
+            reason = describe_found_again(reason, self._keyframes.sections[edge.second])
+        self._record(edge, True, reason, found_again)
         self.has_corrected = self._optimise() or found_again
         return True
 
@@ -114,6 +115,6 @@ class LoopCloser:
     def _withdraw(self, kept: list[Edge]) -> None:
         for recorded in self._recorded:
             if recorded.edge is not None and not any(recorded.edge is edge for edge in kept):
-                reason = f"withdrawn, contradicts other loops: {recorded.closure.reason}"
+                reason = describe_withdrawn(recorded.closure.reason)
                 recorded.closure = replace(recorded.closure, accepted=False, reason=reason)
                 recorded.edge = None

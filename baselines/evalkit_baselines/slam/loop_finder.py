@@ -45,9 +45,21 @@ from evalkit_baselines.slam import pose_graph
 from evalkit_baselines.slam.continuity import could_see
 from evalkit_baselines.slam.keyframes import DOUBTED_M, Edge, Keyframes
 from evalkit_baselines.slam.loop_places import LoopPlace, LoopPlaces
+from evalkit_baselines.slam.loop_reasons import (
+    describe_ambiguous,
+    describe_contradiction,
+    describe_degenerate,
+    describe_far,
+    describe_few_points,
+    describe_little_overlap,
+    describe_low_score,
+    describe_passed,
+)
 from evalkit_baselines.slam.observability import Openness, measure_openness
 from evalkit_baselines.slam.settings import LoopSettings
 
+MIN_POINTS = 50
+"""Points of either map, thinned, that a candidate needs."""
 _SOURCE_POINTS = 300
 _SIGMAS = 3.0
 _MIN_WINDOW_M, _MIN_WINDOW_RAD = 0.3, math.radians(3.0)
@@ -145,8 +157,8 @@ class LoopFinder:
         target = voxel_means(keyframes.points_around(other, keyframes.near_in_time(other, reach)), 0.05)
         source = voxel_means(keyframes.points_around(last, keyframes.near_in_time(last, settings.loop_submap_m)), 0.1)
         guess = Edge(other, last, predicted.motion, np.eye(3))
-        if len(source) < 50 or len(target) < 50:
-            return Candidate(guess, False, f"{min(len(source), len(target))} points, fewer than 50")
+        if min(len(source), len(target)) < MIN_POINTS:
+            return Candidate(guess, False, describe_few_points(min(len(source), len(target)), MIN_POINTS))
         found = self._search(target, source, predicted)
         if found.motion is None:
             return Candidate(guess, False, found.reason)
@@ -212,9 +224,7 @@ class LoopFinder:
         for part in (*windows_around(window, best.target_from_source), *turned):
             rival = branch_and_bound(grid, thinned, part, bound)
             if rival is not None and self._is_possible(rival.target_from_source, predicted):
-                share = f"{rival.score / best.score:.2f}"
-                reason = f"ambiguous: another motion has {share} of the score {best.score:.2f}"
-                return _Found(None, reason, is_local)
+                return _Found(None, describe_ambiguous(rival.score / best.score, best.score), is_local)
         return _Found(best.target_from_source, "", is_local, best.score)
 
     def _is_possible(self, motion: Pose, predicted: _Prediction) -> bool:
@@ -249,37 +259,9 @@ class LoopFinder:
         information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         edge = Edge(guess.first, guess.second, motion, 0.5 * (information + information.T))
         if not chi <= settings.loop_gate:
-            return Candidate(edge, False, f"chi2 {chi:.1f} > {settings.loop_gate:.1f}", chi, is_local), None
-        candidate = Candidate(edge, True, f"chi2 {chi:.1f}, overlap {overlap:.2f}", chi, is_local, predicted.known)
+            return Candidate(edge, False, describe_far(chi, settings.loop_gate), chi, is_local), None
+        candidate = Candidate(edge, True, describe_passed(chi, overlap), chi, is_local, predicted.known)
         return candidate, moved[~on_map] if is_part else None
-
-
-def describe_low_score(bound: float, least: float) -> str:
-    """Return the reason of a candidate none of whose motions has a score above ``bound``."""
-    return f"score at most {_round_up(bound, 4)}, not above {least:g}"
-
-
-def describe_little_overlap(overlap: float, least: float) -> str:
-    """Return the reason of a candidate of whose points too small a share lies on the other map."""
-    return f"overlap {_round_down(overlap)} < {least:g}"
-
-
-def describe_degenerate(sigma_m: float, most_m: float) -> str:
-    """Return the reason of a candidate whose walls do not fix the position (1 sigma)."""
-    return f"degenerate: position known to {_round_up(sigma_m)} m > {most_m:g} m"
-
-
-def describe_contradiction(share: float, least: float) -> str:
-    """Return the reason of a candidate of whose points in view of the other map's scans too few lie on that map."""
-    return f"contradicted: {_round_down(share)} < {least:g} of what could be seen there"
-
-
-def _round_up(value: float, digits: int = 3) -> str:
-    return f"{math.ceil(value * 10**digits) / 10**digits:.{digits}f}"
-
-
-def _round_down(value: float) -> str:
-    return f"{math.floor(value * 1000) / 1000:.3f}"
 
 
 def _chi_square(motion: Pose, predicted: Pose, covariance: Floats) -> float:
