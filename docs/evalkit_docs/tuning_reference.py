@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from evalkit.config.experiment import Method, load_experiment
+from evalkit.config.experiment import Method
+from evalkit.config.experiment_file import load_experiment
 from evalkit.odometry.frontend import settable_parameters
 from evalkit.plugins import registry
 from evalkit_docs.markup import code, page, table, text

@@ -22,7 +22,8 @@ from evalkit.config.adhoc_experiment import (
     read_first_frame,
     split_names,
 )
-from evalkit.config.experiment import RESULTS, Experiment, load_experiment
+from evalkit.config.experiment import RESULTS, Experiment
+from evalkit.config.experiment_file import load_experiment
 from evalkit.config.forms import METHOD
 from evalkit.config.toml_tables import flatten
 from evalkit.core.errors import BadParameter, NotInstalled

@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from evalkit.config.experiment import Experiment, experiment_from_tables
+from evalkit.config.experiment import Experiment
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.errors import BadData, BadParameter, EvalkitError, NotInstalled, UnknownName
 from evalkit.core.scan import Frame
 from evalkit.plugins import defaults, registry

@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.consistency import NO_HIT, find_corners
+from evalkit.metrics.consistency import NO_HIT
+from evalkit.metrics.corners import find_corners
 from evalkit.metrics.lattice import build_wall_tree
 from evalkit.metrics.maps import NO_TRUE_WALL
 from evalkit.metrics.metric import (

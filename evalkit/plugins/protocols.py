@@ -39,8 +39,8 @@ class Odometry(Protocol):
 class Slam(Odometry, Protocol):
     """An odometry that also corrects poses it has given, by closing loops or by optimising a map.
 
-    ``update`` returns what the robot has at that moment (*online*). ``trajectory`` returns what the method believes
-    afterwards (*final*). Neither ``trajectory`` nor ``loop_closures`` changes an answer given later.
+    ``update`` returns what the robot has at that moment (*online*). ``trajectory`` returns the poses as corrected since
+    then (*final*). Neither ``trajectory`` nor ``loop_closures`` changes an answer given later.
     """
 
     def trajectory(self) -> Trajectory:

@@ -164,9 +164,9 @@ def join_words(words: Iterable[str]) -> str:
     return listed[0] if len(listed) == 1 else f"{', '.join(listed[:-1])} and {listed[-1]}" if listed else "none"
 
 
-def name_or_count(methods: Sequence[str], most: int) -> str:
-    """List methods in a sentence, or say how many there are where that is more than ``most``."""
-    return join_words(methods) if len(methods) <= most else f"{len(methods)} methods"
+def name_or_count(names: Sequence[str], most: int, noun: str = "methods") -> str:
+    """List names in a sentence, or say how many there are where that is more than ``most``."""
+    return join_words(names) if len(names) <= most else f"{len(names)} {noun}"
 
 
 def strip_full_stop(text: str) -> str:

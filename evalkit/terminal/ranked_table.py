@@ -11,10 +11,11 @@ from rich.console import Console
 from rich.text import Text
 
 from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.contests import compare, select_counted
 from evalkit.report.analysis.map_agreement import decided_by_maps
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.standings import compare, find_cost, select_counted
+from evalkit.report.analysis.standings import find_cost
 from evalkit.report.analysis.statements.warnings import list_remarks
 from evalkit.report.formatting import format_amount, format_milliseconds
 from evalkit.terminal.console import table_width

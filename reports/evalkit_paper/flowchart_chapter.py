@@ -25,7 +25,7 @@ RECORDED = "stages"
 Words = Mapping[str, str]
 
 PIPELINE: Words = {
-    "Motion.predict": "first guess: odometry since the last scan",
+    "MotionPrior.predict": "first guess: odometry since the last scan",
     "FrontEnd._source": "points of the scan (eq. 1)",
     "FrontEnd._register s2s": "register with the last scan",
     "FrontEnd._register s2m": "register with the local map",
@@ -41,8 +41,8 @@ REGISTRATION: Words = {
     "Icp._error": "error of the pairs (eq. 5)",
 }
 TWO_STAGES: Words = {
-    "Motion.predict": "first guess: odometry since the last scan",
-    "Motion.within_scan": "undo the motion within the scan",
+    "MotionPrior.predict": "first guess: odometry since the last scan",
+    "MotionPrior.within_scan": "undo the motion within the scan",
     "select_near": "keep points within the local radius",
     "voxel_means": "one mean per voxel",
     "FrontEnd._register s2s": "ICP with the last scan (S2S)",
@@ -54,7 +54,7 @@ TWO_STAGES: Words = {
     "KeyframeMap.add": "add its points to the local map",
     "VoxelMap.add": "add its points to the local map",
     "GridMap.add": "add it to the local map",
-    "Motion.store": "pose: result, and start of the next scan",
+    "MotionPrior.store": "pose: result, and start of the next scan",
 }
 MAPPING: Words = {
     "LogOddsGrid.update": "end points of the beams in the world",
@@ -66,9 +66,9 @@ MAPPING: Words = {
     "LogOddsGrid._add": "add l_occ and l_free, clamp (eq. 10)",
 }
 STAGES: Mapping[str, Sequence[str]] = {
-    "Figure 2": ("Motion.predict", "FrontEnd._register s2s", "FrontEnd._register s2m", "LogOddsGrid.update"),
+    "Figure 2": ("MotionPrior.predict", "FrontEnd._register s2s", "FrontEnd._register s2m", "LogOddsGrid.update"),
     "Figure 3": ("Association.find", "select_closest", "fit_motion", "Icp._error"),
-    "Figure 4": ("FrontEnd._register s2s", "FrontEnd._register s2m", "Motion.store"),
+    "Figure 4": ("FrontEnd._register s2s", "FrontEnd._register s2m", "MotionPrior.store"),
     "Figure 5": ("LogOddsGrid.update", "exact", "LogOddsGrid._add"),
 }
 """Stages that the paper's figures show, in their order."""
@@ -78,7 +78,8 @@ LAST = frozenset({"LogOddsGrid._add"})
 
 RECORDED_MODULES = frozenset(
     {
-        "evalkit.odometry.frontend", "evalkit.odometry.local_map", "evalkit_baselines.paper.association",
+        "evalkit.odometry.frontend", "evalkit.odometry.local_map", "evalkit.odometry.motion_prior",
+        "evalkit_baselines.paper.association",
         "evalkit_baselines.paper.grid",
         "evalkit_baselines.paper.icp",
     }

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import evalkit
 from evalkit.api import functions
 from evalkit.cli import app
-from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.errors import BadParameter, NotInstalled, StoreError, UnknownName
 from evalkit.plugins import registry
 from evalkit.plugins.specs import spec_of_class

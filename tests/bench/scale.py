@@ -21,7 +21,8 @@ from statistics import median
 
 import psutil
 
-from evalkit.config.experiment import Experiment, RunSpec, experiment_from_tables
+from evalkit.config.experiment import Experiment, RunSpec
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.run_result import NO_STEPS, RunResult
 from evalkit.execution import run_archive
 from evalkit.execution.dask_cluster import Call, Cluster, Slot, _local

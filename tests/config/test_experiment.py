@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from evalkit.config.experiment import experiment_from_tables, load_experiment
+from evalkit.config.experiment_file import experiment_from_tables, load_experiment
 from evalkit.config.experiment_toml import format_experiment
 from evalkit.config.limits import Limits
 from evalkit.core.errors import BadExperiment, UnknownName

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.errors import BadExperiment
 from evalkit.core.grid import OccupancyGrid
 from evalkit.io.map_server import write_map

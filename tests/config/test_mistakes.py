@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from evalkit.cli import app
 from evalkit.commands.study.config import load_study
 from evalkit.commands.tune.config import load_tuning
-from evalkit.config.experiment import load_experiment
+from evalkit.config.experiment_file import load_experiment
 from evalkit.config.json_schema import make_schema
 from evalkit.config.mistakes import find_mistakes
 from evalkit.core.errors import BadExperiment

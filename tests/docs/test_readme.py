@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
-from evalkit.config.experiment import experiment_from_tables, load_experiment
+from evalkit.config.experiment_file import experiment_from_tables, load_experiment
 from evalkit.plugins import registry
 
 ROOT = Path(__file__).parents[2]

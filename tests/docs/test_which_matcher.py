@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from evalkit.config.experiment import load_experiment
+from evalkit.config.experiment_file import load_experiment
 
 ROOT = Path(__file__).parents[2]
 

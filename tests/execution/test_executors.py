@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 import pytest
 
-from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.errors import NotInstalled, StoreError
 from evalkit.core.run_result import STEP
 from evalkit.execution import dask_cluster, environment, executors

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.config.limits import Limits
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import RunConditions

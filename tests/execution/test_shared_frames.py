@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.run_result import STEP
 from evalkit.core.run_status import Cause
 from evalkit.execution import executors

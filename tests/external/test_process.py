@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import pytest
 
-from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.errors import BackendFailed, BackendLate, BadParameter, UnknownName
 from evalkit.core.ground_truth import Truth
 from evalkit.core.loop_closure import LoopClosure

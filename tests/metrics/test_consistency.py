@@ -13,7 +13,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
-from evalkit.metrics import consistency
+from evalkit.metrics import consistency, corners
 from evalkit.metrics.metric import NO_POSES, Evidence, MissingMap, PlacedScans
 
 
@@ -120,11 +120,11 @@ def test_scattered_hits_are_not_a_wall() -> None:
 @pytest.mark.parametrize("thick", [2, 3, 4])
 def test_a_square_room_has_four_corners_and_a_second_copy_adds_four(thick: int) -> None:
     one = square(60, thick)
-    assert len(consistency.find_corners(grid(one))) == 4
+    assert len(corners.find_corners(grid(one))) == 4
     two = np.concatenate([one, one])
-    assert len(consistency.find_corners(grid(two))) == 8
-    assert len(consistency.find_corners(grid(np.pad(one, 13)))) == 4
-    assert len(consistency.find_corners(grid(band(thick) & False))) == 0
+    assert len(corners.find_corners(grid(two))) == 8
+    assert len(corners.find_corners(grid(np.pad(one, 13)))) == 4
+    assert len(corners.find_corners(grid(band(thick) & False))) == 0
 
 
 def test_slivers_between_wall_copies_count_without_the_room_and_the_border() -> None:
@@ -212,12 +212,12 @@ def test_responses_above_the_threshold_equal_those_with_all_products_smoothed() 
     x, y = (ndimage.gaussian_filter(rng.normal(0.0, 0.3, (90, 110)), 1.0).astype(np.float32) for _ in range(2))
     xx, xy, yy = (ndimage.gaussian_filter(product, 1.5)[6:-6, 6:-6] for product in (x * x, x * y, y * y))
     expected = xx * yy - xy * xy - 0.05 * (xx + yy) ** 2
-    above = expected > consistency.CORNER_RESPONSE
-    found = consistency._compute_responses(x, y)
+    above = expected > corners.MIN_RESPONSE
+    found = corners._compute_responses(x, y)
     assert all(border.any() for border in (above[0], above[-1], above[:, 0], above[:, -1]))
     assert 4096 < np.count_nonzero(above) < above.size  # more than one block
     np.testing.assert_allclose(found[above], expected[above], rtol=1e-5)  # sums in single precision
-    assert (found[~above] <= consistency.CORNER_RESPONSE * 1.00001).all()
+    assert (found[~above] <= corners.MIN_RESPONSE * 1.00001).all()
 
 
 @pytest.mark.parametrize(("resolution_m", "walls"), [(0.004, 3), (0.03, 100), (0.05, 100), (0.3, 600)])

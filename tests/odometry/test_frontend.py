@@ -15,6 +15,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.core.timing import Cost
 from evalkit.odometry import frontend
 from evalkit.odometry.frontend import complete_parameters, make_odometry, settable_parameters
+from evalkit.odometry.motion_prior import MotionPrior
 from evalkit.plugins.parameters import Parameter
 from evalkit.plugins.specs import OdometrySpec, RegistrationSpec
 
@@ -187,7 +188,7 @@ def test_constant_velocity_predicts_the_last_step_scaled_by_time_up_to_twice(ela
 
 
 def test_the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two_sweeps():
-    motion = frontend.Motion("constant-velocity")
+    motion = MotionPrior("constant-velocity")
     found = []
     for at, matched in enumerate([0.0, 0.3, 0.5]):  # deskewed at 0, 0 and 0.3 m: the middles are at 0, 0.3 and 0.65 m
         motion.store(sweep(at), Pose(matched, 0.0, 0.0))
@@ -199,13 +200,13 @@ def test_the_pose_at_the_first_beam_is_found_from_the_middles_of_the_last_two_sw
     np.testing.assert_allclose(found, [[0.0, 0.0, 0.0], [0.3, 0.45, 0.3], [0.5, 0.825, 0.35]], atol=1e-6)
     assert motion.find_first_beam(sweep(3), Pose(1.0, 0.0, 0.0)).x == pytest.approx(1.175 - 0.2625)
     wheels = replace(sweep(3), start_from_end=Pose(0.4, 0.0, 0.0))
-    measured = frontend.Motion("odometry")
+    measured = MotionPrior("odometry")
     assert measured.find_first_beam(wheels, Pose(1.0, 0.0, 0.0)) == Pose(1.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("second_m", [0.2, 0.4], ids=["the same scan twice", "stamps of arrival"])
 def test_stamps_of_two_sweeps_less_than_half_a_sweep_apart_tell_no_velocity(second_m):
-    motion = frontend.Motion("constant-velocity")
+    motion = MotionPrior("constant-velocity")
     motion.store(sweep(0), Pose())
     motion.store(sweep(1), Pose(0.2, 0.0, 0.0))
     soon = replace(sweep(1), scan=replace(sweep(1).scan, stamp_ns=STEP_NS + STEP_NS // 3))

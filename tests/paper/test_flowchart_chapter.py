@@ -61,7 +61,7 @@ def test_a_call_tree_survives_json():
         (PIPELINE, {"scan_to_scan": False}, {"FrontEnd._register s2s"}),
         (PIPELINE, {"scan_to_map": False}, {"FrontEnd._register s2m"}),
         (TWO_STAGES, {"scan_to_map": False}, {"FrontEnd._register s2m", "KeyframeMap.cloud"}),
-        (TWO_STAGES, {"deskew": False}, {"Motion.within_scan"}),
+        (TWO_STAGES, {"deskew": False}, {"MotionPrior.within_scan"}),
         (TWO_STAGES, {"local_radius_m": 0.0}, {"select_near"}),
         (REGISTRATION, {"one_to_one": False}, {"select_closest"}),
     ],

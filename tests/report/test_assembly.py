@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.ground_truth import Truth
 from evalkit.plugins.specs import OdometrySpec, RegistrationSpec
 from evalkit.report import build_comparison

@@ -7,7 +7,7 @@ from scipy import ndimage
 from evalkit.commands.study.effects import ModelFit
 from evalkit.core.grid import OccupancyGrid
 from evalkit.design.designs import DesignAxis, Model, make_fractional
-from evalkit.metrics.consistency import find_corners
+from evalkit.metrics.corners import find_corners
 from evalkit.metrics.images import ssim
 from evalkit.stats.intervals import wilson_interval
 from evalkit.stats.paired_tests import adjust_by_holm

@@ -9,7 +9,8 @@ import pytest
 import typer
 from rich.table import Table
 
-from evalkit.config.experiment import Method, SequenceSpec, experiment_from_tables
+from evalkit.config.experiment import Method, SequenceSpec
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.run_result import NO_STEPS, RunResult
 from evalkit.core.run_status import BROKEN, Cause, RunStatus
 from evalkit.terminal import options

@@ -7,6 +7,7 @@ and the redrawing of the map continue with the next scans. ``../embedded/SLAM.md
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from enum import IntEnum, IntFlag
 from typing import Any
@@ -25,16 +26,10 @@ from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded.compiled import compiled_missing, load_core, to_real
 from evalkit_baselines.embedded.pipeline import NOT_RUN, make_stage_estimate, read_beams, to_row
 from evalkit_baselines.embedded.registration import make_icp
-from evalkit_baselines.slam.loop_closure import (
-    LoopSettings,
-    describe_contradiction,
-    describe_degenerate,
-    describe_little_overlap,
-    describe_low_score,
-)
+from evalkit_baselines.slam import loop_reasons
 from evalkit_baselines.slam.paper_slam import SPEC as REFERENCE
 from evalkit_baselines.slam.second_try import FINE_CORRESPONDENCE_M
-from evalkit_baselines.slam.settings import SlamSettings
+from evalkit_baselines.slam.settings import LoopSettings, SlamSettings
 
 
 @dataclass(frozen=True)
@@ -73,6 +68,19 @@ class _Outcome(IntEnum):
     """``ek_loop_outcome`` of the core."""
 
     PASSED, FEW_POINTS, SCORE, AMBIGUOUS, OVERLAP, DEGENERATE, CHI, CONTRADICTED = range(8)
+
+
+_DESCRIPTIONS: Mapping[_Outcome, Callable[..., str]] = {
+    _Outcome.PASSED: loop_reasons.describe_passed,
+    _Outcome.FEW_POINTS: loop_reasons.describe_few_points,
+    _Outcome.SCORE: loop_reasons.describe_low_score,
+    _Outcome.AMBIGUOUS: loop_reasons.describe_ambiguous,
+    _Outcome.OVERLAP: loop_reasons.describe_little_overlap,
+    _Outcome.DEGENERATE: loop_reasons.describe_degenerate,
+    _Outcome.CHI: loop_reasons.describe_far,
+    _Outcome.CONTRADICTED: loop_reasons.describe_contradiction,
+}
+"""What describes a candidate, from both numbers of its record."""
 
 
 class _Flag(IntFlag):
@@ -172,7 +180,7 @@ class EmbeddedSlam:
                 stamps[earlier],
                 Pose(*motion),
                 bool(_Flag(flags) & _Flag.ACCEPTED),
-                self._reason(_Outcome(outcome), numbers, _Flag(flags), section),
+                _describe(_Outcome(outcome), numbers, _Flag(flags), section),
                 found_again=bool(_Flag(flags) & _Flag.FOUND_AGAIN),
             )
             for later, earlier, motion, outcome, *numbers, flags, section in self._slam.records()
@@ -198,24 +206,16 @@ class EmbeddedSlam:
                 remarks.append(f"no room for {count:,} {what}: raise {name} ({getattr(settings, name)})")
         return tuple(remarks)
 
-    def _reason(self, outcome: _Outcome, numbers: list[float], flags: _Flag, section: int) -> str:
-        first, second = numbers
-        text = {
-            _Outcome.PASSED: f"chi2 {first:.1f}, overlap {second:.2f}",
-            _Outcome.FEW_POINTS: f"{first:.0f} points, fewer than {second:.0f}",
-            _Outcome.SCORE: describe_low_score(first, second),
-            _Outcome.AMBIGUOUS: f"ambiguous: another motion has {first:.2f} of the score {second:.2f}",
-            _Outcome.OVERLAP: describe_little_overlap(first, second),
-            _Outcome.DEGENERATE: describe_degenerate(first, second),
-            _Outcome.CHI: f"chi2 {first:.1f} > {second:.1f}",
-            _Outcome.CONTRADICTED: describe_contradiction(first, second),
-        }[outcome]
-        if flags & _Flag.UNCONFIRMED:
-            return f"not confirmed yet: {text}"
-        if flags & _Flag.NO_ROOM:
-            return f"no room for more loops: {text}"
-        found = f"found again after a lost track (part {section}): " if flags & _Flag.FOUND_AGAIN else ""
-        return f"{'withdrawn, contradicts other loops: ' if flags & _Flag.WITHDRAWN else ''}{found}{text}"
+
+def _describe(outcome: _Outcome, numbers: list[float], flags: _Flag, section: int) -> str:
+    """Return why a candidate was accepted or not, as ``paper-slam`` says it."""
+    text = _DESCRIPTIONS[outcome](*numbers)
+    if flags & _Flag.UNCONFIRMED:
+        return loop_reasons.describe_unconfirmed(text)
+    if flags & _Flag.NO_ROOM:
+        return f"no room for more loops: {text}"
+    text = loop_reasons.describe_found_again(text, section) if flags & _Flag.FOUND_AGAIN else text
+    return loop_reasons.describe_withdrawn(text) if flags & _Flag.WITHDRAWN else text
 
 
 def make(**parameters: Any) -> EmbeddedSlam:

@@ -54,7 +54,7 @@ class LastingMap:
         self._waiting = NewKeyframe(points, start_from_base, base_from_sensor)
 
     def add_between(self, points: Floats, odom_from_base: Pose, base_from_sensor: Pose) -> None:
-        """Draw a scan (N, 2) between two keyframes; ``rebuild`` leaves it out.
+        """Draw a scan (N, 2) between two keyframes; ``move`` leaves it out.
 
         Near the end of the map, where few scans have seen a wall, its points are noisy, and a scan matched with them is
         off to one side.
@@ -80,11 +80,16 @@ class LastingMap:
         """Draw the last keyframe; those that came too far apart are left out from time to time."""
         last = len(self._keyframes) - 1
         if self._keyframes.path_m[last] - self._built_at_m >= REBUILT_EVERY_M:
-            self.rebuild()
+            self._rebuild()
         else:
             self._draw(last)
 
-    def rebuild(self) -> None:
+    def move(self, odom_from_last: Pose) -> None:
+        """Put the last keyframe to this pose, and draw the keyframes around it again."""
+        self.odom_from_start = odom_from_last @ self._keyframes.pose(len(self._keyframes) - 1).inverse()
+        self._rebuild()
+
+    def _rebuild(self) -> None:
         """Draw all keyframes that belong to the map at their poses of now, the oldest first."""
         keyframes = self._keyframes
         last = len(keyframes) - 1

@@ -59,12 +59,6 @@ class MatchDoubt:
         """Usual gap of matches to odometry (m, rad), a recent mean; None before ``USUAL_SCANS`` scans with odometry."""
         return (self._usual_gap_m, self._usual_gap_rad) if self._compared >= USUAL_SCANS else None
 
-    def is_usual(self, last: Pose, predicted: Pose, matched: Pose, match: StageEstimate, points: int) -> bool:
-        """Return whether an accepted match is not doubted at all; arguments as of ``observe``."""
-        gap = predicted.inverse() @ matched
-        near = math.hypot(gap.x, gap.y) <= APART * expect_gap(self._usual_gap_m, last.inverse() @ predicted)
-        return near and _misfit(match, points, self._usual_m) == 0.0
-
     def observe(self, last: Pose, predicted: Pose | None, matched: Pose, match: StageEstimate, points: int) -> bool:
         """Add a scan of so many points, by its accepted match with the map and the pose by odometry, if any.
 

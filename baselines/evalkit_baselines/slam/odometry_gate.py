@@ -49,8 +49,9 @@ class OdometryGate:
     _limit: tuple[float, float] = WIDE
     _usual_m: float = math.inf
     _near_m: float = math.inf
-    _is_sure: bool = False  # the match before of this scan agrees with good odometry, and is not doubted
     _fewest: float = MIN_POINTS
+    is_sure: bool = False
+    """The last match of this scan was accepted, agrees with good odometry, and is not doubted."""
 
     def begin_scan(
         self,
@@ -67,7 +68,7 @@ class OdometryGate:
         self._is_measured = step is not None
         self._fewest = min(MIN_POINTS, usual_points / TIMES_FEWER)
         self._usual_m = usual_m if usual_m > 0.0 else math.inf
-        self._limit, self._is_sure = WIDE, False
+        self._limit, self.is_sure = WIDE, False
         if step is not None and usual_gap is not None:
             moved = math.hypot(step.x, step.y), abs(step.theta)
             metres, turn = (
@@ -93,8 +94,8 @@ class OdometryGate:
         apart = gap_m > self._near_m
         clear = match.converged and match.error < CLEAR_M and match.inliers >= CLEAR_SHARE * points
         few = self.is_good and points < self._fewest
-        accepted = not few and (clear or not (far or (self._is_sure and doubted and apart)))
-        self._is_sure = self.is_good and accepted and not doubted and not apart
+        accepted = not few and (clear or not (far or (self.is_sure and doubted and apart)))
+        self.is_sure = self.is_good and accepted and not doubted and not apart
         return match if accepted else replace(match, target_from_source=guess, inliers=0)
 
 

@@ -7,73 +7,45 @@ and redraws the map around the robot. Nothing here runs the compiled core, which
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum, auto
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from evalkit.core import se2
 from evalkit.core.loop_closure import LoopClosure
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
-from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.odometry.frontend import FrontEnd, FrontEndSettings, Matched
 from evalkit.odometry.local_map import voxel_means
 from evalkit.plugins.parameters import declared_parameters
-from evalkit.plugins.protocols import Registration
 from evalkit.plugins.specs import SlamSpec
 from evalkit_baselines import paper
-from evalkit_baselines.slam import pose_graph
 from evalkit_baselines.slam.companions import Companions
 from evalkit_baselines.slam.continuity import SOON_NS, Continuity
-from evalkit_baselines.slam.keyframes import DOUBTED_M, DriftModel, Edge, Keyframes, Step
+from evalkit_baselines.slam.keyframes import DriftModel, Keyframes, Step
 from evalkit_baselines.slam.lasting_map import LastingMap, NewKeyframe
-from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder
+from evalkit_baselines.slam.loop_closer import LoopCloser
+from evalkit_baselines.slam.loop_finder import LoopFinder
 from evalkit_baselines.slam.match_doubt import MatchDoubt
+from evalkit_baselines.slam.matchers import make_matchers
 from evalkit_baselines.slam.observability import AS_MANY, ObservableIcp
 from evalkit_baselines.slam.odometry_gate import Gated, OdometryGate
+from evalkit_baselines.slam.odometry_path import OdometryPath
 from evalkit_baselines.slam.odometry_scale import OdometryScale
 from evalkit_baselines.slam.range_noise import RangeNoise
-from evalkit_baselines.slam.second_try import (
-    DIRECT_EPSILON_M,
-    FINE_CORRESPONDENCE_M,
-    FINE_ITERATIONS,
-    PART_ITERATIONS,
-    Coarse,
-    CoarseToFine,
-    SecondTry,
-)
+from evalkit_baselines.slam.second_try import FINE_CORRESPONDENCE_M
 from evalkit_baselines.slam.settings import SlamSettings
 from evalkit_baselines.slam.speckles import Speckles
 from evalkit_baselines.slam.sweep_times import SweepTimes, deskew
 from evalkit_baselines.slam.uneven_turns import UnevenTurns
-from evalkit_baselines.slam.wide_search import WideSearch
 
-DCS_PHI = 10.0
 _STORED_VOXEL_M = 0.03
-_CONFIRMED_WITHIN_M = 6.0
-_AGREE_M, _AGREE_RAD = 0.2, math.radians(2.0)
-_CORRECTED_M, _CORRECTED_RAD = 0.01, math.radians(0.5)
-"""An earlier pose that moves by more was corrected, see ``OdometryEstimate.corrected``."""
-
 PATIENCE_NS = 2_000_000_000
 """With wheel odometry, scans that lie nowhere are set aside until so long after the last one that did: a bump, or
 people around the robot. Without it no prediction holds so long."""
 
 PARAMETERS = declared_parameters(SlamSettings)
-
-_NARROW = {"max_correspondence_m": FINE_CORRESPONDENCE_M}
-
-
-@dataclass
-class _Recorded:
-    """A candidate as reported, and the loop edge it became; ``edge`` is None where it was rejected."""
-
-    closure: LoopClosure
-    edge: Edge | None = None
 
 
 class _TrackedScan(NamedTuple):
@@ -113,32 +85,18 @@ class PaperSlam:
             keyframe_distance_m=settings.keyframe_distance_m,
             keyframe_angle_deg=settings.keyframe_angle_deg,
         )
-        wide, narrow = _make_icp(), _make_icp(**_NARROW)
-        coarse = _make_icp(max_iterations=PART_ITERATIONS)
-        brief = _make_icp(**_NARROW, max_iterations=PART_ITERATIONS)
-        fine = _make_icp(**_NARROW, max_iterations=FINE_ITERATIONS)
-        direct = _make_icp(**_NARROW, max_iterations=FINE_ITERATIONS, epsilon=DIRECT_EPSILON_M)
-        of_scan, of_scan_again = Coarse(wide, coarse), Coarse(narrow, brief)
-        self._tries = SecondTry(
-            CoarseToFine(of_scan, fine),
-            CoarseToFine(of_scan_again, fine),
-            brief,
-            scan_to_scan=(of_scan, of_scan_again),
-            search=WideSearch(),
-        )
+        matchers = make_matchers()
+        self._tries = matchers.in_two_stages
         self._gate = OdometryGate()
         observable = ObservableIcp(self._tries, FINE_CORRESPONDENCE_M)
-        self._icps = observable, replace(observable, icp=direct)  # with the same samples
+        self._icps = observable, replace(observable, icp=matchers.direct)  # with the same samples
         in_two_stages, self._direct = (Gated(icp, self._gate) for icp in self._icps)
         self._front = FrontEnd(in_two_stages, in_two_stages, front_end, self._map)
-        self._finder = LoopFinder(settings, wide, narrow)
+        self._loops = LoopCloser(
+            self._keyframes, LoopFinder(settings, matchers.wide, matchers.narrow), settings.loop_quick_gate
+        )
         self._continuity = Continuity()
-        self._candidates: list[_Recorded] = []
-        self._waiting: list[Candidate] = []
-        self._stamps_ns: list[int] = []
-        self._odom_from_base: list[Floats] = []
-        self._keyframe_of: list[int] = []
-        self._odom_from_keyframe: list[Floats] = []
+        self._path = OdometryPath()
         self._corrected = False
         self._scale = OdometryScale()
         self._doubt = MatchDoubt()
@@ -161,8 +119,9 @@ class PaperSlam:
         between, the pose is that of the wheel odometry, which the graph doubts. Neither answer is accepted. Raises
         ValueError where time does not advance. The steps are those of ``ek_slam_update`` (``../embedded/src/slam.c``).
         """
-        if self._stamps_ns and frame.scan.stamp_ns <= self._stamps_ns[-1]:
-            found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {self._stamps_ns[-1]} ns"
+        before_ns = self._path.last_ns
+        if before_ns is not None and frame.scan.stamp_ns <= before_ns:
+            found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {before_ns} ns"
             raise ValueError(f"paper-slam: {found}; give the scans in the order of time")
         self._corrected = False
         scan = self._begin(frame)
@@ -179,9 +138,9 @@ class PaperSlam:
         """Prepare a scan, and predict its pose."""
         frame = self._prepare(came)
         predicted, measured = self._front.predict(frame), self._front.is_measured(frame)
-        last = Pose.of(self._odom_from_base[-1]) if self._stamps_ns else None
+        last, last_ns = self._path.last, self._path.last_ns
         step = last.inverse() @ predicted if measured and last is not None else None
-        elapsed_ns = frame.scan.stamp_ns - self._stamps_ns[-1] if self._stamps_ns else 0
+        elapsed_ns = 0 if last_ns is None else frame.scan.stamp_ns - last_ns
         uneven_rad = self._turns.measure(frame, step, elapsed_ns)
         return _TrackedScan(
             came, frame, int(frame.scan.hits.sum()), predicted, measured, last, step, elapsed_ns, uneven_rad
@@ -206,8 +165,8 @@ class PaperSlam:
         if self._gate.is_good:
             if scan.uneven_rad and self._turns.is_odometry_right:
                 return None
-            direct = self._match_directly(scan.frame, scan.predicted)
-            if direct is not None:
+            direct = self._front.match(scan.frame, with_map=self._direct)
+            if self._gate.is_sure and direct.estimate.accepted:
                 return direct
         self._tries.begin_scan(self._doubt.usual_m, None if scan.measured else scan.predicted)
         return self._front.match(scan.frame)
@@ -219,14 +178,6 @@ class PaperSlam:
         """
         as_many = abs(hits - self._hits) <= AS_MANY * self._hits
         return as_many and self._keyframes.is_last_in_room() and not self._front.is_keyframe(predicted)
-
-    def _match_directly(self, frame: Frame, predicted: Pose) -> Matched | None:
-        """Match a scan with the map from where good odometry puts it; None if anything about the answer is doubted."""
-        matched = self._front.match(frame, with_map=self._direct)
-        match, last = matched.estimate.stages["s2m"], Pose.of(self._odom_from_base[-1])
-        points = len(matched.source)
-        usual = match.accepted and self._doubt.is_usual(last, predicted, matched.start_from_points, match, points)
-        return matched if usual else None
 
     def _judge(self, scan: _TrackedScan, matched: Matched | None) -> _Judgement:
         """Return whether a scan is set aside, or the track is lost, or else whether it matched with the map."""
@@ -303,136 +254,42 @@ class PaperSlam:
 
     def _answer(self, frame: Frame, estimate: OdometryEstimate) -> OdometryEstimate:
         """Note the pose of a scan in the frame of the front end, and return it in that of the corrected poses."""
-        self._stamps_ns.append(frame.scan.stamp_ns)
-        self._odom_from_base.append(estimate.pose.row)
-        self._keyframe_of.append(len(self._keyframes) - 1)
+        self._path.add(frame.scan.stamp_ns, estimate.pose)
         return replace(estimate, pose=self._map.odom_from_start.inverse() @ estimate.pose, corrected=self._corrected)
 
     def trajectory(self) -> Trajectory:
-        """Return the corrected poses: between two keyframes the correction is distributed by the driven distance."""
-        if not self._stamps_ns:
-            return Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), "start", "base")
-        odom = np.array(self._odom_from_base)
-        keyframe = np.array(self._keyframe_of)
-        odom_from_keyframe = np.array(self._odom_from_keyframe)
-        corrected = self._keyframes.poses
-        since = se2.between(odom_from_keyframe[keyframe], odom)
-        poses = se2.compose(corrected[keyframe], since)
-        following = np.minimum(keyframe + 1, len(corrected) - 1)
-        arrived = se2.compose(corrected[:-1], se2.between(odom_from_keyframe[:-1], odom_from_keyframe[1:]))
-        missing = np.concatenate([se2.between(arrived, corrected[1:]), np.zeros((1, 3))])[keyframe]
-        step = np.linalg.norm(odom_from_keyframe[following, :2] - odom_from_keyframe[keyframe, :2], axis=1)
-        turn = np.abs(se2.wrap(odom_from_keyframe[following, 2] - odom_from_keyframe[keyframe, 2]))
-        share = (np.hypot(since[:, 0], since[:, 1]) + np.abs(since[:, 2])) / np.maximum(step + turn, 1e-9)
-        poses = se2.compose(poses, np.clip(share, 0.0, 1.0)[:, None] * missing)
-        return Trajectory(np.array(self._stamps_ns), poses, "start", "base")
+        """Return the corrected poses of all scans."""
+        return self._path.correct(self._keyframes.poses)
 
     def loop_closures(self) -> tuple[LoopClosure, ...]:
         """Return all candidates so far."""
-        return tuple(recorded.closure for recorded in self._candidates)
+        return self._loops.closures()
 
     def _insert(self, scan: _TrackedScan, new: NewKeyframe, lost: bool) -> None:
         """Add a keyframe; after a lost track the graph has it where the odometry predicts, not where it matched."""
         kind = Step.MATCHED if not lost else Step.MEASURED if scan.measured else Step.UNKNOWN
         odom_from_base = scan.predicted if kind is Step.MEASURED else new.odom_from_base
-        last = Pose.of(self._odom_from_keyframe[-1]) if self._odom_from_keyframe else odom_from_base
+        last = self._path.last_keyframe or odom_from_base
         motion, points = last.inverse() @ odom_from_base, voxel_means(new.points, _STORED_VOXEL_M)
         self._keyframes.add(scan.frame.scan.stamp_ns, points, motion, kind, self._doubt.take(), new.base_from_sensor)
-        self._odom_from_keyframe.append(new.odom_from_base.row)
+        self._path.add_keyframe(new.odom_from_base)
         wheels = scan.came.odom_from_base
         if not lost and wheels is not None and self._wheels is not None and self._keyframes.is_last_step_seen():
             self._scale.observe(motion, self._wheels.inverse() @ wheels)
         self._wheels = wheels
         if lost:
-            self._waiting = []
-            self._map.odom_from_start = new.odom_from_base @ self._keyframes.pose(len(self._keyframes) - 1).inverse()
-            self._map.rebuild()
-            return
-        candidate = self._finder.find(self._keyframes, self._expected(), wheels is not None)
-        if candidate is None or not self._consider(candidate):
+            self._loops.forget_unconfirmed()
+        elif self._loops.close(wheels is not None):
+            self._corrected = self._loops.has_corrected
+        else:
             self._map.extend()
-
-    def _consider(self, candidate: Candidate) -> bool:
-        """Record a candidate; return whether it closed a loop, after which the map has been redrawn."""
-        passed = candidate.passed
-        quick = candidate.is_local and candidate.chi_square <= self._settings.loop_quick_gate
-        agreeing = [other for other in self._waiting if passed and self._agree(other, candidate)]
-        if not passed or not (quick or agreeing):
-            reason = candidate.reason if not passed else f"not confirmed yet: {candidate.reason}"
-            self._record(candidate.edge, False, reason)
-            if passed:
-                self._waiting = [*self._waiting[-3:], candidate]
-            return False
-        self._waiting = []
-        edge, sections = candidate.edge, self._keyframes.sections
-        found_again = bool(self._keyframes.apart_m[edge.first] >= DOUBTED_M)
-        if found_again:
-            self._keyframes.join(edge, contradicts=not candidate.known)
-            self._corrected = True
-        lost = f"found again after a lost track (part {sections[edge.second]}): " if found_again else ""
-        self._record(edge, True, lost + candidate.reason, found_again)
-        self._optimise()
-        return True
-
-    def _expected(self) -> Candidate | None:
-        """Return the last unconfirmed candidate, where another one may still confirm it."""
-        path_m, last = self._keyframes.path_m, self._waiting[-1] if self._waiting else None
-        return last if last is not None and path_m[-1] - path_m[last.edge.second] <= _CONFIRMED_WITHIN_M else None
-
-    def _agree(self, earlier: Candidate, later: Candidate) -> bool:
-        keyframes, first, second = self._keyframes, earlier.edge, later.edge
-        if keyframes.path_m[second.second] - keyframes.path_m[first.second] > _CONFIRMED_WITHIN_M:
-            return False
-        driven = keyframes.pose(first.second).inverse() @ keyframes.pose(second.second)
-        one = keyframes.pose(first.first) @ first.first_from_second @ driven
-        two = keyframes.pose(second.first) @ second.first_from_second
-        gap = one.inverse() @ two
-        return math.hypot(gap.x, gap.y) <= _AGREE_M and abs(gap.theta) <= _AGREE_RAD
-
-    def _record(self, edge: Edge, accepted: bool, reason: str, found_again: bool = False) -> None:
-        later, earlier = (self._keyframes.stamps_ns[index] for index in (edge.second, edge.first))
-        closure = LoopClosure(later, earlier, edge.first_from_second, accepted, reason, found_again=found_again)
-        self._candidates.append(_Recorded(closure, edge if accepted else None))
-        if accepted:
-            self._keyframes.loops.append(edge)
-
-    def _optimise(self) -> None:
-        """Optimise all keyframes; loops that contradict the others are withdrawn."""
-        keyframes = self._keyframes
-        graph, trusted = keyframes.graph(), keyframes.trusted()
-        kernel = pose_graph.dcs_kernel(DCS_PHI, trusted)
-        solution = pose_graph.optimise(graph, kernel=kernel, max_iterations=10, tolerance=1e-6)
-        kept = keyframes.loops
-        if (solution.graph.chi_squares()[~trusted] > pose_graph.SLOW_GATE).any():
-            solution = pose_graph.optimise_truncated(graph, trusted)
-            weights = solution.weights[~trusted]
-            kept = [loop for loop, weight in zip(keyframes.loops, weights, strict=True) if weight > 0.5]
-            self._withdraw(kept)
-        moved = np.abs(se2.between(keyframes.poses[:-1], solution.graph.poses[:-1]))  # the last one is of this scan
-        self._corrected |= bool((np.hypot(moved[:, 0], moved[:, 1]) > _CORRECTED_M).any())
-        self._corrected |= bool((moved[:, 2] > _CORRECTED_RAD).any())
-        keyframes.correct(solution.graph.poses, kept)
-        last = Pose.of(self._odom_from_keyframe[-1])
-        self._map.odom_from_start = last @ keyframes.pose(len(keyframes) - 1).inverse()
-        self._map.rebuild()
-
-    def _withdraw(self, kept: list[Edge]) -> None:
-        for recorded in self._candidates:
-            if recorded.edge is not None and not any(recorded.edge is edge for edge in kept):
-                reason = f"withdrawn, contradicts other loops: {recorded.closure.reason}"
-                recorded.closure = replace(recorded.closure, accepted=False, reason=reason)
-                recorded.edge = None
+            return
+        self._map.move(new.odom_from_base)
 
 
 def _is_direct(matched: Matched) -> bool:
     """Return whether a scan was matched with the map alone."""
     return "s2m" in matched.estimate.stages and "s2s" not in matched.estimate.stages
-
-
-def _make_icp(**changed: Any) -> Registration:
-    defaults = {each.name: each.default for each in paper.MAP_LINE.parameters}
-    made: Registration = paper.MAP_LINE.make(**{**defaults, "share_noise": True, **changed})
-    return made
 
 
 def make(**parameters: Any) -> PaperSlam:

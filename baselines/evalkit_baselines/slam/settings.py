@@ -5,7 +5,37 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from evalkit.plugins.parameters import parameter
-from evalkit_baselines.slam.loop_closure import LoopSettings
+from evalkit_baselines.slam import pose_graph
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Parameters of the loop closure."""
+
+    loop_path_m: float = parameter(15.0, "m", "a loop is at least so long through the graph", low=1.0)
+    loop_spacing_m: float = parameter(1.0, "m", "path between two candidates", low=0.0)
+    loop_radius_m: float = parameter(7.0, "m", "largest distance of a candidate, and half the search window", low=0.5)
+    loop_submap_m: float = parameter(3.0, "m", "path on either side of a keyframe whose points are matched", low=0.0)
+    loop_cell_m: float = parameter(0.1, "m", "cell of branch and bound", low=0.02, high=1.0)
+    loop_score: float = parameter(0.55, "", "smallest score of branch and bound", low=0.0, high=1.0)
+    loop_ambiguity: float = parameter(
+        0.92, "", "share of the best score that another motion may not reach", low=0.0, high=1.0
+    )
+    loop_near_m: float = parameter(0.15, "m", "a point within this distance lies on the other map", low=0.01)
+    loop_overlap: float = parameter(0.7, "", "smallest share of points on the other map", low=0.0, high=1.0)
+    loop_in_view: float = parameter(
+        0.95,
+        "",
+        "smallest share of points on the other map among those that its scans could see, where score and overlap reach "
+        "only three quarters of their limits",
+        low=0.0,
+        high=1.0,
+    )
+    loop_degenerate_m: float = parameter(0.13, "m", "largest 1-sigma error of the matched position", low=0.0)
+    loop_gate: float = parameter(pose_graph.SLOW_GATE, "", "largest chi-square of a confirmed closure", low=0.0)
+    loop_quick_gate: float = parameter(
+        pose_graph.QUICK_GATE, "", "largest chi-square of a closure without confirmation", low=0.0
+    )
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ import typer
 
 from evalkit.commands.calibration import coverage, page, seed_runs
 from evalkit.commands.calibration.coverage import Coverage, Verdicts
-from evalkit.config.experiment import Experiment, SequenceSpec, load_experiment
+from evalkit.config.experiment import Experiment, SequenceSpec
+from evalkit.config.experiment_file import load_experiment
 from evalkit.core.errors import BadExperiment
 from evalkit.execution import environment
 from evalkit.io.json_values import indent_json

@@ -21,7 +21,8 @@ from evalkit.config.adhoc_experiment import (
     read_first_frame,
     split_names,
 )
-from evalkit.config.experiment import MAX_NUISANCE, RESULTS, Experiment, load_experiment
+from evalkit.config.experiment import RESULTS, Experiment
+from evalkit.config.experiment_file import MAX_NUISANCE, load_experiment
 from evalkit.core.run_result import NO_STEPS
 from evalkit.execution.environment import describe
 from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor

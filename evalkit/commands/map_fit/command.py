@@ -13,7 +13,8 @@ import typer
 from evalkit.commands.map_fit import reliability
 from evalkit.commands.map_fit.drives import FAULTS, measure_drive
 from evalkit.commands.map_fit.reliability import Drive
-from evalkit.config.experiment import Experiment, load_experiment
+from evalkit.config.experiment import Experiment
+from evalkit.config.experiment_file import load_experiment
 from evalkit.core.errors import BadExperiment
 from evalkit.execution import environment
 from evalkit.execution.task import make_task

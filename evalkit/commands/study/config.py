@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 from evalkit.commands.study.plan import Design, DesignKind, EnvelopeChoice, Point, Study
 from evalkit.commands.study.sampling import sample
-from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.config.forms import RESPONSE, STUDY
 from evalkit.config.toml_tables import TomlTable, all_mistakes, flatten
 from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief

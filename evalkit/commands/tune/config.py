@@ -10,7 +10,8 @@ from typing import Any
 
 from evalkit.commands.tune.plan import TUNED, Training, TunableMethod, Tuning
 from evalkit.commands.tune.space import METHOD, SHARED, Space, list_own_parameters, make_declared_factors, settings
-from evalkit.config.experiment import Experiment, Method, SequenceSpec, experiment_from_tables
+from evalkit.config.experiment import Experiment, Method, SequenceSpec
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.config.forms import TUNING
 from evalkit.config.toml_tables import TomlTable, all_mistakes
 from evalkit.core.errors import BadExperiment, UnknownName

@@ -1,22 +1,20 @@
-"""The plan of a validation: resolved names and settings, and the tasks of each level."""
+"""The plan of a validation: resolved names and settings."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from evalkit.commands.validate import probes, question_probes, timing_probes
 from evalkit.commands.validate.acceptance import Claim
 from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.commands.validate.probes import EXACT
-from evalkit.config.experiment import Experiment, SequenceSpec, experiment_from_tables
+from evalkit.config.experiment import Experiment, SequenceSpec
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.config.limits import Limits
 from evalkit.core.errors import NotInstalled
-from evalkit.execution import sandbox
-from evalkit.execution.task import AnyTask, Parameters, Result, make_task
 from evalkit.external.declaration import split_words
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, defaults, registry
@@ -26,8 +24,6 @@ from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
 AUTO = "auto"
 WHY_REFERENCE = 'the first back end by name with the role "reference"'
-COPIES = 5
-"""Perturbed copies of a sequence from which the effect of rounding on a path is estimated."""
 
 Only = Literal["", "rules", "registrations", "lockstep", "determinism"]
 """The one group of checks to run; "": levels 0 to 5."""
@@ -129,7 +125,7 @@ class ValidationPlan:
     @property
     def methods(self) -> list[str]:
         """The back end, the reference, and the peers that register scans."""
-        return list(dict.fromkeys((self.backend, self.reference, *self._registering_peers())))
+        return list(dict.fromkeys((self.backend, self.reference, *self.registering_peers)))
 
     @property
     def registrations(self) -> list[str]:
@@ -144,107 +140,8 @@ class ValidationPlan:
             "effort": asdict(self.request.effort), "mappers": list(self.mappers),
         }  # fmt: skip
 
-    def rules_task(self) -> AnyTask:
-        """The task of level 0."""
-        spec = registry.backend(self.backend)
-        own = {p.name for p in spec.parameters}
-        given = {name: value for name, value in self.given.items() if name in own}
-        task = make_task(
-            "rules", probes.rules, name=self.backend, given=given, limit_s=30.0, seed=self.request.seed,
-            digest=spec.digest,
-        )  # fmt: skip
-        return replace(task.depending_on(*self._modules(self.backend)), own_process=True)
-
-    def pair_tasks(self) -> Iterator[AnyTask]:
-        """The tasks of level 1."""
-        request, effort = self.request, self.request.effort
-        a, b = self._plugin(self.reference), self._plugin(self.backend)
-        if {self.backend, self.reference} <= set(self.registrations):
-            drawn = make_task(
-                f"questions, drawn with seed {request.seed}", question_probes.compare_questions, a=a, b=b,
-                seed=request.seed, margins=request.margins, quick=effort.quick,
-            )  # fmt: skip
-            modules = self._modules(self.backend, self.reference)
-            yield sandbox.make_sandboxed_task(drawn.depending_on(*modules), effort.limit_s, effort.memory_mib)
-        for place in seeded_sequences(self.experiment):
-            exact = registry.dataset(place.sequence.dataset).seeded  # a simulated truth has no error
-            yield self._make_sandboxed_task(
-                f"pairs, {place.label}", place, probes.compare_pairs,
-                a=a, b=b, on=place.data, count=effort.pairs, exact=exact, margins=request.margins,
-            )  # fmt: skip
-            for name in self._registering_peers():
-                yield self._make_sandboxed_task(
-                    f"answers of {name}, {place.label}", place, probes.answer_pairs,
-                    backend=self._plugin(name), on=place.data, count=effort.pairs, exact=exact,
-                )  # fmt: skip
-
-    def lockstep_tasks(self) -> Iterator[AnyTask]:
-        """The tasks of level 2."""
-        request, a, b = self.request, self._plugin(self.reference), self._plugin(self.backend)
-        for place in seeded_sequences(self.experiment):
-            yield self._make_sandboxed_task(
-                f"scans, {place.label}", place, probes.compare_scans, a=a, b=b, on=place.data,
-                scans=request.effort.scans, margins=request.margins, disturbed=request.disturbed,
-            )  # fmt: skip
-
-    def mapper_tasks(self) -> Iterator[AnyTask]:
-        """The comparisons of mappers in level 4."""
-        own, reference = ({"name": name, "given": {}} for name in self.mappers)
-        for place in self._first_seeds() if all(self.mappers) else ():
-            yield self._make_sandboxed_task(
-                f"mapper, {place.label}", place, probes.compare_maps,
-                a=reference, b=own, on=place.data, scans=self.request.effort.mapper_scans, margin=EXACT,
-            )  # fmt: skip
-
-    def perturbation_tasks(self) -> Iterator[AnyTask]:
-        """The reference over copies of each sequence perturbed by rounding."""
-        for place in seeded_sequences(self.experiment):
-            backend = self._plugin(self.reference)
-            yield self._make_sandboxed_task(
-                f"copies, {place.label}", place, probes.perturbed_paths, backend=backend, on=place.data, copies=COPIES
-            )
-
-    def timing_tasks(self) -> Iterator[AnyTask]:
-        """The measurements of level 5; nothing else may run beside them."""
-        methods = [self._plugin(name) for name in self.methods]
-        registrations = [self._plugin(name) for name in self.registrations]
-        effort = self.request.effort
-        for place in self._first_seeds():
-            yield self._make_sandboxed_task(
-                f"time, {place.label}", place, timing_probes.time_scans,
-                methods=methods, on=place.data, scans=effort.timed,
-            )  # fmt: skip
-            if self.backend in self.registrations:
-                yield self._make_sandboxed_task(
-                    f"time of a pair, {place.label}", place, timing_probes.time_pairs,
-                    methods=registrations, on=place.data, count=effort.pairs,
-                )  # fmt: skip
-
-    def _first_seeds(self) -> list[SeededSequence]:
-        """The first seed of every sequence."""
-        first: dict[str, SeededSequence] = {}
-        for place in seeded_sequences(self.experiment):
-            first.setdefault(place.sequence.label, place)
-        return list(first.values())
-
-    def _make_sandboxed_task(
-        self, name: str, place: SeededSequence, function: Callable[Parameters, Result], /,
-        *args: Parameters.args, **kwargs: Parameters.kwargs,
-    ) -> AnyTask:  # fmt: skip
-        """The task that runs a probe in a sandbox."""
-        modules = (*self._modules(*self.methods), registry.plug_in_of("datasets", place.sequence.dataset).module)
-        probe = make_task(name, function, *args, **kwargs).depending_on(*modules)
-        return sandbox.make_sandboxed_task(probe, self.request.effort.limit_s, self.request.effort.memory_mib)
-
-    def _plugin(self, name: str) -> dict[str, Any]:
-        """A back end with its given parameters; the digest distinguishes builds of a library."""
-        given = self.given if name == self.backend else self.given_reference if name == self.reference else {}
-        return {"name": name, "given": dict(given), "digest": registry.backend(name).digest}
-
-    def _modules(self, *names: str) -> tuple[str, ...]:
-        return tuple(sorted({registry.plug_in_of("backends", name).module for name in names}))
-
-    def _registering_peers(self) -> list[str]:
+    @property
+    def registering_peers(self) -> list[str]:
         """The peers that use the scans: a baseline does not."""
         return [name for name in self.peers if registry.backend(name).role != "baseline"]
 

@@ -15,6 +15,14 @@ from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceRepo
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, ResultsByPlace, choose_margin, format_margin
 from evalkit.commands.validate.determinism import measure_determinism
 from evalkit.commands.validate.equivalence.margins import FLOAT32
+from evalkit.commands.validate.level_tasks import (
+    lockstep_tasks,
+    mapper_tasks,
+    pair_tasks,
+    perturbation_tasks,
+    rules_task,
+    timing_tasks,
+)
 from evalkit.commands.validate.plan import (
     AUTO,
     ValidationPlan,
@@ -68,10 +76,10 @@ class ValidationRun:
         """Run the levels of the request; results that are in the folder already are not computed again."""
         plan, only = self.plan, self.plan.request.only
         if only == "registrations":
-            return self._comparison_report(self._compute(plan.pair_tasks()))
+            return self._comparison_report(self._compute(pair_tasks(plan)))
         if only == "lockstep":
-            return self._comparison_report(self._compute(plan.lockstep_tasks()))
-        results = self._compute([plan.rules_task()], workers=1)["rules"]["rules"]
+            return self._comparison_report(self._compute(lockstep_tasks(plan)))
+        results = self._compute([rules_task(plan)], workers=1)["rules"]["rules"]
         rules = level_answers.rules_level([RuleResult(**one) for one in results], waivers=plan.request.waivers)
         if any(check.outcome == "failed" and check.name in FATAL_RULES for check in rules.checks):
             return self._report(EXACT, "", (rules,))
@@ -94,12 +102,12 @@ class ValidationRun:
 
     def _full_report(self, rules: AcceptanceLevel) -> AcceptanceReport:
         plan = self.plan
-        results = self._compute([*plan.pair_tasks(), *plan.lockstep_tasks(), *plan.mapper_tasks()])
+        results = self._compute([*pair_tasks(plan), *lockstep_tasks(plan), *mapper_tasks(plan)])
         records = self._run_experiment()
         compared = _comparisons(results)
         margin = choose_margin(compared, plan.request.margins)
-        perturbed = self._compute(plan.perturbation_tasks()) if margin == FLOAT32 else {}
-        times = self._compute(plan.timing_tasks(), workers=1)  # alone: nothing else may run beside a measurement
+        perturbed = self._compute(perturbation_tasks(plan)) if margin == FLOAT32 else {}
+        times = self._compute(timing_tasks(plan), workers=1)  # alone: nothing else may run beside a measurement
         terms = self._terms(margin)
         limits = {
             place: (one[margin]["margin"]["metres"], one[margin]["margin"]["radians"])

@@ -6,21 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.contests import Contest
 from evalkit.report.analysis.lead import find_lead
-from evalkit.report.analysis.map_agreement import decided_by_maps
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.significance import Significance
-from evalkit.report.analysis.standings import (
-    Contest,
-    Loss,
-    Standing,
-    Tally,
-    find_cheapest,
-    find_losses,
-    find_lost,
-)
+from evalkit.report.analysis.standings import Loss, Standing, Tally, find_cheapest, find_losses, find_lost
 from evalkit.report.analysis.statements.pills import Pill, compute_pills
-from evalkit.report.analysis.statements.title import explain_no_contest, format_subtitle, format_title
+from evalkit.report.analysis.statements.subtitle import format_subtitle
+from evalkit.report.analysis.statements.title import explain_no_contest, format_title
 from evalkit.report.analysis.statements.verdict import SequenceVerdict
 
 
@@ -87,5 +80,5 @@ def compute_answer(
         standings,
         contests,
         tally.common,
-        bool(contests) and decided_by_maps(contests[0].ranking),
+        bool(contests) and contests[0].by_maps,
     )

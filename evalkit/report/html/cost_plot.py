@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.analysis.analysis import Analysis
-from evalkit.report.analysis.standings import find_mean_cpu_ms
+from evalkit.report.analysis.contests import find_mean_cpu_ms
 from evalkit.report.formatting import format_milliseconds
 from evalkit.report.html.method_colours import Strokes
 from evalkit.report.html.svg import AxisScale, element, join, log_scale, place_labels

@@ -10,10 +10,10 @@ from markupsafe import Markup
 
 from evalkit.core.run_status import RunStatus
 from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.contests import Contest
 from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, find_loss
 from evalkit.report.analysis.sequence import SequenceAnalysis
-from evalkit.report.analysis.standings import Contest
 from evalkit.report.formatting import format_amount, format_loss, format_losses, format_tick
 from evalkit.report.html.method_colours import Strokes
 from evalkit.report.html.svg import AxisScale, element, join, log_scale

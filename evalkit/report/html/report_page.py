@@ -25,6 +25,7 @@ from evalkit.report.html import (
     dot_plot,
     known_map,
     map_strip,
+    published,
     report_tables,
     run_charts,
 )
@@ -213,9 +214,9 @@ def _build_published(
     analysis: Analysis, sequence: SequenceAnalysis, strokes: Mapping[str, Stroke], anchor: str
 ) -> list[Block]:
     """Return the published results beside those of this report, or why they are left out; nothing without any."""
-    if why := report_tables.explain_no_published(sequence):
+    if why := published.explain_no_published(sequence):
         return [Text(why, "note")]
-    table = report_tables.published_table(analysis, sequence, strokes)
+    table = published.published_table(analysis, sequence, strokes)
     if table is None:
         return []
     return [

@@ -8,7 +8,6 @@ from statistics import median
 
 from evalkit.core.run_status import NOT_EXECUTED, RunStatus
 from evalkit.metrics.metric import Metric
-from evalkit.plugins.specs import Published
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.pairwise import PairedDifference
@@ -30,8 +29,6 @@ from evalkit.stats.runs import MIN_RUNS
 
 DASH = Cell("–", "")
 WORD_JOINER = "\u2060"
-COVERED, MIN_COVERED = "relations_answered_percent", 95.0
-"""A metric, and the percentage from which on a result is compared with published ones, which are of all relations."""
 CHIPS: Mapping[str, Chips] = {"reference": (("reference", ""),), "baseline": (("baseline", ""),)}
 
 
@@ -72,7 +69,7 @@ def score_cell(ranking: Ranking, score: MethodScore | None, link: str = "", says
     metric = ranking.metric
     if score is None:
         return Cell("–", "", tip="not run here")
-    partial = ", ".join(_format(metric, value) for value in score.partial)
+    partial = ", ".join(format_in_cell(metric, value) for value in score.partial)
     early = f"ended early: {partial}" if partial else ""
     lost = f"lost {format_losses(score)}" if score.lost is not None and says_loss else ""
     if not score.values:
@@ -84,7 +81,7 @@ def score_cell(ranking: Ranking, score: MethodScore | None, link: str = "", says
     tip = ", ".join(filter(None, (runs, support, tuned)))
     extent = ", ".join(filter(None, (_extent(metric, score), early, lost)))
     value = median(score.values)
-    return Cell(_format(metric, value), value, TONES[mark(ranking, score.method)], tip, link, extent)
+    return Cell(format_in_cell(metric, value), value, TONES[mark(ranking, score.method)], tip, link, extent)
 
 
 def headline_metrics(sequence: SequenceAnalysis) -> list[Metric]:
@@ -204,7 +201,7 @@ def _add_corrected(cell: Cell, final: Ranking | None, method: str) -> Cell:
     score = final.of(method) if final is not None else None
     if final is None or score is None or score.median is None:
         return cell
-    corrected = f"corrected {_format(final.metric, score.median)}"
+    corrected = f"corrected {format_in_cell(final.metric, score.median)}"
     return replace(cell, extent=f"{cell.extent}, {corrected}" if cell.extent else corrected)
 
 
@@ -245,7 +242,7 @@ def pairs_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes
             bounds, metric = one.difference.interval, pairs.metric
             extent = f"{100 * bounds.confidence:.0f} %: {_bounds(metric, bounds.low, bounds.high)}"
             extent = extent if one.difference.runs != MIN_RUNS - 1 else ""  # two pairs have no interval
-            value = Cell(_format(metric, bounds.value), bounds.value, extent=extent)
+            value = Cell(format_in_cell(metric, bounds.value), bounds.value, extent=extent)
             cells += [value, Cell(one.verdict), _detectable_cell(metric, one.difference)]
         rows.append([method_cell(analysis.comparison, strokes, label), *cells])
     return Table(columns, rows, label=f"Paired differences on {sequence.label}")
@@ -256,44 +253,7 @@ def _detectable_cell(metric: Metric, difference: PairedDifference) -> Cell:
     if difference.paired is None:
         return DASH
     detectable, most = difference.paired.detectable, 10.0 * difference.paired.scale
-    return Cell(f"over {_format(metric, most)}" if detectable > most else _format(metric, detectable))
-
-
-def explain_no_published(sequence: SequenceAnalysis) -> str:
-    """Return why published results are not shown beside those of a sequence; "" without any, or if they are."""
-    excerpt = sequence.all_runs[0].spec.sequence.excerpt_scans
-    ranking = sequence.rankings.get(COVERED)
-    known = [score.median for score in ranking.scores if score.median is not None] if ranking else []
-    whole = max(known) >= MIN_COVERED if known else not excerpt
-    if not sequence.card.published or whole:
-        return ""
-    share = f" with {max(known):.{int(max(known) < 9.95)}f} % of its relations" if known else ""
-    part = f"excerpts of {excerpt} scans" if excerpt else "a part of it"
-    return (
-        f"Not compared with published results, which are of the whole {sequence.label}: the runs are of {part}{share}."
-    )
-
-
-def published_table(analysis: Analysis, sequence: SequenceAnalysis, strokes: Strokes) -> Table | None:
-    """Return this report's methods among published results, best first; None without publications."""
-    published = sequence.card.published
-    metric = _counterpart(sequence.metrics, published) if published else None
-    if metric is None:
-        return None
-    spread = sequence.rankings.get(published[0].spread_metric)
-    rows: list[tuple[float, list[Cell | str]]] = [
-        (row.value, [Cell(row.label), Cell(_format(metric, row.value), row.value),
-                     "–" if row.spread is None else _format(metric, row.spread), Cell(row.source)])
-        for row in published
-    ]  # fmt: skip
-    for score in sequence.rankings[metric.name].ranked:
-        beside = spread.of(score.method) if spread else None
-        value = median(score.values)
-        deviation = _format(metric, beside.median) if beside is not None and beside.median is not None else "–"
-        name = method_cell(analysis.comparison, strokes, score.method)
-        rows.append((value, [name, Cell(_format(metric, value), value), deviation, Cell("this report")]))
-    columns = (Column("Method"), metric_column(metric), Column("± spread", number=True), Column("Source"))
-    return Table(columns, [row for _, row in sorted(rows, key=lambda one: one[0])], label="Published results")
+    return Cell(f"over {format_in_cell(metric, most)}" if detectable > most else format_in_cell(metric, detectable))
 
 
 def failure_texts(records: Sequence[RunRecord]) -> list[str]:
@@ -338,14 +298,14 @@ def _extent(metric: Metric, score: MethodScore) -> str:
 
 def _bounds(metric: Metric, low: float, high: float) -> str:
     """Return two bounds, with their common unit once; only two units are on two lines of a narrow column."""
-    first, last = _format(metric, low), _format(metric, high)
+    first, last = format_in_cell(metric, low), format_in_cell(metric, high)
     number, _, unit = first.partition("\u00a0")
     if unit and not last.endswith(f"\u00a0{unit}"):
         return f"{first}–{last}"
     return f"{number}–{WORD_JOINER}{last}"
 
 
-def _format(metric: Metric, value: float) -> str:
+def format_in_cell(metric: Metric, value: float) -> str:
     """Format a value for a cell: positions with their unit, others without."""
     if metric.unit == "m":
         return format_amount(metric, value)
@@ -354,12 +314,3 @@ def _format(metric: Metric, value: float) -> str:
 
 def _format_time(milliseconds: float) -> str:
     return format_number(milliseconds, choose_decimals("ms", 2, milliseconds))
-
-
-def _counterpart(metrics: Sequence[Metric], rows: Sequence[Published]) -> Metric | None:
-    """Return the metric that published results are compared with."""
-    named = rows[0].metric
-    for metric in metrics:
-        if metric.name == named or (not named and metric.group == "relations" and metric.unit == "m"):
-            return metric
-    return None

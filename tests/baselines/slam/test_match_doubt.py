@@ -62,22 +62,6 @@ def test_a_match_is_doubted_where_it_is_three_times_as_far_from_the_prediction_a
     assert doubt.take() == pytest.approx((share**2 * gap_m**2, 0.0))  # nothing is said of the heading
 
 
-@pytest.mark.parametrize(
-    ("gap_m", "residual_m", "inliers", "usual"),
-    [(0.119, 0.039, 80, True), (0.121, 0.02, 100, False), (0.0, 0.041, 100, False), (0.0, 0.02, 79, False)],
-)
-def test_a_match_is_usual_where_nothing_about_it_is_doubted_and_asking_changes_nothing(
-    gap_m, residual_m, inliers, usual
-):
-    doubt = MatchDoubt()
-    observe(doubt, 0.02, gap=(0.0, 0.0, 0.0), step_m=0.6)
-    match = StageEstimate(True, True, 5, residual_m, inliers)
-    for _ in range(2):
-        last, matched = PREDICTED @ Pose(0.0, -0.6, 1.0), PREDICTED @ Pose(gap_m, 0.0, 0.3)
-        assert doubt.is_usual(last, PREDICTED, matched, match, 100) is usual
-    assert (doubt.usual_m, doubt.take()) == (0.02, (0.0, 0.0))
-
-
 def test_a_gap_that_is_usual_is_not_doubted_and_one_that_is_larger_by_far_becomes_usual_slowly():
     doubt = MatchDoubt()
     for _ in range(400):

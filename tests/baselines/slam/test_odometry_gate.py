@@ -114,6 +114,27 @@ def test_a_doubted_answer_stays_where_good_odometry_and_the_match_before_agree(
     assert (Gated(now, gate).register(cloud, cloud, GUESS).inliers > 0) == is_accepted
 
 
+@pytest.mark.parametrize(
+    ("gap_m", "error_m", "paired", "usual_gap", "is_sure"),
+    [
+        (0.119, 0.039, 0.8, (0.0, 0.0), True),  # odometry is thought to be no better than 0.04 m after a step of 0.6 m
+        (0.121, 0.02, 1.0, (0.0, 0.0), False),
+        (0.0, 0.041, 1.0, (0.0, 0.0), False),
+        (0.0, 0.02, 0.79, (0.0, 0.0), False),
+        (0.0, 0.02, 1.0, None, False),
+    ],
+)
+def test_an_answer_is_sure_where_nothing_about_it_is_doubted_and_none_before_the_first(
+    gap_m, error_m, paired, usual_gap, is_sure
+):
+    gate, cloud = OdometryGate(), Cloud(np.ones((100, 2)))
+    for _ in range(2):
+        gate.begin_scan(Pose(0.6, 0.0, 1.0), usual_gap, 0.02)
+        assert not gate.is_sure
+        Gated(Answers(Pose(gap_m, 0.0, 0.3), error_m, paired), gate).register(cloud, cloud, GUESS)
+        assert gate.is_sure == is_sure
+
+
 def test_a_far_answer_that_fits_well_is_accepted():
     gated = Gated(Answers(Pose(1.0, 0.0, 0.0), 0.02), OdometryGate())
     gated.gate.begin_scan(Pose(0.0, 0.0, 0.0), None)

@@ -11,7 +11,9 @@ from evalkit.core.world import World, closed_outline
 from evalkit_baselines.slam import paper_slam
 from evalkit_baselines.slam.continuity import Continuity
 from evalkit_baselines.slam.keyframes import DOUBTED_M, DriftModel, Edge, Keyframes, Step
-from evalkit_baselines.slam.loop_closure import Candidate, LoopFinder
+from evalkit_baselines.slam.loop_closer import LoopCloser
+from evalkit_baselines.slam.loop_finder import Candidate, LoopFinder
+from evalkit_baselines.slam.loop_places import LoopPlaces
 from evalkit_baselines.slam.observability import ObservableIcp, measure_openness
 from evalkit_baselines.slam.settings import SlamSettings
 
@@ -184,33 +186,29 @@ def make_chain(count):
 
 
 def test_of_two_loops_that_contradict_each_other_one_is_withdrawn_and_says_so():
-    slam = paper_slam.make()
-    slam._keyframes = slam._map._keyframes = make_chain(60)
-    slam._odom_from_keyframe = list(slam._keyframes.poses)
-    information = np.diag([4e3, 4e3, 6e4])
+    keyframes, information = make_chain(60), np.diag([4e3, 4e3, 6e4])
+    closer = LoopCloser(keyframes, None, quick_gate=6.0)
 
     def close(first, second, x):
         edge = Edge(first, second, Pose(x, 0.0, 0.0), information)
-        return slam._consider(Candidate(edge, True, f"measured {x} m", 1.0, True))
+        return closer.consider(Candidate(edge, True, f"measured {x} m", 1.0, True))
 
     assert close(0, 40, 40.05)
     assert close(1, 41, 40.05)
     assert close(0, 42, 38.0)  # 4 m short of what the other two say
-    first, second, third = slam.loop_closures()
+    first, second, third = closer.closures()
     assert {one.found_again for one in (first, second, third)} == {False}
     assert (first.accepted, second.accepted, third.accepted) == (True, True, False)
     assert third.reason.startswith("withdrawn, contradicts other loops: measured 38.0 m")
-    assert slam._keyframes.poses[41, 0] == pytest.approx(41.05, abs=0.1)
+    assert keyframes.poses[41, 0] == pytest.approx(41.05, abs=0.1)
 
 
 @pytest.mark.parametrize(("measured_m", "corrected"), [(40.0, False), (40.02, True)])
 def test_a_closure_is_a_correction_where_it_moves_an_earlier_pose_by_more_than_a_centimetre(measured_m, corrected):
-    slam = paper_slam.make()
-    slam._keyframes = slam._map._keyframes = make_chain(60)
-    slam._odom_from_keyframe = list(slam._keyframes.poses)
+    closer = LoopCloser(make_chain(60), None, quick_gate=6.0)
     edge = Edge(0, 40, Pose(measured_m, 0.0, 0.0), np.diag([4e3, 4e3, 6e4]))
-    assert slam._consider(Candidate(edge, True, "measured", 1.0, True))
-    assert slam._corrected is corrected
+    assert closer.consider(Candidate(edge, True, "measured", 1.0, True))
+    assert closer.has_corrected is corrected
 
 
 def test_the_distance_through_the_graph_is_short_across_a_loop_and_beyond_all_maps_after_a_lost_track():
@@ -228,7 +226,7 @@ def test_the_distance_through_the_graph_is_short_across_a_loop_and_beyond_all_ma
     assert keyframes.apart_m[31] >= DOUBTED_M
 
 
-def test_after_a_lost_track_the_graph_believes_the_odometry_to_half_a_metre_and_10_degrees():
+def test_after_a_lost_track_the_odometry_has_an_error_of_half_a_metre_and_10_degrees():
     keyframes = make_chain(3)
     keyframes.add(3, np.zeros((0, 2)), Pose(1.0, 0.0, 0.0), Step.MEASURED)
     usual, lost = (np.linalg.inv(keyframes.steps[row].information) for row in (1, 2))
@@ -248,11 +246,9 @@ def test_a_loop_to_another_part_moves_all_that_is_connected_and_may_refute_the_o
     assert (keyframes.steps[2].information[0, 0] < 1e-3) == contradicts
 
 
-class PlaceFinder(LoopFinder):
-    """A LoopFinder whose candidates are the places to compare, and where it expects the robot."""
-
-    def _verify(self, keyframes, place, last):
-        return place.row, place.expected and place.expected.x, place.known
+def described(place):
+    """Return the row of a place, where along the line it expects the robot, and whether the graph predicts that."""
+    return place.row, place.expected and place.expected.x, place.known
 
 
 def make_two_parts(kind=Step.UNKNOWN):
@@ -283,39 +279,50 @@ def drive_on(keyframes, metres):
     ],
 )
 def test_after_a_lost_track_the_robot_is_sought_by_turns_where_it_seems_to_be_and_at_all_places(kind, measured, near):
-    keyframes, finder, found = make_two_parts(kind), PlaceFinder(SlamSettings(), None, None), []
+    keyframes, places, found = make_two_parts(kind), LoopPlaces(SlamSettings()), []
     for _ in range(7):
         drive_on(keyframes, 1)
-        found.append(finder.find(keyframes, None, measured))
+        found.append(described(places.find_next(keyframes, measured)))
     predicted = kind is Step.MEASURED  # then this place has the fourth and the last turn, too
     others = [1, 6] if predicted else [1, 3, 4, 6]
     assert [place for turn, place in enumerate(found) if turn not in others] == near
     assert [found[turn][0] for turn in others] == [0, 4, 8, 12][: len(others)]  # all places, every 3.5 m
 
 
-def test_beside_an_unconfirmed_loop_another_one_is_sought_before_all_else():
-    keyframes, finder = make_two_parts(), PlaceFinder(SlamSettings(), None, None)
+def test_beside_a_loop_of_another_part_the_place_is_where_that_loop_puts_the_robot():
+    keyframes, places = make_two_parts(), LoopPlaces(SlamSettings())
     drive_on(keyframes, 20)  # a place of the same part is 15 m away along the path
     # the robot was at 2.4 m of the first part
-    beside = Candidate(Edge(2, len(keyframes) - 1, Pose(0.4, 0.0, 0.0), np.eye(3)), True, "", known=False)
+    beside = Edge(2, len(keyframes) - 1, Pose(0.4, 0.0, 0.0), np.eye(3))
     drive_on(keyframes, 2)
-    assert finder.find(keyframes, beside, True) == (4, pytest.approx(4.4), False)
-    keyframes = make_chain(41)
+    assert described(places.find_beside(keyframes, beside, known=False)) == (4, pytest.approx(4.4), False)
+
+
+class PlaceFinder(LoopFinder):
+    """A LoopFinder whose candidates are the rows of the places to compare."""
+
+    def _verify(self, keyframes, place, last):
+        return place.row
+
+
+def test_a_place_beside_an_unconfirmed_loop_is_compared_before_the_nearest_and_one_a_metre():
+    keyframes, finder = make_chain(41), PlaceFinder(SlamSettings(), None, None)
     keyframes.add(41, np.zeros((0, 2)), Pose(-35.0, 0.0, 0.0))  # back at 5 m, as it seems
     beside = Candidate(Edge(8, 41, Pose(0.0, 0.0, 0.0), np.eye(3)), True, "")
     drive_on(keyframes, 1)
-    assert finder.find(keyframes, beside, True) == (9, pytest.approx(9.0), True)
+    assert finder.find(keyframes, beside, True) == 9
+    assert finder.find(keyframes, None, True) is None
     drive_on(keyframes, 1)
-    assert finder.find(keyframes, None, True) == (7, pytest.approx(7.0), True)
+    assert finder.find(keyframes, None, True) == 7
 
 
 def test_while_another_part_is_not_connected_it_has_four_of_five_turns():
-    keyframes, finder, rows = make_two_parts(), PlaceFinder(SlamSettings(), None, None), []
+    keyframes, places, rows = make_two_parts(), LoopPlaces(SlamSettings()), []
     drive_on(keyframes, 17)
     keyframes.add(100, np.zeros((0, 2)), Pose(-16.0, 0.0, 0.0))  # near the beginning of its own part
     for _ in range(6):
         drive_on(keyframes, 1)
-        rows.append(finder.find(keyframes, None, True)[0])
+        rows.append(places.find_next(keyframes, measured=True).row)
     assert [row <= 30 for row in rows] == [True, True, True, True, False, True]
 
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from evalkit.config.experiment import load_experiment
+from evalkit.config.experiment_file import load_experiment
 from evalkit.metrics.loop_closures import judge_closures
 from evalkit.odometry.run_odometry import estimate_poses
 from evalkit.plugins import registry

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from evalkit.commands.calibration import command, coverage
 from evalkit.commands.calibration.command import measure, measure_sequence
 from evalkit.commands.calibration.seed_runs import DRIFTS, read_runs, run_seed
-from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.errors import BadExperiment
 
 

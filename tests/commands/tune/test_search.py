@@ -15,7 +15,7 @@ from evalkit.commands.tune.config import load_tuning, make_tuning_tables, tuning
 from evalkit.commands.tune.objective import find_best_candidate, find_pareto_front, score_candidate
 from evalkit.commands.tune.search import Search
 from evalkit.commands.tune.space import Space, list_own_parameters, make_declared_factors
-from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.config.experiment_toml import format_experiment
 from evalkit.core.errors import BadExperiment
 from evalkit.design import run_points

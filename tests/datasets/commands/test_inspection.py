@@ -19,7 +19,7 @@ import typer
 from typer.testing import CliRunner
 
 from evalkit import cli
-from evalkit.config.experiment import experiment_from_tables
+from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.errors import BadData
 from evalkit.plugins import registry
 from evalkit_datasets.commands.datasets.example_bag import write_example

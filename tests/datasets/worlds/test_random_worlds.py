@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from evalkit.config.experiment import load_experiment
+from evalkit.config.experiment_file import load_experiment
 from evalkit.core import se2
 from evalkit.plugins import registry
 from evalkit_datasets.worlds.floorplans import load_plan

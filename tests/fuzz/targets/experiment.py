@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import check_file_reader
 
-from evalkit.config.experiment import load_experiment
+from evalkit.config.experiment_file import load_experiment
 
 SEED = b"""title = "Fuzz"
 description = "a plan"

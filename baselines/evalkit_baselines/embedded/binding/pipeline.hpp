@@ -12,9 +12,9 @@ namespace EK_NAME(binding) {
 // Outcome, converged, iterations, error and inliers of a stage.
 using Stage = std::tuple<int, bool, int32_t, double, int32_t>;
 
-inline Stage stage_of(const ek_match &match, ek_stage_outcome belief)
+inline Stage stage_of(const ek_match &match, ek_stage_outcome outcome)
 {
-    return {int(belief), match.converged != 0, match.iterations, double(match.error), match.inliers};
+    return {int(outcome), match.converged != 0, match.iterations, double(match.error), match.inliers};
 }
 
 inline ek_sweep sweep_of(int64_t stamp_ns, int64_t time_increment_ns, const Numbers &ranges, const Numbers &angles,

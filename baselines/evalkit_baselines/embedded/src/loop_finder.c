@@ -18,6 +18,35 @@
 #define RIVALS 5u
 #define COARSE EK_R(2.0) /* after a lost track the cells have so many times the side */
 
+ek_status ek_loop_finder_init(ek_loop_finder *finder, ek_arena *arena, const ek_loop_settings *settings,
+                              const ek_icp_parameters *coarse, const ek_icp_parameters *fine, size_t points, size_t cells)
+{
+    if (!finder || !arena || !coarse || !fine) {
+        return EK_NULL_POINTER;
+    }
+    ek_status status = ek_loop_check(settings);
+    if (status != EK_OK) {
+        return status;
+    }
+    memset(finder, 0, sizeof *finder);
+    finder->settings = *settings;
+    finder->coarse = *coarse;
+    finder->fine = *fine;
+    finder->capacity = points;
+    status = ek_thinner_init(&finder->thinner, arena, points);
+    status = status == EK_OK ? ek_index_init(&finder->index, arena, points, 4u * points) : status;
+    status = status == EK_OK ? ek_icp_init(&finder->icp, arena, points, points) : status;
+    status = status == EK_OK ? ek_icp_init_lines(&finder->icp, arena) : status;
+    status = status == EK_OK ? ek_score_grid_init(&finder->grid, arena, cells) : status;
+    status = status == EK_OK ? ek_search_init(&finder->search, arena, points) : status;
+    status = status == EK_OK ? ek_observer_init(&finder->observer, arena, points) : status;
+    ek_real **const clouds[] = {&finder->raw, &finder->target, &finder->source, &finder->sample, &finder->normals};
+    for (size_t k = 0; status == EK_OK && k < sizeof clouds / sizeof *clouds; k++) {
+        *clouds[k] = (ek_real *)ek_arena_alloc(arena, points, 2u * sizeof(ek_real));
+    }
+    return status;
+}
+
 /* Gather the points of the keyframes near one, in its frame, one keyframe in a part; 1: done. */
 static int gather(ek_loop_finder *finder, const ek_keyframes *keyframes, uint32_t row, ek_work *work)
 {
@@ -178,7 +207,8 @@ static void take_maps(ek_loop_finder *finder, ek_keyframes *keyframes, ek_work *
 static void draw(ek_loop_finder *finder, ek_work *work)
 {
     const ek_real cell = (finder->apart ? COARSE : EK_R(1.0)) * finder->settings.cell;
-    ek_score_grid_draw(&finder->grid, &finder->thinner, finder->target, finder->target_count, cell, finder->motion.x, finder->motion.y, finder->raw, work);
+    ek_score_grid_draw(&finder->grid, &finder->thinner, finder->target, finder->target_count, cell, finder->motion.x,
+                       finder->motion.y, finder->raw, work);
     finder->level = 1u;
     finder->phase = EK_FINDER_RAISE;
 }

@@ -1,4 +1,4 @@
-/* loop_parts.h - parts of loop_finder.h that loop_finder.c and loop_judge.c share. */
+/* loop_parts.h - parts of loop_finder.h: loop_places.c (which place is next), loop_finder.c (search), loop_judge.c (verdict). */
 #ifndef EK_LOOP_PARTS_H
 #define EK_LOOP_PARTS_H
 

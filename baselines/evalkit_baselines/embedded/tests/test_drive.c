@@ -216,8 +216,8 @@ static void a_scan_is_lost_where_it_contradicts_the_one_before(void)
     CHECK(is_lost(room(1.2, -3.14159, 3.14159, 400u), ORIGIN, 1, &map)); /* neither on the scan nor on the map */
 }
 
-/* What the scan before could not see tells nothing: without odometry the track is lost, with it it is believed. */
-static void a_scan_of_other_places_is_believed_with_odometry_only(void)
+/* What the scan before could not see tells nothing: the track is lost without odometry, else the prediction is accepted. */
+static void a_scan_of_other_places_is_accepted_with_odometry_only(void)
 {
     static const double cases[3][3] = {{-1.4, 1.4, 3.0},     /* in front, then behind the robot */
                                        {-3.14159, 3.14159, 5.0}, /* then beyond the walls */
@@ -326,7 +326,7 @@ static void a_loop_joins_what_a_lost_track_has_parted(void)
     }
 }
 
-/* A third part, by odometry alone: believed to 0.5 m and 10 degrees, and not any more where a loop contradicts it. */
+/* A third part, by odometry alone: known to 0.5 m and 10 degrees, and unknown where a loop contradicts it. */
 static void the_odometry_across_a_lost_track_is_doubted(void)
 {
     const ek_sym3 unit = {EK_R(1.0), EK_R(0.0), EK_R(0.0), EK_R(1.0), EK_R(0.0), EK_R(1.0)};
@@ -526,7 +526,7 @@ int main(void)
     a_turn_in_a_round_room_or_about_a_pillar_is_open();
     an_open_turn_is_left_to_the_guess();
     a_scan_is_lost_where_it_contradicts_the_one_before();
-    a_scan_of_other_places_is_believed_with_odometry_only();
+    a_scan_of_other_places_is_accepted_with_odometry_only();
     rays_are_sorted_by_bearing();
     the_information_of_a_step_follows_its_path_and_the_open_direction();
     a_loop_joins_what_a_lost_track_has_parted();

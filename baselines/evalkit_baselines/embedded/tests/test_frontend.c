@@ -150,7 +150,7 @@ static void the_oldest_keyframe_leaves_a_full_map(ek_arena *arena, ek_frontend_p
     CHECK_NEAR(estimate.start_from_base.x, ek_se2_between(truth_at(0), truth_at(39)).x, 0.02);
 }
 
-/* More pairs than there are points are asked for: every result is rejected, and the wheels are believed. */
+/* More pairs than there are points are asked for: every result is rejected, and the guess by the wheels is kept. */
 static void too_few_pairs_keep_the_guess(ek_arena *arena, ek_frontend_parameters parameters)
 {
     ek_estimate estimate;

@@ -1,5 +1,6 @@
 /* Which place is compared with the last keyframe, and when a match passes, each on both sides of its bound. */
 #include "src/loop_judge.c"
+#include "src/loop_places.c"
 
 #include "line.h"
 

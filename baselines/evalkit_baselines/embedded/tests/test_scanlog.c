@@ -67,7 +67,7 @@ static ek_status first_of(size_t length, ek_scanlog *log, ek_sweep *sweep, ek_st
     return status;
 }
 
-static void every_number_is_read_and_no_cut_file_is_believed(void)
+static void every_number_is_read_and_no_cut_file_is_accepted(void)
 {
     ek_scanlog log;
     ek_sweep sweep;
@@ -166,7 +166,7 @@ static void a_file_that_cannot_be_read_is_bad_and_not_at_its_end(void)
 
 int main(void)
 {
-    every_number_is_read_and_no_cut_file_is_believed();
+    every_number_is_read_and_no_cut_file_is_accepted();
     both_motions_of_a_scan_are_read();
     changed_numbers_are_refused();
     a_file_that_cannot_be_read_is_bad_and_not_at_its_end();

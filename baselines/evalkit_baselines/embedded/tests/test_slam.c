@@ -394,9 +394,9 @@ static void a_step_is_doubted_where_its_matches_are_far_from_the_odometry(void)
     free(arena.memory);
 }
 
-/* Of 100 points: within 0.3 m and 20 degrees of the guess any match is believed where matches were usually near the odometry,
+/* Of 100 points: within 0.3 m and 20 degrees of the guess any match is accepted where matches were usually near the odometry,
  * and within 0.5 m and 36 degrees where nothing is known; beyond them one that has converged to an error below 0.04 m with 90
- * of them. A match of 39 points is never believed beside good odometry, unless a scan has fewer than 120 usually: here 60. */
+ * of them. A match of 39 points is never accepted beside good odometry, unless a scan has fewer than 120 usually: here 60. */
 static void a_match_far_from_the_odometry_must_be_clear(void)
 {
     static const struct {
@@ -437,7 +437,7 @@ static void a_match_that_fits_poorly_must_be_nearer_to_the_odometry(void)
 {
     static const struct {
         double x, turn_deg, error;
-        int32_t inliers, believed;
+        int32_t inliers, accepted;
     } cases[] = {{0.24, 17.9, 0.09, 79, 1}, {0.26, 0.0, 0.09, 79, 0}, {0.0, 18.1, 0.09, 79, 0},
                  {0.49, 35.9, 0.07, 79, 1}, {0.49, 35.9, 0.09, 80, 1}, {0.51, 0.0, 0.07, 79, 0}};
     slam.compared = 0u;
@@ -446,14 +446,14 @@ static void a_match_that_fits_poorly_must_be_nearer_to_the_odometry(void)
         const ek_match match = {answer, 1, 5, cases[k].inliers, EK_R(cases[k].error), 0u};
         slam.usual_error = EK_R(0.02);
         ek_gate gate = ek_slam_gate(&slam, 1, guess);
-        CHECK(ek_slam_accepts(&gate, 100u, guess, answer, &match) == cases[k].believed);
+        CHECK(ek_slam_accepts(&gate, 100u, guess, answer, &match) == cases[k].accepted);
     }
     slam.usual_error = EK_R(0.0);
 }
 
 /* Usually 0.02 m and 0.02 rad from the odometry, or beside good odometry after a step of 0.4 m and 0.2 rad: 0.4 m and 0.4 rad are
- * believed, and more is not. */
-static void a_match_is_believed_up_to_twenty_times_its_usual_distance_or_a_quarter_of_the_step(void)
+ * accepted, and more is not. */
+static void a_match_is_accepted_up_to_twenty_times_its_usual_distance_or_a_quarter_of_the_step(void)
 {
     static const double gaps[][3] = {{0.39, 0.39, 1.0}, {0.41, 0.0, 0.0}, {0.0, 0.41, 0.0}};
     slam.compared = 50u;
@@ -499,7 +499,7 @@ static void a_doubted_match_stays_where_odometry_and_the_match_before_agree(void
 }
 
 /* A standing robot, 0.1 m ahead of itself by its odometry, which was good before: a scan of 39 points says nothing against it. */
-static void the_gate_believes_the_odometry_before_few_points(void)
+static void the_gate_accepts_no_match_of_few_points_against_good_odometry(void)
 {
     static const size_t beams[] = {39u, 40u};
     ek_slam_parameters p = parameters_of(0);
@@ -1245,10 +1245,10 @@ int main(void)
     a_step_is_doubted_where_its_matches_fit_poorly();
     a_step_is_doubted_where_its_matches_are_far_from_the_odometry();
     a_match_far_from_the_odometry_must_be_clear();
-    a_match_is_believed_up_to_twenty_times_its_usual_distance_or_a_quarter_of_the_step();
+    a_match_is_accepted_up_to_twenty_times_its_usual_distance_or_a_quarter_of_the_step();
     a_doubted_match_stays_where_odometry_and_the_match_before_agree();
     a_match_that_fits_poorly_must_be_nearer_to_the_odometry();
-    the_gate_believes_the_odometry_before_few_points();
+    the_gate_accepts_no_match_of_few_points_against_good_odometry();
     a_lost_robot_is_looked_for_at_all_places_in_turn();
     after_a_step_of_the_wheels_alone_five_turns_look_at_four_kinds_of_places();
     each_bound_refuses_candidates_with_its_own_outcome();

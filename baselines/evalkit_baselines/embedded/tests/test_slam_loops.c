@@ -110,7 +110,7 @@ static void each_candidate_has_its_record(void)
 }
 
 /* A part of the drive after a lost track, by the wheels alone: a loop brings it to its place. Where the graph had predicted
- * another one, the wheels are not believed any more. */
+ * another one, the motion by the wheels counts as unknown from then on. */
 static void a_loop_to_another_part_moves_this_one(void)
 {
     for (int known = 0; known < 2; known++) {

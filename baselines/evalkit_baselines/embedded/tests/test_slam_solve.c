@@ -1,4 +1,4 @@
-/* Which loops are believed: weights, rounds and what follows from them, each on both sides of its bound. */
+/* Which loops are kept: weights, rounds and what follows from them, each on both sides of its bound. */
 #include "src/slam_solve.c"
 
 #include "line.h"

@@ -1,6 +1,7 @@
 /* Which sweeps are refused, which part of the map is taken, which matches are accepted and which scans become keyframes:
  * each on both sides of its bound. */
 #include "src/slam.c"
+#include "src/slam_track.c"
 
 #include "line.h"
 
@@ -66,13 +67,13 @@ static void the_map_is_taken_again_after_a_tenth_of_its_radius(void)
     for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
         for (int changed = 0; changed < 2; changed++) {
             slam.map_changed = 1;
-            CHECK(take_map(&slam, pose_of(0.0, 0.0, 1.0), &work) == EK_OK && !slam.map_changed && slam.map_index.count == 1u);
+            CHECK(ek_slam_take_map(&slam, pose_of(0.0, 0.0, 1.0), &work) == EK_OK && !slam.map_changed && slam.map_index.count == 1u);
             CHECK_NEAR(slam.map_points[0], -3.0, 1e-5); /* in the continuous frame, although the voxels are turned */
             CHECK_NEAR(slam.map_points[1], 0.0, 1e-5);
             const uint32_t version = slam.map_index.version;
             slam.map_changed = changed;
             const int taken = changed || (int)cases[k][2];
-            CHECK(take_map(&slam, pose_of(cases[k][0], cases[k][1], 0.0), &work) == EK_OK && !slam.map_changed);
+            CHECK(ek_slam_take_map(&slam, pose_of(cases[k][0], cases[k][1], 0.0), &work) == EK_OK && !slam.map_changed);
             CHECK(slam.map_index.version == version + (uint32_t)taken);
             CHECK_NEAR(slam.centre_x, taken ? cases[k][0] : 0.0, 1e-6);
             CHECK_NEAR(slam.centre_y, taken ? cases[k][1] : 0.0, 1e-6);
@@ -231,7 +232,7 @@ static void only_two_odometries_in_a_row_raise_doubt(void)
         see_corner(ORIGIN);
         slam.map_changed = 1;
         ek_slam_draw(&slam, 0u, slam.scan.hits, slam.scan.count, AT_BASE, ORIGIN, &work);
-        keep_last(&slam, ORIGIN);
+        ek_slam_keep_last(&slam, ORIGIN);
         const ek_prior before = {1, had[k], ORIGIN}, prior = {2, has[k], pose_of(0.1, 0.0, 0.0)};
         ek_motion_store(&slam.motion, &before, ORIGIN);
         slam.usual_error = EK_R(1e-9);

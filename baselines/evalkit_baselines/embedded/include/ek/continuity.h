@@ -38,7 +38,7 @@ void ek_continuity_keep(ek_continuity *continuity, ek_thinner *thinner, const ek
 
 /* 1 if a scan contradicts the one that was kept, each at its own pose; at most 400 points are asked, of the scan thinned to
  * 0.1 m. `is_predicted`: by wheel odometry, or soon after the scan before; then what lies on the map counts, too. Points that
- * the scan before could not see do not count; with too few others a prediction is believed, and without one the track is
+ * the scan before could not see do not count; with too few others a prediction is accepted, and without one the track is
  * lost. At most 60 operations a point. */
 int ek_continuity_is_lost(ek_continuity *continuity, ek_thinner *thinner, const ek_real *xy, size_t count,
                           ek_pose odom_from_base, int is_predicted, const ek_index *map, ek_work *work);

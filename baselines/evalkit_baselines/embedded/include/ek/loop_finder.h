@@ -1,7 +1,7 @@
 /* loop_finder.h - find and verify loop closures: place, branch and bound, ICP, overlap, observability, chi-square; in
  * slices.
  *
- * Computes the same as evalkit_baselines/slam/loop_closure.py, which gives the reasons. Points of several keyframes are
+ * Computes the same as evalkit_baselines/slam/loop_finder.py, which gives the reasons. Points of several keyframes are
  * taken as far as there is memory for them, those nearest along the path first.
  */
 #ifndef EK_LOOP_FINDER_H
@@ -47,7 +47,7 @@ typedef enum {
 typedef struct {
     ek_loop_edge edge;
     ek_loop_outcome outcome;
-    ek_real number[2];
+    ek_real number[2]; /* what decided: see ek_loop_outcome */
     ek_real chi;     /* of the residual; nan where it was not computed */
     int32_t is_local; /* the search window was small */
     int32_t known;   /* the graph predicted the motion */
@@ -110,11 +110,11 @@ typedef struct {
 /* Default settings: those of the reference. */
 ek_loop_settings ek_loop_default(void);
 
-/* Check settings: EK_OK, EK_NOT_FINITE or EK_OUT_OF_RANGE. */
+/* Check settings: EK_OK, EK_NULL_POINTER, EK_NOT_FINITE or EK_OUT_OF_RANGE. */
 ek_status ek_loop_check(const ek_loop_settings *settings);
 
 /* Initialise in an arena (or measure it): `points` of either map, `cells` of the score grid (score_grid.h), ICP parameters
- * of the first and of the final match. Returns what its parts return. */
+ * of the first and of the final match. EK_NULL_POINTER; what ek_loop_check and the init functions of its parts return. */
 ek_status ek_loop_finder_init(ek_loop_finder *finder, ek_arena *arena, const ek_loop_settings *settings,
                               const ek_icp_parameters *coarse, const ek_icp_parameters *fine, size_t points, size_t cells);
 

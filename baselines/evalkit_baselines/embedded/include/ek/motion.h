@@ -3,7 +3,7 @@
  * A scan that is deskewed at a wrong velocity is bent, but half of its beams are displaced to one side and half to the other:
  * where it is matched, the base is right in the middle of the sweep. So where the motion within the sweep is not measured, the
  * velocity is that from the middle of the last sweep to the middle of this one, and going back from the middle at that velocity
- * gives the pose at the first beam. Sweeps less than half a sweep apart tell no velocity. As Motion in evalkit/odometry/frontend.py.
+ * gives the pose at the first beam. Sweeps less than half a sweep apart tell no velocity. As evalkit/odometry/motion_prior.py.
  */
 #ifndef EK_MOTION_H
 #define EK_MOTION_H

@@ -33,14 +33,16 @@ typedef struct {
     ek_real map_reach;           /* m: keyframes farther apart through the graph leave the map */
     ek_drift drift;
     ek_loop_settings loop;
-    int64_t work;                /* operations a scan for loops, optimisation and map; 0: no limit. More in proportion
-                                    where both last intervals exceed 0.1 s, up to 20 times at 2 s; while the track is
-                                    lost up to 4 times, less 12 for each point and iteration of matching. Without
-                                    odometry 10 times more where a scan is searched on the map */
-    /* memory */
-    size_t points;               /* of a scan */
-    size_t keyframes, keyframe_points, loops, records;
-    size_t voxels, map_points;   /* of the lasting map, and of its part around the robot */
+    int64_t work;                /* operations (work.h) of a scan for loops, optimisation and map; 0: no limit. Slower
+                                    lidars have more, in proportion to the shorter of the last two intervals above 0.1 s,
+                                    up to 20 times at 2 s. While a lost part of the drive is searched for it is up to 4
+                                    times as much, less 12 for each point and iteration of matching. The search of a scan on
+                                    the map, without odometry, has 10 times as much in addition */
+    /* room for */
+    size_t points;               /* beams and points of a scan */
+    size_t keyframes, keyframe_points; /* keyframes, and the points of all of them together */
+    size_t loops, records;       /* closed loops, and reported candidates */
+    size_t voxels, map_points;   /* voxels of the lasting map, and of its part around the robot */
     size_t loop_points, score_cells; /* of the two maps that a loop compares, and of a level of its score grid */
 } ek_slam_parameters;
 
@@ -67,17 +69,17 @@ typedef enum {
 
 /* Result for one scan. */
 typedef struct {
-    ek_pose start_from_base; /* in the frame of the corrected poses */
-    ek_pose odom_from_base;  /* in the continuous frame of the front end: for ek_slam_correct */
+    ek_pose start_from_base; /* at the first beam, in the frame of the corrected poses: the first scan is the identity */
+    ek_pose odom_from_base;  /* in a frame in which corrections move no pose: for ek_slam_correct */
     ek_match scan_to_scan, scan_to_map;
     int32_t has_scan_to_scan, has_scan_to_map; /* 0: not run; scans are matched with the map alone where odometry is good */
     int32_t scan_to_scan_accepted, scan_to_map_accepted;
-    int32_t set_aside; /* 1: the scan lies nowhere, or the robot turned unevenly within it, and good odometry was right over
-                        * such turns; its pose is that of the wheels, and nothing is matched with it */
-    int32_t lost;      /* 1: it contradicts the last one that fitted, with odometry 2 s ago; the map begins anew */
+    int32_t set_aside; /* 1: the pose is that of the wheels, and nothing is matched with the scan: it lies neither on the one
+                        * before nor on the map, or good odometry was right over turns as uneven as that within it */
+    int32_t lost;      /* 1: the scan lies on neither, with odometry for more than 2 s; the map begins anew with it */
     int32_t corrected; /* 1: earlier poses changed */
     int32_t full;      /* 1: no memory for another keyframe: no loop is closed any more */
-    uint32_t keyframe; /* the last one */
+    uint32_t keyframe; /* number of the last one, from 0: for ek_slam_correct */
     uint64_t work;     /* operations of this scan for loops, optimisation and map */
 } ek_slam_estimate;
 
@@ -99,7 +101,7 @@ typedef struct {
     ek_real fewest;        /* points: a match of fewer is not accepted where the odometry is good */
     ek_real doubted;       /* m: a match with a larger error is doubted; 0: unknown */
     ek_real near;          /* m: a doubted match may be so far from its guess where the match before is `sure` */
-    int32_t sure;          /* 1: the match before of this scan agrees with good odometry, and is not doubted */
+    int32_t sure;          /* 1: the last match of this scan is accepted, agrees with good odometry, and is not doubted */
 } ek_gate;
 
 #define EK_TURNS_RIGHT 2
@@ -110,6 +112,7 @@ typedef struct {
     int32_t right;      /* so many such turns the odometry was right over, up to EK_TURNS_RIGHT, since it was last wrong */
 } ek_uneven;
 
+/* Read only. The candidates so far are record[0] to record[record_count - 1]. */
 typedef struct {
     ek_slam_parameters parameters;
     ek_motion motion;
@@ -182,20 +185,22 @@ typedef struct {
 /* Default parameters: those of the reference; memory for 2048 points a scan, 2000 keyframes of 500 points, 64 loops. */
 ek_slam_parameters ek_slam_default(void);
 
-/* Compute how many bytes ek_slam_start needs besides the struct. EK_NOT_FINITE or EK_OUT_OF_RANGE for wrong parameters and
- * for more memory than this processor can address; *bytes is then 0. */
+/* Compute how many bytes ek_slam_start needs besides the struct. EK_NULL_POINTER; EK_NOT_FINITE or EK_OUT_OF_RANGE for wrong
+ * parameters and for more memory than this processor can address: *bytes is then 0. */
 ek_status ek_slam_bytes(const ek_slam_parameters *parameters, size_t *bytes);
 
 /* Initialise in memory aligned to EK_ALIGNMENT, which must outlive it. EK_TOO_LITTLE_MEMORY, or what ek_slam_bytes
  * returns. */
 ek_status ek_slam_start(ek_slam *slam, void *memory, size_t bytes, const ek_slam_parameters *parameters);
 
-/* Process a sweep. Returns what ek_scan_project returns; EK_OUT_OF_RANGE: a stamp not later than the last, or a pose or a
- * point too far away; EK_NOT_FINITE: the odometry. An error changes no state. */
+/* Process a sweep: match it, and go on with loops, optimisation and map. Returns what ek_motion_project returns;
+ * EK_NULL_POINTER; EK_NOT_FINITE: the odometry; EK_OUT_OF_RANGE: a stamp not later than the last, a sensor farther than 1 km
+ * from the base, an odometry beyond EK_MAX_COORDINATE, or a pose or point beyond a quarter of it. An error changes no state;
+ * what *estimate holds then has no meaning. */
 ek_status ek_slam_update(ek_slam *slam, const ek_sweep *sweep, ek_slam_estimate *estimate);
 
-/* The corrected pose of a scan from its estimate's `keyframe` and `odom_from_base`, which the caller keeps: between two
- * keyframes the correction is distributed by the driven distance. */
+/* The corrected pose of a scan, start_from_base, from `keyframe` and `odom_from_base` of its estimate, which the caller keeps.
+ * Between two keyframes the correction is distributed by the driven distance. */
 ek_pose ek_slam_correct(const ek_slam *slam, uint32_t keyframe, ek_pose odom_from_base);
 
 #ifdef __cplusplus

@@ -1,7 +1,7 @@
 """Find and verify loop closures: place, branch and bound, ICP, fit, uniqueness, observability, chi-square.
 
-A candidate is the nearest earlier keyframe that is far apart through the graph, within the radius that the drift since
-then allows. Points of several keyframes on either side are matched, because single scans of equal rooms differ less.
+A candidate is a place that ``LoopPlaces`` names. Points of several keyframes on either side are matched, because single
+scans of equal rooms differ less.
 A candidate is rejected with the first of these reasons:
 
 1. *score*: branch and bound finds no motion, within three sigma of what the graph predicts, that fits;
@@ -19,7 +19,6 @@ nothing is contradicted.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -40,24 +39,33 @@ from evalkit.odometry.correlative import (
     windows_around,
 )
 from evalkit.odometry.local_map import voxel_means
-from evalkit.plugins.parameters import parameter
 from evalkit.plugins.protocols import Registration
 from evalkit_baselines.paper.icp import line_normals
 from evalkit_baselines.slam import pose_graph
 from evalkit_baselines.slam.continuity import could_see
 from evalkit_baselines.slam.keyframes import DOUBTED_M, Edge, Keyframes
+from evalkit_baselines.slam.loop_places import LoopPlace, LoopPlaces
+from evalkit_baselines.slam.loop_reasons import (
+    describe_ambiguous,
+    describe_contradiction,
+    describe_degenerate,
+    describe_far,
+    describe_few_points,
+    describe_little_overlap,
+    describe_low_score,
+    describe_passed,
+)
 from evalkit_baselines.slam.observability import Openness, measure_openness
+from evalkit_baselines.slam.settings import LoopSettings
 
+MIN_POINTS = 50
+"""Points of either map, thinned, that a candidate needs."""
 _SOURCE_POINTS = 300
 _SIGMAS = 3.0
 _MIN_WINDOW_M, _MIN_WINDOW_RAD = 0.3, math.radians(3.0)
 _MAX_WINDOW_RAD = math.radians(30.0)
 _COARSE = 2.0
 """After a lost track the cells of branch and bound have so many times the side: the windows are large."""
-
-_ALL, _AROUND = 2, 3
-"""Turns at which the next of all places is compared, and a place around where the robot seems to be, whatever the graph
-believes."""
 
 _PART, _PART_DEGENERATE = 0.75, 0.5
 """Share of ``loop_score`` and ``loop_overlap`` that is enough for maps that lie on each other in part, and share of
@@ -74,36 +82,6 @@ What only one of them saw, such as the other face of a thin wall, pulls at the m
 
 _CLEAR_RATIO = 0.3
 """From this ratio of eigenvalues on (see ``observability``) the position along a corridor is as good as across."""
-
-
-@dataclass(frozen=True)
-class LoopSettings:
-    """Parameters of the loop closure."""
-
-    loop_path_m: float = parameter(15.0, "m", "a loop is at least so long through the graph", low=1.0)
-    loop_spacing_m: float = parameter(1.0, "m", "path between two candidates", low=0.0)
-    loop_radius_m: float = parameter(7.0, "m", "largest distance of a candidate, and half the search window", low=0.5)
-    loop_submap_m: float = parameter(3.0, "m", "path on either side of a keyframe whose points are matched", low=0.0)
-    loop_cell_m: float = parameter(0.1, "m", "cell of branch and bound", low=0.02, high=1.0)
-    loop_score: float = parameter(0.55, "", "smallest score of branch and bound", low=0.0, high=1.0)
-    loop_ambiguity: float = parameter(
-        0.92, "", "share of the best score that another motion may not reach", low=0.0, high=1.0
-    )
-    loop_near_m: float = parameter(0.15, "m", "a point within this distance lies on the other map", low=0.01)
-    loop_overlap: float = parameter(0.7, "", "smallest share of points on the other map", low=0.0, high=1.0)
-    loop_in_view: float = parameter(
-        0.95,
-        "",
-        "smallest share of points on the other map among those that its scans could see, where score and overlap reach "
-        "only three quarters of their limits",
-        low=0.0,
-        high=1.0,
-    )
-    loop_degenerate_m: float = parameter(0.13, "m", "largest 1-sigma error of the matched position", low=0.0)
-    loop_gate: float = parameter(pose_graph.SLOW_GATE, "", "largest chi-square of a confirmed closure", low=0.0)
-    loop_quick_gate: float = parameter(
-        pose_graph.QUICK_GATE, "", "largest chi-square of a closure without confirmation", low=0.0
-    )
 
 
 class Candidate(NamedTuple):
@@ -149,25 +127,13 @@ class _Found(NamedTuple):
     score: float = math.nan
 
 
-class _Place(NamedTuple):
-    """A keyframe to compare with the last one, and where that may be, ``start_from_last``; None: at any heading.
-
-    ``known``: the graph predicts the motion between them.
-    """
-
-    row: int
-    expected: Pose | None
-    known: bool = True
-
-
 class LoopFinder:
     """Proposes at most one verified candidate per keyframe: bounded work whatever the length of the drive."""
 
     def __init__(self, settings: LoopSettings, coarse: Registration, fine: Registration) -> None:
         self._settings, self._coarse, self._fine = settings, coarse, fine
+        self._places = LoopPlaces(settings)
         self._tried_at_m = -math.inf
-        self._next_place = 0
-        self._turn = 0
 
     def find(self, keyframes: Keyframes, expected: Candidate | None, measured: bool) -> Candidate | None:
         """Return the candidate of the last keyframe, None where there is no place to compare.
@@ -178,76 +144,21 @@ class LoopFinder:
         last = len(keyframes) - 1
         if keyframes.path_m[last] - self._tried_at_m < self._settings.loop_spacing_m:
             return None
-        place = self._expected_place(keyframes, expected) if expected is not None else None
-        if place is None:
-            place = self._next_unexpected_place(keyframes, measured)
+        beside = None if expected is None else self._places.find_beside(keyframes, expected.edge, expected.known)
+        place = beside or self._places.find_next(keyframes, measured)
         if place is None:
             return None
         self._tried_at_m = keyframes.path_m[last]
         return self._verify(keyframes, place, last)
 
-    def _expected_place(self, keyframes: Keyframes, beside: Candidate) -> _Place | None:
-        loop, last = beside.edge, keyframes.pose(len(keyframes) - 1)
-        pose = keyframes.pose(loop.first) @ loop.first_from_second
-        pose = pose @ (keyframes.pose(loop.second).inverse() @ last)
-        is_apart = bool(keyframes.apart_m[loop.first] >= DOUBTED_M)
-        row = self._nearest_other_part(keyframes, pose) if is_apart else self._nearest_place(keyframes, pose)
-        return None if row is None else _Place(row, pose, beside.known)
-
-    def _next_unexpected_place(self, keyframes: Keyframes, measured: bool) -> _Place | None:
-        """Return the nearest place; while another part of the drive is not connected, by turns one of it.
-
-        Of five turns three are for its place nearest to where the robot seems to be, the first and the fourth as far as
-        the graph believes the odometry since then, the third within the radius. The second is for the next of all
-        places, the last for the nearest place of the own part. Without such a belief, or such a place, these are as the
-        second.
-        """
-        pose = keyframes.pose(len(keyframes) - 1)
-        row, apart = self._nearest_place(keyframes, pose), keyframes.apart_m
-        if not (apart >= DOUBTED_M).any():
-            return None if row is None else _Place(row, pose)
-        self._turn = (self._turn + 1) % 5
-        near = self._nearest_other_part(keyframes, pose)
-        known = near is not None and measured and bool(np.isfinite(apart[near]))
-        if self._turn == 0 and row is not None:
-            return _Place(row, pose)
-        if near is not None and (self._turn in {1, _AROUND} or (known and self._turn != _ALL)):
-            return _Place(near, pose if measured else None, known and self._turn != _AROUND)
-        return _Place(self._next_of_all(keyframes), None, known=False)
-
-    def _nearest_place(self, keyframes: Keyframes, pose: Pose) -> int | None:
-        settings, apart = self._settings, keyframes.apart_m
-        distance = np.hypot(keyframes.poses[:, 0] - pose.x, keyframes.poses[:, 1] - pose.y)
-        radius = np.minimum(settings.loop_radius_m, 1.0 + 0.1 * apart)
-        eligible = np.flatnonzero((apart >= settings.loop_path_m) & (apart < DOUBTED_M) & (distance <= radius))
-        if not len(eligible):
-            return None
-        return int(eligible[np.argmin(distance[eligible])])
-
-    def _nearest_other_part(self, keyframes: Keyframes, pose: Pose) -> int | None:
-        distance = np.hypot(keyframes.poses[:, 0] - pose.x, keyframes.poses[:, 1] - pose.y)
-        distance = np.where(keyframes.apart_m >= DOUBTED_M, distance, np.inf)
-        return int(np.argmin(distance)) if distance.min() <= self._settings.loop_radius_m else None
-
-    def _next_of_all(self, keyframes: Keyframes) -> int:
-        """Return the next place of the other parts, half a radius of path after the last one."""
-        path, apart = np.array(keyframes.path_m), keyframes.apart_m
-        ahead = np.flatnonzero((apart >= DOUBTED_M) & (path >= path[min(self._next_place, len(path) - 1)]))
-        if not len(ahead):
-            self._next_place = 0
-            ahead = np.flatnonzero(apart >= DOUBTED_M)
-        place = int(ahead[0])
-        self._next_place = int(np.searchsorted(path, path[place] + 0.5 * self._settings.loop_radius_m))
-        return place
-
-    def _verify(self, keyframes: Keyframes, place: _Place, last: int) -> Candidate:
+    def _verify(self, keyframes: Keyframes, place: LoopPlace, last: int) -> Candidate:
         settings, other, predicted = self._settings, place.row, self._predict(keyframes, place, last)
         reach = settings.loop_radius_m if predicted.apart else settings.loop_submap_m
         target = voxel_means(keyframes.points_around(other, keyframes.near_in_time(other, reach)), 0.05)
         source = voxel_means(keyframes.points_around(last, keyframes.near_in_time(last, settings.loop_submap_m)), 0.1)
         guess = Edge(other, last, predicted.motion, np.eye(3))
-        if len(source) < 50 or len(target) < 50:
-            return Candidate(guess, False, f"{min(len(source), len(target))} points, fewer than 50")
+        if min(len(source), len(target)) < MIN_POINTS:
+            return Candidate(guess, False, describe_few_points(min(len(source), len(target)), MIN_POINTS))
         found = self._search(target, source, predicted)
         if found.motion is None:
             return Candidate(guess, False, found.reason)
@@ -275,7 +186,7 @@ class LoopFinder:
             points = points[~could_see(before, now, self._settings.loop_near_m)]
         return len(points)
 
-    def _predict(self, keyframes: Keyframes, place: _Place, last: int) -> _Prediction:
+    def _predict(self, keyframes: Keyframes, place: LoopPlace, last: int) -> _Prediction:
         other, apart = keyframes.pose(place.row), bool(keyframes.apart_m[place.row] >= DOUBTED_M)
         if place.known:
             motion = other.inverse() @ keyframes.pose(last)
@@ -313,9 +224,7 @@ class LoopFinder:
         for part in (*windows_around(window, best.target_from_source), *turned):
             rival = branch_and_bound(grid, thinned, part, bound)
             if rival is not None and self._is_possible(rival.target_from_source, predicted):
-                share = f"{rival.score / best.score:.2f}"
-                reason = f"ambiguous: another motion has {share} of the score {best.score:.2f}"
-                return _Found(None, reason, is_local)
+                return _Found(None, describe_ambiguous(rival.score / best.score, best.score), is_local)
         return _Found(best.target_from_source, "", is_local, best.score)
 
     def _is_possible(self, motion: Pose, predicted: _Prediction) -> bool:
@@ -350,37 +259,9 @@ class LoopFinder:
         information = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         edge = Edge(guess.first, guess.second, motion, 0.5 * (information + information.T))
         if not chi <= settings.loop_gate:
-            return Candidate(edge, False, f"chi2 {chi:.1f} > {settings.loop_gate:.1f}", chi, is_local), None
-        candidate = Candidate(edge, True, f"chi2 {chi:.1f}, overlap {overlap:.2f}", chi, is_local, predicted.known)
+            return Candidate(edge, False, describe_far(chi, settings.loop_gate), chi, is_local), None
+        candidate = Candidate(edge, True, describe_passed(chi, overlap), chi, is_local, predicted.known)
         return candidate, moved[~on_map] if is_part else None
-
-
-def describe_low_score(bound: float, least: float) -> str:
-    """Return the reason of a candidate none of whose motions has a score above ``bound``."""
-    return f"score at most {_round_up(bound, 4)}, not above {least:g}"
-
-
-def describe_little_overlap(overlap: float, least: float) -> str:
-    """Return the reason of a candidate of whose points too small a share lies on the other map."""
-    return f"overlap {_round_down(overlap)} < {least:g}"
-
-
-def describe_degenerate(sigma_m: float, most_m: float) -> str:
-    """Return the reason of a candidate whose walls do not fix the position (1 sigma)."""
-    return f"degenerate: position known to {_round_up(sigma_m)} m > {most_m:g} m"
-
-
-def describe_contradiction(share: float, least: float) -> str:
-    """Return the reason of a candidate of whose points in view of the other map's scans too few lie on that map."""
-    return f"contradicted: {_round_down(share)} < {least:g} of what could be seen there"
-
-
-def _round_up(value: float, digits: int = 3) -> str:
-    return f"{math.ceil(value * 10**digits) / 10**digits:.{digits}f}"
-
-
-def _round_down(value: float, digits: int = 3) -> str:
-    return f"{math.floor(value * 10**digits) / 10**digits:.{digits}f}"
 
 
 def _chi_square(motion: Pose, predicted: Pose, covariance: Floats) -> float:
