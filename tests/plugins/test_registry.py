@@ -47,6 +47,22 @@ def points(monkeypatch):
     registry._find_points.cache_clear()
 
 
+@pytest.mark.parametrize("kind", ["backends", "mappers", "datasets", "metrics"])
+def test_a_name_of_two_packages_is_neither_of_them(points, kind):
+    ours, theirs = (EntryPoint("same", value, f"evalkit.{kind}") for value in ("ours:SPEC", "theirs:SPEC"))
+    points += [ours, theirs]
+    assert registry.names(kind) == ["same"]
+    with pytest.raises(NotInstalled, match=r"^same: is registered by ours:SPEC and by theirs:SPEC; rename one"):
+        registry.load(kind, "same", object)
+    with pytest.raises(NotInstalled, match="registered by"):
+        registry.find_address(kind, "same")
+
+
+def test_the_same_entry_point_in_two_packages_is_one(points):
+    points += [EntryPoint("icp", "evalkit_baselines.paper:SPEC", "evalkit.backends") for _ in range(2)]
+    assert registry.find_address("backends", "icp") == "evalkit_baselines.paper:SPEC"
+
+
 def test_importing_evalkit_loads_no_heavy_module():
     assert loaded_by("import evalkit") == []
 
