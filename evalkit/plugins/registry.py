@@ -119,11 +119,9 @@ def hash_run_code(method: str, dataset: str) -> str:
 
 
 def hash_scoring_code(mapper: str) -> str:
-    """Return a digest of the code that computes the scores and the map of a run."""
-    return hash_code(
-        ("evalkit.metrics.evaluate", _point("mappers", mapper).module),
-        ("numpy", "scipy"),
-    )
+    """Return a digest of the code that computes the scores and the map of a run, metrics of other packages included."""
+    metrics = (_point("metrics", name).module for name in names("metrics"))
+    return hash_code(("evalkit.metrics.evaluate", _point("mappers", mapper).module, *metrics), ("numpy", "scipy"))
 
 
 def plug_in_of(kind: str, name: str) -> EntryPoint:

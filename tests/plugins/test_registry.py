@@ -219,6 +219,19 @@ def test_the_fingerprint_covers_the_code_of_both_plug_ins():
     assert registry.hash_scoring_code("log-odds") != room
 
 
+def test_the_fingerprint_of_scores_covers_the_metrics_of_other_packages(points, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    points.append(EntryPoint("log-odds", "evalkit_baselines.paper:MAPPER", "evalkit.mappers"))
+    without = registry.hash_scoring_code("log-odds")
+    own = Path(tmp_path, "lab_metric.py")
+    own.write_text("METRIC = 1")
+    points.append(EntryPoint("lab", "lab_metric:METRIC", "evalkit.metrics"))
+    registry._find_points.cache_clear()
+    before = registry.hash_scoring_code("log-odds")
+    own.write_text("METRIC = 2")
+    assert len({without, before, registry.hash_scoring_code("log-odds")}) == 3
+
+
 def test_find_backend_returns_the_spec_and_for_a_broken_plugin_one_with_the_reason(strangers, monkeypatch):
     assert registry.find_backend("paper") is registry.backend("paper")
     assert "the licence server does not answer" in registry.find_backend("unloadable").missing()
