@@ -11,6 +11,7 @@ import time
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
@@ -28,6 +29,7 @@ from evalkit.commands.validate.rules import (
 from evalkit.commands.validate.rules.registration_fixture import RegistrationFixture
 from evalkit.commands.validate.rules.rule import RuleReport, check_rule
 from evalkit.core.errors import BackendFailed, BadParameter, NotInstalled, UnknownName
+from evalkit.core.scan import Cloud
 from evalkit.execution.usage import Usage
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
@@ -135,8 +137,8 @@ def test_every_shipped_back_end_follows_every_rule_that_needs_no_other_process_o
         (faulty.Guess, "moves", "the guess was returned unchanged, 19 cm off at 4 m"),
         (faulty.Guess, "recovers", "22.4 mm|36.1 mm"),
         (faulty.Identity, "metres", "0.3 m was returned as 0"),
-        (faulty.Identity, "equivariance", "from the answer moved with the target"),
-        (faulty.IgnoresTheGuess, "equivariance", "from the answer moved with the target"),
+        (faulty.Identity, "equivariance", "moved with the target, .*: the guess changes nothing"),
+        (faulty.IgnoresTheGuess, "equivariance", "moved with the target, .*: the guess changes nothing"),
         (faulty.Inverse, "direction", "rad. is source_from_target; target_from_source is"),
         (faulty.InverseOffByACell, "direction", "is nearer to source_from_target, .*; target_from_source is"),
         (faulty.Correction, "direction", "is the correction of the guess .0.335 m, .*; target_from_source is"),
@@ -208,6 +210,18 @@ def test_a_correct_back_end_breaks_no_rule(few_calls):
     left = {rule for rule, one in outcome.items() if one != "passed"}
     assert left == {"process"} | with_children()  # this object has no address
     assert outcome["process"] == "not applicable"
+
+
+def test_the_first_point_may_be_left_out_where_a_point_inside_is_as_well():
+    """As by a method that trims the worst pairs: it may trim the first point and none of the nine asked at first."""
+
+    class LeavesOutTwo(faulty.Sound):
+        def register(self, target, source, guess):
+            return super().register(target, Cloud(np.delete(source.points, (0, 7), axis=0)), guess)
+
+    one = result_of(LeavesOutTwo, "ends")
+    reason = "not every point of the source decides its answer: number 8 does not"
+    assert (one.outcome, one.observed) == ("not applicable", reason)
 
 
 def test_an_answer_in_degrees_is_not_taken_for_the_inverse():
