@@ -175,6 +175,51 @@ def test_an_interactive_session_checks_its_own_spec():
     assert "answer: different: the guess is returned as the answer" in done.stdout
 
 
+LOOP = """
+from evalkit.core.errors import NotInstalled
+
+class Other(Guess):
+    pass
+
+for make in (Guess, Other):
+    spec = RegistrationSpec(make=make, summary=make.__name__, citation="", licence="MIT")
+    try:
+        check_backend(spec)
+    except (RulesBroken, NotInstalled) as error:
+        print(str(error).splitlines()[0])
+"""
+
+
+@pytest.mark.thorough
+def test_a_name_for_several_specs_of_a_script_checks_no_other_spec_than_the_given_one(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(SCRIPT.partition("SPEC =")[0] + LOOP)
+    done = subprocess.run([sys.executable, str(file)], capture_output=True, text=True, timeout=600, check=True)
+    first, second = done.stdout.splitlines()
+    assert first.startswith("__main__:spec breaks")
+    assert second.startswith(
+        "__main__:spec: is 'Guess' of Guess() when its module is loaded by another process, and was"
+    )
+
+
+def test_an_address_of_a_spec_is_not_that_of_another_one_under_its_name(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(SCRIPT)
+    given = Address("x", "__main__", "SPEC", str(file), "'mine' of Mine()")
+    with pytest.raises(
+        NotInstalled, match=r"^x: is '' of Guess\(\) when .*, and was given as 'mine' of Mine\(\); give"
+    ):
+        spec_at(given, RegistrationSpec, lambda _name: None)
+    assert spec_at(replace(given, holds="'' of Guess()"), RegistrationSpec, lambda _name: None).licence == "MIT"
+
+
+def test_data_sets_are_checked_as_they_are_given_without_a_name():
+    for change, broken in (({}, set()), ({"make": datasets.Boastful}, {"length"})):
+        spec = replace(datasets.SOUND, summary="another", **change)
+        found = dataset_rules.check(spec, 50, {})
+        assert ({one.rule for one in found.broken}, found.label) == (broken, "this data set")
+
+
 def test_loading_a_file_stops_at_its_own_check(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(SCRIPT)

@@ -14,7 +14,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.plugins import registry
-from evalkit.plugins.address import address_of, spec_at
+from evalkit.plugins.address import address_of, label_of, spec_at
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import DatasetSpec
@@ -54,17 +54,18 @@ def check(dataset: str | DatasetSpec, frames: int, parameters: Mapping[str, obje
 
     Raises DataMissing if its files are not here, BadParameter or UnknownName for parameters.
     """
-    address, spec = address_of(dataset), spec_of(dataset)
-    complete = resolve_parameters(address.label, spec.parameters, parameters)
+    spec = spec_of(dataset)
+    label = label_of(dataset, "this data set")
+    complete = resolve_parameters(label, spec.parameters, parameters)
     if why := spec.missing(**{name: value for name, value in complete.items() if name != "seed"}):
-        raise DataMissing(address.label, "cannot be checked here", why)
+        raise DataMissing(label, "cannot be checked here", why)
     fixture = DatasetFixture(spec, complete, frames)
-    return RuleReport(address.label, tuple(check_rule(rule, fixture) for rule in RULES.values()))
+    return RuleReport(label, tuple(check_rule(rule, fixture) for rule in RULES.values()))
 
 
 def spec_of(dataset: str | DatasetSpec) -> DatasetSpec:
     """The spec of a registered name, of "module:SPEC", or itself; NotInstalled if there is none."""
-    return spec_at(address_of(dataset), DatasetSpec, registry.dataset)
+    return spec_at(address_of(dataset), DatasetSpec, registry.dataset) if isinstance(dataset, str) else dataset
 
 
 def check_opens(fixture: DatasetFixture) -> str:
