@@ -94,6 +94,13 @@ def test_the_error_can_be_pickled():
         (datasets.Backwards, "stamps", "frame 2 is stamped -1 ns, the one before 0 ns"),
         (datasets.Boastful, "length", "len() is 100, but the first 50 frames are 8"),
         (datasets.Patchy, "odometry", "1 of 8 frames have start_from_end but no odom_from_base"),
+        (datasets.Degrees, "angles", "the angles of a scan span 343.8 rad: are they in degrees?"),
+        (datasets.OdometryOfNumbers, "odometry", "odom_from_base is (0.0, 0.0, 0.0), expected an evalkit.Pose or None"),
+        (
+            datasets.TruthInMillimetres,
+            "truth",
+            "in the same frames the truth moves by 700 m, the odometry by 0.7 m: is",
+        ),
         (datasets.Loose, "mounting", "base_from_sensor changes: 8 different values in 8 frames"),
         (datasets.OtherClock, "truth", "the true trajectory covers 0 % of the frames: are both on the same clock?"),
         (datasets.Words, "notes", "notes() has 'scans out of order': 'many', expected a name and a count"),
@@ -112,6 +119,12 @@ def test_each_fault_of_a_data_set_breaks_the_rule_named_for_it(make, rule, said)
 def test_a_correct_data_set_passes_and_takes_parameters():
     assert check_dataset("faulty_datasets:SOUND", scans=5).broken == ()
     assert check_dataset(datasets.SOUND, frames=3).broken == ()
+
+
+def test_a_truth_that_begins_after_the_checked_frames_is_compared_with_all_frames():
+    report = dataset_rules.check(datasets.spec(datasets.LateTruth), 20, {"scans": 100})
+    said = {one.rule: one.observed for one in report.results}
+    assert said["truth"] == "the true trajectory covers 70 % of the frames; exact"
 
 
 def test_a_shipped_data_set_follows_every_rule():
