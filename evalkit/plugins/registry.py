@@ -185,10 +185,18 @@ def _point(kind: str, name: str) -> EntryPoint:
     """Return the entry point of a name; raises UnknownName, or NotInstalled where packages register it twice."""
     points = _points(kind)
     if name not in points:
-        raise UnknownName(kind.removesuffix("s"), name, points)
+        raise UnknownName(kind.removesuffix("s"), name, points, hint=_find_elsewhere(kind, name))
     if len(points[name]) > 1:
         raise NotInstalled(name, f"is registered by {' and by '.join(map(_describe, points[name]))}", CLASH_REMEDY)
     return points[name][0]
+
+
+def _find_elsewhere(kind: str, name: str) -> str:
+    """Return where a name is registered instead, in a group of another kind or in one that evalkit does not read."""
+    from importlib.metadata import entry_points  # noqa: PLC0415 - as above
+
+    others = (point for point in entry_points().select(name=name) if point.group.startswith("evalkit"))
+    return next((f"{_describe(point)} is registered as {point.group}, not as evalkit.{kind}" for point in others), "")
 
 
 def _describe(point: EntryPoint) -> str:
@@ -232,7 +240,10 @@ def _load_address(name: str, address: str, wanted: type[Spec]) -> Spec:
     try:
         spec = as_spec(reduce(getattr, attributes.split("."), import_module(module)), wanted)
     except Exception as error:  # third-party code may raise anything; the other plug-ins stay usable
-        raise NotInstalled(name, f"its plug-in {address} does not load ({error})", "reinstall its package") from error
+        what = f"its plug-in {address} does not load ({error})"
+        raise NotInstalled(
+            name, what, "correct its entry point, install what it imports, or remove its package"
+        ) from error
     if not isinstance(spec, wanted):
         raise NotInstalled(name, f"{address} is a {type(spec).__name__}", f"expected a {wanted.__name__}")
     return spec

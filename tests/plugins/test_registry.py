@@ -58,6 +58,13 @@ def test_a_name_of_two_packages_is_neither_of_them(points, kind):
         registry.find_address(kind, "same")
 
 
+@pytest.mark.parametrize("group", ["evalkit.backend", "evalkit_backends", "evalkit.mappers"])
+def test_a_name_in_another_group_is_named_with_that_group(points, group):
+    points.append(EntryPoint("icp", "ours:SPEC", group))
+    with pytest.raises(UnknownName, match=rf"'icp' \(ours:SPEC is registered as {group}, not as evalkit.backends\)"):
+        registry.backend("icp")
+
+
 def test_the_same_entry_point_in_two_packages_is_one(points):
     points += [EntryPoint("icp", "evalkit_baselines.paper:SPEC", "evalkit.backends") for _ in range(2)]
     assert registry.find_address("backends", "icp") == "evalkit_baselines.paper:SPEC"
@@ -119,7 +126,7 @@ def test_an_unknown_name_lists_the_known_names_and_suggests_the_nearest():
 @pytest.mark.parametrize(
     ("value", "parts"),
     [
-        ("nowhere_to_be_found:SPEC", ["nowhere_to_be_found:SPEC does not load", "reinstall"]),
+        ("nowhere_to_be_found:SPEC", ["nowhere_to_be_found:SPEC does not load", "correct its entry point"]),
         ("math:SPEC", ["math:SPEC does not load", "SPEC"]),
         ("math:pi", ["math:pi is a float", "expected a BackendSpec"]),
     ],
