@@ -236,6 +236,29 @@ def test_only_an_answer_near_that_of_the_wheels_is_asked_whether_the_scans_are_u
     assert "are the scans used" not in said
 
 
+def test_an_exception_for_clouds_without_pairs_breaks_converged_and_the_answer_to_return_is_named():
+    class RefusesFarClouds(faulty.Sound):
+        def register(self, target, source, guess):
+            if np.ptp(np.concatenate([target.points, source.points])[:, 0]) > 50.0:
+                raise ValueError("no pairs")
+            return super().register(target, source, guess)
+
+    one = result_of(RefusesFarClouds, "converged")
+    what = "clouds without pairs: return a Match with converged=False, because an exception ends a run"
+    assert (one.outcome, one.observed) == ("failed", f"raises ValueError: no pairs; {what}")
+
+
+def test_a_library_that_turns_out_missing_belongs_to_the_missing_of_the_spec():
+    class Lazy(faulty.Sound):
+        def register(self, target, source, guess):
+            importlib.import_module("nowhere_to_be_found")
+
+    observed = result_of(Lazy, "starts").observed
+    assert observed.endswith(
+        "'nowhere_to_be_found'; let `missing` of the spec say so, with the command that installs it"
+    )
+
+
 def test_an_exception_for_too_few_points_is_allowed_and_observed():
     class Refuses(faulty.Sound):
         def register(self, target, source, guess):
