@@ -531,6 +531,16 @@ def test_a_report_of_a_part_says_which_command_reports_all(evalkit, experiment, 
     assert len(json.loads((folder / "results.json").read_text())["runs"]) == 2
 
 
+def test_runs_without_a_page_say_that_the_report_in_their_folder_is_older(evalkit, experiment, tmp_path):
+    file, folder = experiment("none"), tmp_path / "out"
+    words = ("compare", "--no-page", file, "--out", folder)
+    note = f"the report in this folder is of before these runs; evalkit compare {file} --collect --out {folder} writes"
+    assert note not in evalkit(*words)[2]  # there is none
+    evalkit("compare", file, "--out", folder, "--collect")
+    assert note not in evalkit(*words, "--resume")[2]  # no run is repeated
+    assert note in evalkit(*words)[2]
+
+
 def test_a_folder_without_a_report_is_told_how_to_get_one(evalkit, experiment, tmp_path):
     evalkit("compare", "--no-page", experiment("none"), "--out", tmp_path / "out")
     with pytest.raises(StoreError, match="repeat it with --collect in place of --no-page"):

@@ -94,6 +94,13 @@ def test_the_error_can_be_pickled():
         (datasets.Backwards, "stamps", "frame 2 is stamped -1 ns, the one before 0 ns"),
         (datasets.Boastful, "length", "len() is 100, but the first 50 frames are 8"),
         (datasets.Patchy, "odometry", "1 of 8 frames have start_from_end but no odom_from_base"),
+        (datasets.Degrees, "angles", "the angles of a scan span 343.8 rad: are they in degrees?"),
+        (datasets.OdometryOfNumbers, "odometry", "odom_from_base is (0.0, 0.0, 0.0), expected an evalkit.Pose or None"),
+        (
+            datasets.TruthInMillimetres,
+            "truth",
+            "in the same frames the truth moves by 700 m, the odometry by 0.7 m: is",
+        ),
         (datasets.Loose, "mounting", "base_from_sensor changes: 8 different values in 8 frames"),
         (datasets.OtherClock, "truth", "the true trajectory covers 0 % of the frames: are both on the same clock?"),
         (datasets.Words, "notes", "notes() has 'scans out of order': 'many', expected a name and a count"),
@@ -112,6 +119,12 @@ def test_each_fault_of_a_data_set_breaks_the_rule_named_for_it(make, rule, said)
 def test_a_correct_data_set_passes_and_takes_parameters():
     assert check_dataset("faulty_datasets:SOUND", scans=5).broken == ()
     assert check_dataset(datasets.SOUND, frames=3).broken == ()
+
+
+def test_a_truth_that_begins_after_the_checked_frames_is_compared_with_all_frames():
+    report = dataset_rules.check(datasets.spec(datasets.LateTruth), 20, {"scans": 100})
+    said = {one.rule: one.observed for one in report.results}
+    assert said["truth"] == "the true trajectory covers 70 % of the frames; exact"
 
 
 def test_a_shipped_data_set_follows_every_rule():
@@ -173,6 +186,51 @@ def test_an_interactive_session_checks_its_own_spec():
     assert "__main__:SPEC breaks 1 of 1 rules\n  moves: " in done.stdout
     assert "A = paper, B = __main__:SPEC: not equivalent on " in done.stdout
     assert "answer: different: the guess is returned as the answer" in done.stdout
+
+
+LOOP = """
+from evalkit.core.errors import NotInstalled
+
+class Other(Guess):
+    pass
+
+for make in (Guess, Other):
+    spec = RegistrationSpec(make=make, summary=make.__name__, citation="", licence="MIT")
+    try:
+        check_backend(spec)
+    except (RulesBroken, NotInstalled) as error:
+        print(str(error).splitlines()[0])
+"""
+
+
+@pytest.mark.thorough
+def test_a_name_for_several_specs_of_a_script_checks_no_other_spec_than_the_given_one(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(SCRIPT.partition("SPEC =")[0] + LOOP)
+    done = subprocess.run([sys.executable, str(file)], capture_output=True, text=True, timeout=600, check=True)
+    first, second = done.stdout.splitlines()
+    assert first.startswith("__main__:spec breaks")
+    assert second.startswith(
+        "__main__:spec: is 'Guess' of Guess() when its module is loaded by another process, and was"
+    )
+
+
+def test_an_address_of_a_spec_is_not_that_of_another_one_under_its_name(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(SCRIPT)
+    given = Address("x", "__main__", "SPEC", str(file), "'mine' of Mine()")
+    with pytest.raises(
+        NotInstalled, match=r"^x: is '' of Guess\(\) when .*, and was given as 'mine' of Mine\(\); give"
+    ):
+        spec_at(given, RegistrationSpec, lambda _name: None)
+    assert spec_at(replace(given, holds="'' of Guess()"), RegistrationSpec, lambda _name: None).licence == "MIT"
+
+
+def test_data_sets_are_checked_as_they_are_given_without_a_name():
+    for change, broken in (({}, set()), ({"make": datasets.Boastful}, {"length"})):
+        spec = replace(datasets.SOUND, summary="another", **change)
+        found = dataset_rules.check(spec, 50, {})
+        assert ({one.rule for one in found.broken}, found.label) == (broken, "this data set")
 
 
 def test_loading_a_file_stops_at_its_own_check(tmp_path):

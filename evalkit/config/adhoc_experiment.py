@@ -192,7 +192,8 @@ def _named_reader(path: Path, name: str) -> DatasetSpec:
         raise BadData(str(path), "", "no such file or folder", "give the path of a recording")
     readers = _find_readers()
     if name not in readers:
-        raise UnknownName("reader", name, readers)
+        hint = "a data set, but its spec has no suffixes of files" if name in registry.names("datasets") else ""
+        raise UnknownName("reader", name, readers, hint=hint)
     return readers[name]
 
 

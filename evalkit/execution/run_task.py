@@ -61,7 +61,11 @@ class RunSettings:
 
     @classmethod
     def from_experiment(cls, experiment: Experiment, description: Mapping[str, str]) -> RunSettings:
-        """The settings of an experiment on a machine with this description."""
+        """The settings of an experiment on a machine with this description.
+
+        Raises NotInstalled for a metric that does not load, before any run.
+        """
+        metrics.all_metrics()
         mapper = experiment.mapper
         scoring_code = f"{registry.hash_scoring_code(mapper.name)} {mapper}"
         return cls(experiment.limits, mapper, scoring_code, experiment.timed, description)

@@ -137,10 +137,17 @@ def _render_maps(
             for scan, world_from_sensor in mapped[done:count]:
                 mapper.update(scan, Pose.of(world_from_sensor))
             done = count
-            maps.append(mapper.grid() if count else MissingMap(NO_POSES))
+            maps.append(_check_grid(mapper.grid()) if count else MissingMap(NO_POSES))
     except Exception as error:  # noqa: BLE001 - a mapper is third-party code
         maps += [MissingMap(f"the mapper failed ({error})")] * (len(counts) - len(maps))
     return tuple(maps)
+
+
+def _check_grid(grid: object) -> OccupancyGrid:
+    """Return what ``grid`` of a mapper returned; raises TypeError for another type."""
+    if not isinstance(grid, OccupancyGrid):
+        raise TypeError(f"grid() returned a {type(grid).__name__}, expected an evalkit.OccupancyGrid")
+    return grid
 
 
 def _align(evidence: Evidence) -> FinalAlignment:

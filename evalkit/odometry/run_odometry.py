@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
-from evalkit.core.errors import BadData
-from evalkit.core.odometry_estimate import OdometryEstimate
+from evalkit.core.errors import BadData, brief
+from evalkit.core.odometry_estimate import OdometryEstimate, Stage, StageEstimate
 from evalkit.core.pose import TOO_FAR, Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import CallTiming, timed
 from evalkit.plugins.protocols import NoAnswer, Odometry
+
+STAGES = get_args(Stage)
 
 
 class OdometryStep(NamedTuple):
@@ -78,7 +80,7 @@ def check_order(frames: Iterable[Frame], source: str) -> Iterator[Frame]:
 
 
 def check_estimate(answer: object) -> OdometryEstimate:
-    """Return the answer of ``update``; raises TypeError for another type.
+    """Return the answer of ``update``; raises TypeError for another type, of the answer or of its parts.
 
     Raises ValueError for a pose that is not finite, or farther away than ``MAX_COORDINATE_M``.
     """
@@ -91,4 +93,10 @@ def check_estimate(answer: object) -> OdometryEstimate:
         raise ValueError(f"update() returned a pose that is not finite: ({pose.x}, {pose.y}, {pose.theta})")
     if pose.is_too_far:
         raise ValueError(f"update() returned a pose {TOO_FAR}: ({pose.x}, {pose.y})")
+    for name, stage in answer.stages.items():
+        if name not in STAGES or not isinstance(stage, StageEstimate):
+            what = f"{brief(name)}: a {type(stage).__name__}"
+            raise TypeError(
+                f"update() returned stages with {what}, expected an evalkit.StageEstimate by 's2s' or 's2m'"
+            )
     return answer

@@ -39,12 +39,16 @@ Spec = TypeVar("Spec", BackendSpec, DatasetSpec)
 
 @dataclass(frozen=True)
 class Address:
-    """A registered name in ``label`` alone, or the spec's module, its name there and the module's file."""
+    """A registered name in ``label`` alone, or the spec's module, its name there and the module's file.
+
+    ``holds``: what the spec is, where it was given itself: a script may give its name to several in turn.
+    """
 
     label: str
     module: str = ""
     attribute: str = ""
     file: str = ""
+    holds: str = ""
 
 
 def address_of(plug_in: str | BackendSpec | DatasetSpec | type) -> Address:
@@ -97,7 +101,17 @@ def spec_at(address: Address, wanted: type[Spec], registered: Callable[[str], Sp
         or_class = " or a class with register or update" if wanted is BackendSpec else ""
         found = f"is a {type(spec).__name__}, expected a {wanted.__name__}{or_class}"
         raise NotInstalled(address.label, found, _REMEDY)
+    if address.holds and (other := _identify(spec)) != address.holds:
+        what = f"is {other} when its module is loaded by another process, and was given as {address.holds}"
+        raise NotInstalled(address.label, what, "give each spec a name of its own, before the first check")
     return spec
+
+
+def _identify(spec: BackendSpec | DatasetSpec) -> str:
+    """Return what tells a spec from others of its module, equal in every process."""
+    made = getattr(spec.make, "__qualname__", type(spec.make).__qualname__)
+    defaults = ", ".join(f"{one.name} {one.default}" for one in spec.parameters)
+    return f"'{spec.summary}' of {made}({defaults})"
 
 
 _REMEDY = "give a registered name, or module:SPEC of a module that can be imported"
@@ -140,7 +154,8 @@ def _address_of_object(spec: BackendSpec | DatasetSpec | type) -> Address:
     for name, module in sorted(sys.modules.items(), key=lambda item: item[0] != home):
         for attribute, value in list(vars(module).items()) if isinstance(module, ModuleType) else ():
             if value is spec:
-                return Address(f"{name}:{attribute}", name, attribute, str(getattr(module, "__file__", "") or ""))
+                file = str(getattr(module, "__file__", "") or "")
+                return Address(f"{name}:{attribute}", name, attribute, file, _identify(spec))
     raise NotInstalled(
         "this spec", "has no name in any module, so another process cannot find it", "assign it to a name in a module"
     )

@@ -108,9 +108,14 @@ def split_settings(owner: str, words: Iterable[str], expected: str = "NAME=VALUE
 def resolve_parameters(owner: str, parameters: tuple[Parameter, ...], given: Mapping[str, object]) -> dict[str, Value]:
     """Return every parameter with its given value or its default.
 
-    Raises UnknownName for a name that is not declared and BadParameter for a value that does not fit.
+    Raises UnknownName for a name that is not declared. Raises BadParameter for a value that does not fit, or for a name
+    that is declared twice, as by a registration that has a parameter of the front end's name.
     """
     known = {parameter.name: parameter for parameter in parameters}
+    if len(known) < len(parameters):
+        names = [parameter.name for parameter in parameters]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise BadParameter(owner, twice, "two of this name", "one: rename that of the plug-in")
     for name in given:
         if name not in known:
             raise UnknownName("parameter", name, known, owner)

@@ -39,6 +39,8 @@ _MODULE_AND_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 MARK = "EVALKIT_CHILD"
 """Environment variable that marks the child processes of evalkit and all their descendants."""
 
+CLASH_REMEDY = "rename one of them in the pyproject.toml of its package and install that again, or remove a package"
+
 LOADING_S = 60.0
 """Time limit for importing a third-party plug-in."""
 
@@ -111,17 +113,15 @@ def hash_run_code(method: str, dataset: str) -> str:
     modules = (
         "evalkit.execution.one_run",
         plug_in_of("backends", method).module,
-        _points("datasets")[dataset].module,
+        _point("datasets", dataset).module,
     )
     return hash_code(modules, ("numpy", "scipy", *spec.requires)) + spec.digest
 
 
 def hash_scoring_code(mapper: str) -> str:
-    """Return a digest of the code that computes the scores and the map of a run."""
-    return hash_code(
-        ("evalkit.metrics.evaluate", _points("mappers")[mapper].module),
-        ("numpy", "scipy"),
-    )
+    """Return a digest of the code that computes the scores and the map of a run, metrics of other packages included."""
+    metrics = (_point("metrics", name).module for name in names("metrics"))
+    return hash_code(("evalkit.metrics.evaluate", _point("mappers", mapper).module, *metrics), ("numpy", "scipy"))
 
 
 def plug_in_of(kind: str, name: str) -> EntryPoint:
@@ -134,8 +134,7 @@ def plug_in_of(kind: str, name: str) -> EntryPoint:
 
 def find_address(kind: str, name: str) -> str:
     """Return "module:SPEC" of a registered name, "" of a name that is none."""
-    point = _points(kind).get(name)
-    return "" if point is None else _address(point)
+    return _address(_point(kind, name)) if name in _points(kind) else ""
 
 
 def find_search_path(method: str, dataset: str) -> str:
@@ -163,23 +162,46 @@ def load(kind: str, name: str, wanted: type[Spec]) -> Spec:
     return _load_point(name, _point(kind, name), wanted)
 
 
-def _points(kind: str) -> dict[str, EntryPoint]:
+def _points(kind: str) -> dict[str, tuple[EntryPoint, ...]]:
     return _find_points(tuple(sys.path))[kind]
 
 
 @cache  # searching all installed packages takes 30 ms, and a plan does it hundreds of times
-def _find_points(_path: tuple[str, ...]) -> dict[str, dict[str, EntryPoint]]:
+def _find_points(_path: tuple[str, ...]) -> dict[str, dict[str, tuple[EntryPoint, ...]]]:
+    """Return by kind and name the entry points; more than one where packages register different things under a name."""
     from importlib.metadata import entry_points  # noqa: PLC0415 - loads much, and a run searches nothing
 
     found = entry_points()
-    return {kind: {point.name: point for point in found.select(group=f"evalkit.{kind}")} for kind in KINDS}
+    points: dict[str, dict[str, tuple[EntryPoint, ...]]] = {kind: {} for kind in KINDS}
+    for kind, by_name in points.items():
+        for point in found.select(group=f"evalkit.{kind}"):
+            known = by_name.get(point.name, ())
+            if all(point.value != one.value for one in known):
+                by_name[point.name] = (*known, point)
+    return points
 
 
 def _point(kind: str, name: str) -> EntryPoint:
+    """Return the entry point of a name; raises UnknownName, or NotInstalled where packages register it twice."""
     points = _points(kind)
     if name not in points:
-        raise UnknownName(kind.removesuffix("s"), name, points)
-    return points[name]
+        raise UnknownName(kind.removesuffix("s"), name, points, hint=_find_elsewhere(kind, name))
+    if len(points[name]) > 1:
+        raise NotInstalled(name, f"is registered by {' and by '.join(map(_describe, points[name]))}", CLASH_REMEDY)
+    return points[name][0]
+
+
+def _find_elsewhere(kind: str, name: str) -> str:
+    """Return where a name is registered instead, in a group of another kind or in one that evalkit does not read."""
+    from importlib.metadata import entry_points  # noqa: PLC0415 - as above
+
+    others = (point for point in entry_points().select(name=name) if point.group.startswith("evalkit"))
+    return next((f"{_describe(point)} is registered as {point.group}, not as evalkit.{kind}" for point in others), "")
+
+
+def _describe(point: EntryPoint) -> str:
+    dist = getattr(point, "dist", None)
+    return point.value if dist is None else f"{_find_name(dist)} ({point.value})"
 
 
 def _module_point(name: str) -> EntryPoint | None:
@@ -218,7 +240,10 @@ def _load_address(name: str, address: str, wanted: type[Spec]) -> Spec:
     try:
         spec = as_spec(reduce(getattr, attributes.split("."), import_module(module)), wanted)
     except Exception as error:  # third-party code may raise anything; the other plug-ins stay usable
-        raise NotInstalled(name, f"its plug-in {address} does not load ({error})", "reinstall its package") from error
+        what = f"its plug-in {address} does not load ({error})"
+        raise NotInstalled(
+            name, what, "correct its entry point, install what it imports, or remove its package"
+        ) from error
     if not isinstance(spec, wanted):
         raise NotInstalled(name, f"{address} is a {type(spec).__name__}", f"expected a {wanted.__name__}")
     return spec

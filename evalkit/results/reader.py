@@ -49,7 +49,7 @@ class StoredRun:
     """What comparisons of two folders need of one run.
 
     ``parameters``: of the sequence, without the number of the repetition, with the scans of an excerpt. ``scores``:
-    values by metric, without those that have none.
+    values by metric, without those that have none; ``supports``: of how many samples each of them is.
     ``stamps_ns``, ``errors_m`` (N,): distance to the ground truth of each scan that has one; empty if not stored.
     ``key``: equal for equal code, data and parameters. ``conditions``: of the machine during the run, if known.
     ``lost``: where it lost the track, None if it held it. ``perturbed``: it is a perturbation of a recording.
@@ -65,6 +65,7 @@ class StoredRun:
     conditions: RunConditions = field(default_factory=RunConditions)
     lost: LostTrack | None = None
     perturbed: bool = False
+    supports: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,6 +248,7 @@ def _entry_run(folder: Path, entry: Mapping[str, Any]) -> StoredRun:
     return StoredRun(
         entry["status"], entry["reason"], _data_parameters(given), _score_values(entry["scores"]), *_load_errors(own),
         entry["key"], _parse_conditions(entry["conditions"]), parse_lost(entry), NUISANCE in given,
+        _score_supports(entry["scores"]),
     )  # fmt: skip
 
 
@@ -279,7 +281,7 @@ def _load_unreported(folder: Path) -> StoredResults:
             conditions = _parse_conditions(result.get("conditions"))
             run = StoredRun(
                 result["status"], result["reason"], _data_parameters(given), _score_values(scored["scores"]), *errors,
-                own.name, conditions, parse_lost(scored), NUISANCE in given,
+                own.name, conditions, parse_lost(scored), NUISANCE in given, _score_supports(scored["scores"]),
             )  # fmt: skip
         except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
             raise StoreError(str(own), f"is not complete ({error!r})", "repeat the run") from error
@@ -299,6 +301,10 @@ def _parse_name(method: object, sequence: object, seed: object) -> RunName:
 
 def _score_values(scores: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     return {name: score["value"] for name, score in scores.items() if score["value"] is not None}
+
+
+def _score_supports(scores: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
+    return {name: score["support"] for name, score in scores.items() if score["value"] is not None}
 
 
 def _load_errors(own: Path) -> tuple[Ints, Floats]:

@@ -17,7 +17,7 @@ import errno
 import hashlib
 import json
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from io import BytesIO
@@ -140,6 +140,15 @@ class Store:
     def is_finished(self, key: str) -> bool:
         """Return whether a run has ended and its result is stored."""
         return (self.run_folder(key) / RESULT).is_file()
+
+    def is_newer_than_report(self, keys: Iterable[str]) -> bool:
+        """Return whether the folder holds a report, and one of these runs ended or was scored after it."""
+        try:
+            written = (self.folder / "results.json").stat().st_mtime_ns
+        except OSError:
+            return False
+        files = (self.run_folder(key) / name for key in keys for name in (RESULT, SCORES))
+        return any(file.stat().st_mtime_ns > written for file in files if file.is_file())
 
     def save_result(self, spec: RunSpec, result: RunResult) -> None:
         """Write how a run went and its trajectory for other tools; ``RESULT``, written last, marks it as complete."""

@@ -47,11 +47,16 @@ def print_summary(
 
 
 def _name_next_step(runs: Sequence[Run], folder: str) -> str:
-    """The command that uses the results; where no run is complete, the one that shows why the first one failed."""
-    failed = next((spec for spec, result in runs if result.status in BROKEN), None)
-    if failed is None or any(result.is_complete for _, result in runs):
+    """The command that uses the results; where no run is complete, what shows why the first one failed."""
+    broken = [(spec, result) for spec, result in runs if result.status in BROKEN]
+    if not broken or any(result.is_complete for _, result in runs):
         return f"evalkit export {folder} -f latex (tables for a paper)"
-    return shlex.join(["evalkit", "validate", failed.method.backend, "--only", "rules"]) + " (why no run is complete)"
+    first, failed = broken[0]
+    alike = {spec.method.backend for spec, result in broken if result.reason == failed.reason}
+    if failed.status == RunStatus.FAILED and len(alike) > 1:
+        call = f"evalkit.testing.check_dataset('{first.sequence.dataset}', ...)"
+        return f"check the data, because several methods failed for the same reason: {call} in Python"
+    return shlex.join(["evalkit", "validate", first.method.backend, "--only", "rules"]) + " (why no run is complete)"
 
 
 def _run_as_json(spec: RunSpec, result: RunResult, store: Store) -> dict[str, Any]:

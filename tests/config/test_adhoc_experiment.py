@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from evalkit.config.adhoc_experiment import experiment_from_recording, open_recording, read_first_frame
-from evalkit.core.errors import BadData, BadExperiment, BadParameter, NotInstalled
+from evalkit.core.errors import BadData, BadExperiment, BadParameter, NotInstalled, UnknownName
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.specs import Choice
 
@@ -209,6 +209,14 @@ def test_a_file_without_a_reader_lists_the_readers(tmp_path):
     for path, shown in ((tmp_path / "notes.md", "'.md'"), (tmp_path, f"'{tmp_path.name}'")):
         with pytest.raises(BadData, match=f"no reader for {shown}; known readers: carmen .*rosbag"):
             plan(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("room", " (a data set, but its spec has no suffixes of files)"), ("carmem", " (did you mean ")]
+)
+def test_a_reader_that_is_none_is_named_with_the_reason(log, name, said):
+    with pytest.raises(UnknownName, match=re.escape(f"no reader named '{name}'{said}")):
+        open_recording(log, {}, name)
 
 
 def test_a_log_is_recognised_by_its_content_whatever_its_suffix(tmp_path):

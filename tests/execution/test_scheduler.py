@@ -19,7 +19,7 @@ import pytest
 
 from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.config.limits import Limits
-from evalkit.core.errors import StoreError
+from evalkit.core.errors import NotInstalled, StoreError
 from evalkit.core.run_result import RunConditions
 from evalkit.execution import environment, run_process, run_task, subprocesses
 from evalkit.execution.executors import LocalExecutor
@@ -256,6 +256,16 @@ def test_without_resume_every_run_is_executed_again(tmp_path, threaded_scoring):
     before = written_times(tmp_path)
     records(plan("none"), tmp_path)
     assert written_times(tmp_path)["none"][0] > before["none"][0]
+
+
+def test_a_metric_that_does_not_load_is_an_error_before_any_run(tmp_path, threaded_scoring, monkeypatch):
+    def fail():
+        raise NotInstalled("lab", "does not load", "mend it")
+
+    monkeypatch.setattr(run_task.metrics, "all_metrics", fail)
+    with pytest.raises(NotInstalled, match=r"^lab: does not load; mend it$"):
+        run(plan("none"), tmp_path)
+    assert not list(tmp_path.rglob("result.json"))
 
 
 @pytest.mark.parametrize("what", ["code", "mapper"])

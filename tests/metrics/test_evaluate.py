@@ -106,6 +106,15 @@ def test_a_mapper_that_raises_loses_only_the_map(straight_run):
     assert scored.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_mapper_that_returns_no_grid_loses_only_the_map(straight_run, monkeypatch):
+    mapper = log_odds()
+    monkeypatch.setattr(type(mapper), "grid", lambda _: np.zeros((3, 3)))
+    scored = evaluate.evaluate_run(perfect(), straight_run, lambda: mapper, 400)
+    what = "grid() returned a ndarray, expected an evalkit.OccupancyGrid"
+    assert (scored.grid, scored.by_metric["map_entropy"].reason) == (None, f"no map: the mapper failed ({what})")
+    assert scored.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+
+
 def test_the_map_of_a_slam_is_drawn_from_its_corrected_poses_and_its_track_is_that_of_its_answers(straight_run):
     lost = np.where(np.arange(SCANS) < 6, 0.1 * np.arange(SCANS), 30.0 + 0.1 * np.arange(SCANS))
     found = perfect().estimate

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import gc
+import json
 import math
 import weakref
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from evalkit import metrics
+from evalkit.core.errors import NotInstalled
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.run_status import Cause
@@ -30,6 +32,44 @@ def run(poses: list[tuple[float, float, float]]) -> RunResult:
 
 def evidence(of: RunResult, truth: Truth) -> Evidence:
     return Evidence(of, truth, match_trajectories(of.estimate, truth.trajectory))
+
+
+def own_metric(compute, name: str = "own") -> Metric:
+    return Metric(name, "own", "m", "lower", "drift", "Own.", "none", "everything", compute)
+
+
+@pytest.fixture
+def registered(monkeypatch):
+    """Metrics that another package registers, by the name of the entry point."""
+    known: dict[str, Metric] = {}
+    monkeypatch.setattr(metrics.registry, "names", lambda kind: list(known))
+    monkeypatch.setattr(metrics.registry, "load", lambda kind, name, wanted: known[name])
+    return known
+
+
+def test_metrics_of_other_packages_follow_those_of_evalkit(registered) -> None:
+    registered["lab"] = own_metric(lambda _: Score(1.0, 1))
+    assert metrics.all_metrics() == (*metrics.METRICS, registered["lab"])
+
+
+@pytest.mark.parametrize("taken", ["ate_rmse_m", "own"])
+def test_a_metric_with_the_name_of_another_does_not_replace_it(registered, taken) -> None:
+    registered |= {"a": own_metric(lambda _: Score(1.0, 1)), "b": own_metric(lambda _: Score(2.0, 1), taken)}
+    with pytest.raises(NotInstalled, match=f"^b: there is another metric of the name {taken}; rename it in its Metric"):
+        metrics.all_metrics()
+
+
+@pytest.mark.parametrize("returned", [3.0, None, (3.0, 1)])
+def test_a_metric_that_returns_no_score_has_none_and_says_why(returned) -> None:
+    found = metrics.compute_scores(evidence(run([]), Truth("none")), [own_metric(lambda _: returned)])["own"]
+    reason = f"could not be computed: TypeError: it returns a {type(returned).__name__}, expected a Score"
+    assert (found.value, found.reason) == (None, reason)
+
+
+def test_a_score_of_numpy_numbers_can_be_written_as_json() -> None:
+    score = Score(np.float32(0.5), np.int64(3))
+    found = metrics.compute_scores(evidence(run([]), Truth("none")), [own_metric(lambda _: score)])["own"]
+    assert json.dumps(asdict(found)) == '{"value": 0.5, "support": 3, "reason": ""}'
 
 
 def test_names_are_unique_and_every_card_is_complete() -> None:

@@ -318,6 +318,21 @@ class Stands(Wheels):
         return Pose()
 
 
+class SinceTheLastScan(Wheels):
+    """Returns the motion since the scan before."""
+
+    def pose(self, frame):
+        last, self.begin = self.begin or frame.odom_from_base, frame.odom_from_base
+        return last.inverse() @ frame.odom_from_base
+
+
+class OfTheWheels(Wheels):
+    """Returns the pose in the frame of the wheel odometry."""
+
+    def pose(self, frame):
+        return frame.odom_from_base
+
+
 class LastBeam(Wheels):
     def pose(self, frame):
         answer = super().pose(frame)

@@ -98,6 +98,31 @@ class Loose(Straight):
         return replace(frame, base_from_sensor=Pose(0.1 * index))
 
 
+class Degrees(Straight):
+    def frame(self, index, frame):
+        scan = frame.scan
+        return replace(frame, scan=Scan(scan.stamp_ns, scan.ranges, np.degrees(scan.angles), 0.1, 12.0))
+
+
+class OdometryOfNumbers(Straight):
+    def frame(self, index, frame):
+        return replace(frame, odom_from_base=(0.1 * index, 0.0, 0.0))
+
+
+class TruthInMillimetres(Straight):
+    def truth(self):
+        stamps = np.arange(self._scans) * STEP_NS
+        return Truth("exact", Trajectory(stamps, np.outer(np.arange(self._scans), [100.0, 0.0, 0.0])))
+
+
+class LateTruth(Straight):
+    """The first 30 frames are before the truth."""
+
+    def truth(self):
+        stamps = np.arange(30, self._scans) * STEP_NS
+        return Truth("exact", Trajectory(stamps, np.zeros((len(stamps), 3))))
+
+
 class OtherClock(Straight):
     def truth(self):
         return Truth("exact", Trajectory(np.array([10**18, 10**18 + 1]), np.zeros((2, 3))))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.errors import BadData
-from evalkit.core.odometry_estimate import OdometryEstimate
+from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.timing import Cost
@@ -83,6 +83,12 @@ def test_other_exceptions_propagate():
         (Pose(), TypeError, "returned a Pose, expected an evalkit.OdometryEstimate"),
         (None, TypeError, "returned a NoneType"),
         (OdometryEstimate(np.eye(3)), TypeError, "returned a pose of type ndarray, expected an evalkit.Pose"),
+        (
+            OdometryEstimate(Pose(), {"s2s": {}}),
+            TypeError,
+            "stages with 's2s': a dict, expected an evalkit.StageEstimate",
+        ),
+        (OdometryEstimate(Pose(), {"icp": StageEstimate(True, True, 1, 0.0, 9)}), TypeError, "'icp': a StageEstimate"),
         (OdometryEstimate(UncheckedPose(math.nan)), ValueError, r"not finite: \(nan, 0.0, 0.0\)"),
         (OdometryEstimate(Pose(0.0, -1e308)), ValueError, r"farther away than 10,000,000 m: \(0.0, -1e\+308\)"),
     ],

@@ -1,11 +1,13 @@
 """Parameters: types, bounds, defaults, and their declaration as dataclass fields."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 
 from evalkit.core.errors import BadParameter, UnknownName
+from evalkit.odometry.frontend import complete_parameters
+from evalkit.plugins import registry
 from evalkit.plugins.parameters import (
     Parameter,
     check_fields,
@@ -115,3 +117,16 @@ def test_fields_are_checked_and_converted_in_place():
     assert (settings.width, type(settings.width)) == (1.0, float)
     with pytest.raises(BadParameter, match="icp: parameter 'count': found 10"):
         check_fields("icp", MoreSettings(count=10))
+
+
+def test_a_name_that_is_declared_twice_is_an_error():
+    with pytest.raises(
+        BadParameter, match="icp: parameter 'count': found 'two of this name', expected one: rename that"
+    ):
+        resolve_parameters("icp", (*ALL, Parameter("count", 4, "", "again")), {})
+
+
+def test_a_registration_cannot_have_a_parameter_of_the_front_end():
+    spec = registry.backend("paper")
+    with pytest.raises(BadParameter, match="mine: parameter 'keyframes': found 'two of this name'"):
+        complete_parameters("mine", replace(spec, parameters=(Parameter("keyframes", 4, "", "own"),)), {})

@@ -47,6 +47,29 @@ def points(monkeypatch):
     registry._find_points.cache_clear()
 
 
+@pytest.mark.parametrize("kind", ["backends", "mappers", "datasets", "metrics"])
+def test_a_name_of_two_packages_is_neither_of_them(points, kind):
+    ours, theirs = (EntryPoint("same", value, f"evalkit.{kind}") for value in ("ours:SPEC", "theirs:SPEC"))
+    points += [ours, theirs]
+    assert registry.names(kind) == ["same"]
+    with pytest.raises(NotInstalled, match=r"^same: is registered by ours:SPEC and by theirs:SPEC; rename one"):
+        registry.load(kind, "same", object)
+    with pytest.raises(NotInstalled, match="registered by"):
+        registry.find_address(kind, "same")
+
+
+@pytest.mark.parametrize("group", ["evalkit.backend", "evalkit_backends", "evalkit.mappers"])
+def test_a_name_in_another_group_is_named_with_that_group(points, group):
+    points.append(EntryPoint("icp", "ours:SPEC", group))
+    with pytest.raises(UnknownName, match=rf"'icp' \(ours:SPEC is registered as {group}, not as evalkit.backends\)"):
+        registry.backend("icp")
+
+
+def test_the_same_entry_point_in_two_packages_is_one(points):
+    points += [EntryPoint("icp", "evalkit_baselines.paper:SPEC", "evalkit.backends") for _ in range(2)]
+    assert registry.find_address("backends", "icp") == "evalkit_baselines.paper:SPEC"
+
+
 def test_importing_evalkit_loads_no_heavy_module():
     assert loaded_by("import evalkit") == []
 
@@ -103,7 +126,7 @@ def test_an_unknown_name_lists_the_known_names_and_suggests_the_nearest():
 @pytest.mark.parametrize(
     ("value", "parts"),
     [
-        ("nowhere_to_be_found:SPEC", ["nowhere_to_be_found:SPEC does not load", "reinstall"]),
+        ("nowhere_to_be_found:SPEC", ["nowhere_to_be_found:SPEC does not load", "correct its entry point"]),
         ("math:SPEC", ["math:SPEC does not load", "SPEC"]),
         ("math:pi", ["math:pi is a float", "expected a BackendSpec"]),
     ],
@@ -201,6 +224,19 @@ def test_the_fingerprint_covers_the_code_of_both_plug_ins():
     assert room == registry.hash_run_code("paper-tight", "lab")  # the same modules; parameters are hashed elsewhere
     assert len({room, registry.hash_run_code("paper", "carmen"), registry.hash_run_code("wheel-odometry", "room")}) == 3
     assert registry.hash_scoring_code("log-odds") != room
+
+
+def test_the_fingerprint_of_scores_covers_the_metrics_of_other_packages(points, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    points.append(EntryPoint("log-odds", "evalkit_baselines.paper:MAPPER", "evalkit.mappers"))
+    without = registry.hash_scoring_code("log-odds")
+    own = Path(tmp_path, "lab_metric.py")
+    own.write_text("METRIC = 1")
+    points.append(EntryPoint("lab", "lab_metric:METRIC", "evalkit.metrics"))
+    registry._find_points.cache_clear()
+    before = registry.hash_scoring_code("log-odds")
+    own.write_text("METRIC = 2")
+    assert len({without, before, registry.hash_scoring_code("log-odds")}) == 3
 
 
 def test_find_backend_returns_the_spec_and_for_a_broken_plugin_one_with_the_reason(strangers, monkeypatch):

@@ -6,9 +6,9 @@ from evalkit.core.run_status import RunStatus
 from evalkit.terminal.run_summary import _name_next_step
 
 
-def run_of(backend, status):
-    spec = SimpleNamespace(method=SimpleNamespace(backend=backend))
-    return spec, SimpleNamespace(status=status, is_complete=status == RunStatus.COMPLETE)
+def run_of(backend, status, reason=""):
+    spec = SimpleNamespace(method=SimpleNamespace(backend=backend), sequence=SimpleNamespace(dataset="lab-logs"))
+    return spec, SimpleNamespace(status=status, reason=reason, is_complete=status == RunStatus.COMPLETE)
 
 
 def test_without_a_complete_run_the_next_command_asks_why_the_first_one_failed():
@@ -18,3 +18,19 @@ def test_without_a_complete_run_the_next_command_asks_why_the_first_one_failed()
     assert _name_next_step([failed, run_of("paper", RunStatus.COMPLETE)], "results").startswith(
         "evalkit export results"
     )
+
+
+def test_where_methods_fail_for_the_same_reason_the_data_are_to_be_checked():
+    failed = [run_of(name, RunStatus.FAILED, "ValueError: ranges") for name in ("paper", "wheel-odometry")]
+    said = (
+        "check the data, because several methods failed for the same reason: evalkit.testing.check_dataset('lab-logs'"
+    )
+    assert _name_next_step(failed, "results").startswith(said)
+    others = (
+        failed[0],
+        run_of("ndt", RunStatus.FAILED, "another"),
+        run_of("paper", RunStatus.FAILED, "ValueError: ranges"),
+    )
+    assert _name_next_step(others, "results").startswith("evalkit validate paper --only rules")
+    killed = [run_of(name, RunStatus.CRASHED, "killed by signal 9") for name in ("paper", "ndt")]
+    assert _name_next_step(killed, "results").startswith("evalkit validate paper --only rules")

@@ -222,6 +222,9 @@ def _run(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -
         # there may be thousands of runs
         none: dict[str, Any] = {"steps": NO_STEPS, "final": None, "loop_closures": (), "path_corrections": ()}
         results = {spec.key: replace(result, **none) for spec, result in runs}
+    if store.is_newer_than_report(results):
+        words = f"evalkit {experiment.source} --collect --out {shlex.quote(str(store.folder))}"
+        err.print(f"the report in this folder is of before these runs; {words} writes it again", soft_wrap=True)
     run_summary.print_summary(
         [(spec, results[spec.key]) for spec in experiment.runs()], experiment.title, store, None, as_json
     )

@@ -17,6 +17,7 @@ from evalkit.report.analysis.pairwise import (
     MARGIN_POINTS,
     PairedDifference,
     compute_difference,
+    count_relations,
     is_share_in_map,
     noise_floor,
 )
@@ -144,7 +145,7 @@ def _judge_error(
     before, after = median(old.values), median(new.values)
     limit = limits.error * (ONE_RUN if len(old.values) == 1 else 1.0)
     points = MARGIN_POINTS if is_share_in_map(metric) else 0.0
-    if abs(after - before) <= max(limit * abs(before), noise_floor(metric), points):
+    if abs(after - before) <= max(limit * abs(before), noise_floor(metric, count_relations(old, new)), points):
         floor = f"{points:g} percentage point" if points else "the accuracy of the ground truth"
         return "within the limit", f"at most {100 * limit:g} %, or less than {floor}"
     if new.perturbed and 1 < len(new.values) < FEW_RUNS:
@@ -207,7 +208,8 @@ def _score(
     draws = tuple(_draws(metric, *pair) for pair in zip(own, others, strict=True))
     values = tuple(run.scores[metric] for run in own)
     perturbed = any(run.perturbed for run in (*own, *others))
-    return MethodScore(method, values, (), len(own), len(own), 0, "", seeds, draws=draws, perturbed=perturbed)
+    support = int(median(run.supports.get(metric, 0) for run in own))
+    return MethodScore(method, values, (), len(own), len(own), support, "", seeds, draws=draws, perturbed=perturbed)
 
 
 def _draws(metric: str, own: StoredRun, other: StoredRun) -> BootstrapDraws | None:

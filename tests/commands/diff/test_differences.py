@@ -293,6 +293,7 @@ def test_excerpts_of_another_length_are_another_sequence(tmp_path, record, build
 
     whole, short = write("whole", 0), write("short", 50)
     assert whole.runs[("a", "hall", 1)].perturbed
+    assert whole.runs[("a", "hall", 1)].supports[ATE] > 0
     with pytest.raises(StoreError, match="the sequence differs: nuisance_scans 0 against 50"):
         compare_results(whole, short, tuple(METRICS.values()), DiffLimits())
 
@@ -449,7 +450,7 @@ def test_a_folder_of_runs_without_a_report_is_read(tmp_path, record):
     found = load_stored_results(tmp_path)
     run = found.runs[("a", "room", 3)]
     assert (run.status, run.parameters, run.scores, found.unfinished) == ("complete", {"laps": 1.0}, {ATE: 0.02}, 1)
-    assert (run.lost, run.perturbed) == (LostTrack(3.0, "1.2 m away"), False)
+    assert (run.lost, run.perturbed, run.supports) == (LostTrack(3.0, "1.2 m away"), False, {ATE: 60})
     assert len(run.errors_m) == len(run.stamps_ns) == 60
     result["dataset_parameters"] = {"laps": 1.0, "nuisance": 2}
     (own / "result.json").write_text(seal(result, files), encoding="utf-8")
@@ -485,10 +486,23 @@ def test_a_path_that_holds_nothing_to_compare_is_named_with_what_it_is(folder, t
         assert f"{tmp_path / name}: {said}" in str(result.exception)
 
 
-@pytest.mark.parametrize(("new_m", "said"), [(0.0449, "within the limit"), (0.0451, "regression")])
-def test_a_mean_over_relations_must_change_by_more_than_the_error_that_these_share(new_m, said):
+@pytest.mark.parametrize(
+    ("relations", "new_m", "said"),
+    [(0, 0.0449, "within the limit"), (0, 0.0451, "regression"),  # unknown: 5 mm
+     (144, 0.0449, "within the limit"), (144, 0.0451, "regression"),  # 60 mm / 12
+     (16, 0.0549, "within the limit"), (16, 0.0551, "regression"),  # 60 mm / 4
+     (3600, 0.0449, "within the limit"), (3600, 0.0451, "regression")],  # at least 5 mm
+)  # fmt: skip
+@pytest.mark.parametrize("fewer", ["old", "new"])
+def test_a_mean_over_relations_must_change_by_more_than_their_number_can_measure(relations, new_m, said, fewer):
     name = "relations_all_mean_m"
     old, new = (
-        {("a", "intel", seed): StoredRun("complete", "", {}, {name: one}) for seed in range(3)} for one in (0.04, new_m)
+        {
+            ("a", "intel", seed): StoredRun(
+                "complete", "", {}, {name: value}, supports={name: relations if which == fewer else 10 * relations}
+            )
+            for seed in range(3)
+        }
+        for which, value in (("old", 0.04), ("new", new_m))
     )
     assert _verdict(_between(old, new), name) == said

@@ -25,7 +25,7 @@ def test_a_missing_library_is_listed_with_its_install_command():
 def test_a_plugin_that_does_not_load_is_an_entry_with_the_reason():
     assert rows("backends")["unloadable"].missing == (
         "unloadable: its plug-in evalkit_faults_broken:SPEC does not load (the licence server does not answer); "
-        "reinstall its package"
+        "correct its entry point, install what it imports, or remove its package"
     )
 
 

@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from itertools import islice, pairwise
 
 import numpy as np
 
 from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, RuleReport, check_rule, rule_table
-from evalkit.core.errors import DataMissing, EvalkitError
+from evalkit.core.errors import DataMissing, EvalkitError, brief
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
+from evalkit.core.trajectory import Trajectory
 from evalkit.plugins import registry
-from evalkit.plugins.address import address_of, spec_at
+from evalkit.plugins.address import address_of, label_of, spec_at
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import DatasetSpec
 
 COVERED = 0.5
-"""The share of the frames that the truth must cover; recordings may begin before their reference."""
+"""The share of the frames that the truth must cover."""
+
+
+MAX_SPAN_RAD = 4.0 * math.pi
+
+MOVES_M = 0.05
+OTHER_UNIT = 50.0
+"""Truth and odometry that both move, one of them so many times as far, are not in the same unit."""
 
 
 class DatasetFixture:
@@ -54,17 +63,18 @@ def check(dataset: str | DatasetSpec, frames: int, parameters: Mapping[str, obje
 
     Raises DataMissing if its files are not here, BadParameter or UnknownName for parameters.
     """
-    address, spec = address_of(dataset), spec_of(dataset)
-    complete = resolve_parameters(address.label, spec.parameters, parameters)
+    spec = spec_of(dataset)
+    label = label_of(dataset, "this data set")
+    complete = resolve_parameters(label, spec.parameters, parameters)
     if why := spec.missing(**{name: value for name, value in complete.items() if name != "seed"}):
-        raise DataMissing(address.label, "cannot be checked here", why)
+        raise DataMissing(label, "cannot be checked here", why)
     fixture = DatasetFixture(spec, complete, frames)
-    return RuleReport(address.label, tuple(check_rule(rule, fixture) for rule in RULES.values()))
+    return RuleReport(label, tuple(check_rule(rule, fixture) for rule in RULES.values()))
 
 
 def spec_of(dataset: str | DatasetSpec) -> DatasetSpec:
     """The spec of a registered name, of "module:SPEC", or itself; NotInstalled if there is none."""
-    return spec_at(address_of(dataset), DatasetSpec, registry.dataset)
+    return spec_at(address_of(dataset), DatasetSpec, registry.dataset) if isinstance(dataset, str) else dataset
 
 
 def check_opens(fixture: DatasetFixture) -> str:
@@ -120,8 +130,22 @@ def check_length(fixture: DatasetFixture) -> str:
     return f"len() is {announced}, {count} frames were read"
 
 
+def check_angles(fixture: DatasetFixture) -> str:
+    """The beams of a scan cover two turns at most, in radians."""
+    spans = [float(np.ptp(frame.scan.angles)) for frame in fixture.frames if len(frame.scan.angles)]
+    widest = max(spans, default=0.0)
+    if widest > MAX_SPAN_RAD:
+        raise RuleBroken(f"the angles of a scan span {widest:.4g} rad: are they in degrees?")
+    return f"at most {math.degrees(widest):.1f} deg"
+
+
 def check_odometry(fixture: DatasetFixture) -> str:
     """A frame with the motion within a scan also has the motion between scans."""
+    for name in ("odom_from_base", "start_from_end"):
+        values = [getattr(frame, name) for frame in fixture.frames]
+        strange = next((one for one in values if one is not None and not isinstance(one, Pose)), None)
+        if strange is not None:
+            raise RuleBroken(f"{name} is {brief(strange)}, expected an evalkit.Pose or None")
     given = [frame.odom_from_base is not None for frame in fixture.frames]
     within = [frame.start_from_end is not None for frame in fixture.frames]
     if alone := sum(inside and not between for inside, between in zip(within, given, strict=True)):
@@ -138,12 +162,38 @@ def check_truth(fixture: DatasetFixture) -> str:
         raise RuleBroken("truth().how is empty: describe how the truth was determined")
     if known.trajectory is None:
         return f"no trajectory; {known.how}"
-    stamps = np.array([frame.scan.stamp_ns for frame in fixture.frames])
-    span = known.trajectory.stamps_ns
-    inside = float(((stamps >= span[0]) & (stamps <= span[-1])).mean()) if len(span) else 0.0
+    if not len(known.trajectory):
+        raise RuleBroken("the true trajectory has no pose")
+    which, inside = f"first {len(fixture.frames)}", _share_covered(known.trajectory, fixture.frames)
+    if inside < COVERED:  # recordings may begin long before their reference
+        which, inside = "", _share_covered(known.trajectory, fixture.sequence.frames())
+    said = f"the true trajectory covers {100 * inside:.0f} % of the {which} frames".replace("  ", " ")
     if inside < COVERED:
-        raise RuleBroken(f"the true trajectory covers {100 * inside:.0f} % of the frames: are both on the same clock?")
-    return f"the true trajectory covers {100 * inside:.0f} % of the frames; {known.how}"
+        raise RuleBroken(f"{said}: are both on the same clock?")
+    _require_one_unit(fixture.frames, known.trajectory)
+    return f"{said}; {known.how}"
+
+
+def _share_covered(truth: Trajectory, frames: Iterable[Frame]) -> float:
+    """Return the share of frames within the time of the truth; 0 without frames."""
+    covered = [truth.stamps_ns[0] <= frame.scan.stamp_ns <= truth.stamps_ns[-1] for frame in frames]
+    return float(np.mean(covered)) if covered else 0.0
+
+
+def _require_one_unit(frames: list[Frame], truth: Trajectory) -> None:
+    """Raise RuleBroken where the truth moves so much farther than the odometry, or less, that one is no metres."""
+    within = [frame for frame in frames if truth.stamps_ns[0] <= frame.scan.stamp_ns <= truth.stamps_ns[-1]]
+    known = [(frame.scan.stamp_ns, frame.odom_from_base) for frame in within if frame.odom_from_base is not None]
+    if not known:
+        return
+    stamps = np.array([stamp for stamp, _ in known])
+    measured = np.array([(pose.x, pose.y) for _, pose in known])
+    true = np.stack([np.interp(stamps, truth.stamps_ns, truth.poses[:, axis]) for axis in (0, 1)], axis=1)
+    far_m, true_m = (float(np.linalg.norm(path - path[0], axis=1).max()) for path in (measured, true))
+    if min(far_m, true_m) > MOVES_M and not 1.0 / OTHER_UNIT < far_m / true_m < OTHER_UNIT:
+        raise RuleBroken(
+            f"in the same frames the truth moves by {true_m:.3g} m, the odometry by {far_m:.3g} m: is one in mm?"
+        )
 
 
 def check_mounting(fixture: DatasetFixture) -> str:
@@ -192,6 +242,6 @@ def _bits(frame: Frame) -> tuple[object, ...]:
 
 
 RULES = rule_table(
-    check_parameters, check_opens, check_again, check_seeds, check_stamps, check_length, check_odometry, check_mounting,
-    check_truth, check_notes,
+    check_parameters, check_opens, check_again, check_seeds, check_stamps, check_length, check_angles, check_odometry,
+    check_mounting, check_truth, check_notes,
 )  # fmt: skip

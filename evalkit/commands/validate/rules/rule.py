@@ -120,8 +120,10 @@ def is_refusal(error: Exception) -> bool:
 
 
 def _describe_exception(error: Exception) -> str:
-    """An exception as an observation; with its place and a remedy where a cloud was written to."""
-    text = format_exception(error)
+    """An exception as an observation; with a remedy where one is known, and the place where a cloud was written to."""
+    text = "; ".join((format_exception(error), *getattr(error, "__notes__", ())))
+    if isinstance(error, ImportError):
+        text += "; let `missing` of the spec say so, with the command that installs it"
     if isinstance(error, ValueError) and "read-only" in str(error):
         at = traceback.extract_tb(error.__traceback__)[-1]
         text += f" ({Path(at.filename).name}, line {at.lineno}): the points of a cloud are read-only, work on a copy"

@@ -11,6 +11,7 @@ import time
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
@@ -28,6 +29,7 @@ from evalkit.commands.validate.rules import (
 from evalkit.commands.validate.rules.registration_fixture import RegistrationFixture
 from evalkit.commands.validate.rules.rule import RuleReport, check_rule
 from evalkit.core.errors import BackendFailed, BadParameter, NotInstalled, UnknownName
+from evalkit.core.scan import Cloud
 from evalkit.execution.usage import Usage
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
@@ -135,8 +137,8 @@ def test_every_shipped_back_end_follows_every_rule_that_needs_no_other_process_o
         (faulty.Guess, "moves", "the guess was returned unchanged, 19 cm off at 4 m"),
         (faulty.Guess, "recovers", "22.4 mm|36.1 mm"),
         (faulty.Identity, "metres", "0.3 m was returned as 0"),
-        (faulty.Identity, "equivariance", "from the answer moved with the target"),
-        (faulty.IgnoresTheGuess, "equivariance", "from the answer moved with the target"),
+        (faulty.Identity, "equivariance", "moved with the target, .*: the guess changes nothing"),
+        (faulty.IgnoresTheGuess, "equivariance", "moved with the target, .*: the guess changes nothing"),
         (faulty.Inverse, "direction", "rad. is source_from_target; target_from_source is"),
         (faulty.InverseOffByACell, "direction", "is nearer to source_from_target, .*; target_from_source is"),
         (faulty.Correction, "direction", "is the correction of the guess .0.335 m, .*; target_from_source is"),
@@ -162,7 +164,9 @@ def test_every_shipped_back_end_follows_every_rule_that_needs_no_other_process_o
         (faulty.Raises, "recovers", "raises RuntimeError: the licence has run out"),
         (faulty.Leaks, "memory", "one object grows by .* bytes with each question, in .* calls and again in twice"),
         (faulty.StartsElsewhere, "first", "the first answer is .10.000 m, -5.000 m, 1.0000 rad"),
-        (faulty.Stands, "follows", "with true wheel odometry: 59.1 cm and 34.4 deg off"),
+        (faulty.Stands, "follows", "with true wheel odometry: 59.1 cm and 34.4 deg off after .* rad.$"),
+        (faulty.SinceTheLastScan, "follows", "it is the motion since the scan before; return start_from_base"),
+        (faulty.OfTheWheels, "follows", "it is odom_from_base; return start_from_base"),
         (faulty.Wheels, "moves", "are the scans used"),
         (faulty.LastBeam, "first-beam", "are .1.00 of a scan's duration away"),
         (faulty.OfTheSensor, "mounting", "with the lidar turned by 90 degrees"),
@@ -210,6 +214,18 @@ def test_a_correct_back_end_breaks_no_rule(few_calls):
     assert outcome["process"] == "not applicable"
 
 
+def test_the_first_point_may_be_left_out_where_a_point_inside_is_as_well():
+    """As by a method that trims the worst pairs: it may trim the first point and none of the nine asked at first."""
+
+    class LeavesOutTwo(faulty.Sound):
+        def register(self, target, source, guess):
+            return super().register(target, Cloud(np.delete(source.points, (0, 7), axis=0)), guess)
+
+    one = result_of(LeavesOutTwo, "ends")
+    reason = "not every point of the source decides its answer: number 8 does not"
+    assert (one.outcome, one.observed) == ("not applicable", reason)
+
+
 def test_an_answer_in_degrees_is_not_taken_for_the_inverse():
     one = result_of(faulty.Degrees, "direction")
     assert one.outcome == "passed"
@@ -220,6 +236,29 @@ def test_only_an_answer_near_that_of_the_wheels_is_asked_whether_the_scans_are_u
     said = result_of(faulty.Backwards, "moves").observed
     assert said.startswith("wheel odometry 20 % too long is 60 cm off at 4 m, the answer")
     assert "are the scans used" not in said
+
+
+def test_an_exception_for_clouds_without_pairs_breaks_converged_and_the_answer_to_return_is_named():
+    class RefusesFarClouds(faulty.Sound):
+        def register(self, target, source, guess):
+            if np.ptp(np.concatenate([target.points, source.points])[:, 0]) > 50.0:
+                raise ValueError("no pairs")
+            return super().register(target, source, guess)
+
+    one = result_of(RefusesFarClouds, "converged")
+    what = "clouds without pairs: return a Match with converged=False, because an exception ends a run"
+    assert (one.outcome, one.observed) == ("failed", f"raises ValueError: no pairs; {what}")
+
+
+def test_a_library_that_turns_out_missing_belongs_to_the_missing_of_the_spec():
+    class Lazy(faulty.Sound):
+        def register(self, target, source, guess):
+            importlib.import_module("nowhere_to_be_found")
+
+    observed = result_of(Lazy, "starts").observed
+    assert observed.endswith(
+        "'nowhere_to_be_found'; let `missing` of the spec say so, with the command that installs it"
+    )
 
 
 def test_an_exception_for_too_few_points_is_allowed_and_observed():
