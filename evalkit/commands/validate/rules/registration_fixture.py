@@ -28,7 +28,8 @@ class RegistrationFixture:
 
     ``parameters``, ``given``: what it declares, and the complete values it is made with. ``elsewhere``: the arguments
     of ``state_rules.answers_elsewhere``, by which another process finds the same back end; {} if none can.
-    ``note_progress``: what a rule of several long calls calls before each; the time limit counts from there.
+    ``note_progress(*step)``: what a rule calls before each of several calls that are long, from which the time limit
+    then counts, or that may end the process, where a step in words says in which one it was.
     """
 
     def __init__(
@@ -44,7 +45,7 @@ class RegistrationFixture:
         self.asked_s = math.inf
         self.watch = StateWatch()
         self.worn: Registration | None = None  # the object of the endurance run
-        self.note_progress: Callable[[], object] = lambda: None
+        self.note_progress: Callable[..., object] = lambda *_: None
 
     def make(self) -> Registration:
         """A new object."""

@@ -15,12 +15,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from evalkit.commands.validate.rules import odometry_rules, registration_rules, slam_rules
 from evalkit.commands.validate.rules.odometry_fixture import OdometryFixture
 from evalkit.commands.validate.rules.registration_fixture import RegistrationFixture
-from evalkit.commands.validate.rules.rule import Rule, RuleReport, RuleResult, check_rule
+from evalkit.commands.validate.rules.rule import ProcessRule, Rule, RuleReport, RuleResult, check_rule
 from evalkit.commands.validate.rules.slam_rules import SlamFixture
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
 from evalkit.execution.parent import end_with_parent
@@ -187,7 +187,10 @@ class _RuleRunner:
             at = lines[-1].get("begun", "") if lines else names[0]
             if at:
                 text = limit or child.describe_end()
-                self._results[at] = RuleResult(at, self._rules[at].sentence, "failed", text)
+                step = lines[-1].get("step", "") if lines else ""
+                text += f", in {step}" if step else ""
+                ended: ProcessRule = "in-time" if hang else "alive"
+                self._results[at] = RuleResult(at, self._rules[at].sentence, "failed", text, also_breaks=ended)
                 (self._hangs if hang else self._crashes).append(f"{at}: {text}")
 
     def _watch(self, child: ChildProcess, folder: Path) -> tuple[bool, str]:
@@ -238,21 +241,27 @@ def main() -> int:
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     sys.path.extend(entry for entry in request["path"] if entry not in sys.path)
     address = Address(**request["address"])
-    kind = spec_at(address, BackendSpec, registry.backend).kind
+    spec = spec_at(address, BackendSpec, registry.backend)
+    if spec.broken:  # a program that answered before this process began
+        raise BackendFailed(address.label, "cannot be used any more", spec.broken)
     fixture = load_fixture(request["address"], request["parameters"], request["seed"])
     with (folder / RESULTS).open("a", encoding="utf-8", buffering=1) as file:
         for name in request["rules"]:
-            begun = json.dumps({"begun": name}) + "\n"
-            file.write(begun)
-            fixture.note_progress = partial(file.write, begun)
+            _note_step(file, name)
+            fixture.note_progress = partial(_note_step, file, name)
             try:
-                result: dict[str, Any] = asdict(_check_rule(RULES[kind][name], fixture))
+                result: dict[str, Any] = asdict(_check_rule(RULES[spec.kind][name], fixture))
             except NotInstalled as error:
                 result = {"outcome": NOT_INSTALLED, "observed": error.args}
             file.write(json.dumps(result) + "\n")
             if (name == STARTS and result["outcome"] != "passed") or result.get("also_breaks"):
                 break  # the program behind it has ended: it counts as an end of this process
     return 0
+
+
+def _note_step(file: IO[str], rule: str, step: str = "") -> None:
+    """Write that a rule has begun, or a step of it."""
+    file.write(json.dumps({"begun": rule, "step": step}) + "\n")
 
 
 def load_fixture(address: Mapping[str, str], parameters: Mapping[str, Value], seed: int) -> Any:

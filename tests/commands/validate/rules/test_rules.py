@@ -257,6 +257,22 @@ def test_a_back_end_that_ends_the_process_is_caught():
     assert checked.broken[0].observed == "the process exited with code 3"
 
 
+@pytest.mark.parametrize(
+    ("fault", "step"),
+    [
+        (
+            "WRITES_THROUGH_POINTER",
+            "a call whose clouds are read-only: does it write to them, or keep those of an earlier",
+        ),
+        ("READS_BEHIND", "a call with no memory behind its clouds: does it access what is behind them"),
+    ],
+)
+def test_a_crash_beside_protected_memory_says_in_which_call_it_was(fault, step):
+    checked = runner.check(f"faulty_backends:{fault}", only=("bounds",))
+    assert checked.broken[0].observed.startswith("the process was terminated by SIG")
+    assert f", in {step}" in checked.broken[0].observed
+
+
 def test_a_hang_is_terminated_and_breaks_the_rule_in_time():
     checked = runner.check("faulty_backends:HANGS", only=("wall", "inliers"), limit_s=6.0)
     assert outcomes(checked) == {"wall": "failed", "inliers": "passed", "alive": "passed", "in-time": "failed"}
@@ -412,6 +428,16 @@ def test_a_program_that_hangs_or_ends_has_not_refused_a_question(check_program, 
     passed = dict.fromkeys(("wall", "inliers", "alive", "in-time"), "passed")
     assert outcomes(checked) == {**passed, "few-points": "failed", breaks: "failed"}
     assert all(re.search(said, one.observed) for one in checked.broken)
+
+
+def test_a_program_that_does_not_start_again_is_said_to_end_not_to_break_the_next_rule(check_program, tmp_path):
+    gone = tmp_path / "gone"
+    ends = f"""sources == 2: open({str(gone)!r}, "w"); sys.exit(3)
+    elif __import__("os").path.exists({str(gone)!r}): sys.exit(4)"""
+    checked = check_program(ends, "few-points", "wall")
+    assert outcomes(checked) == {"few-points": "failed", "wall": "failed", "alive": "failed", "in-time": "passed"}
+    wall = next(one for one in checked.broken if one.rule == "wall")
+    assert "ended with code 4" in wall.observed
 
 
 def test_a_program_with_an_invalid_answer_is_started_again_for_the_next_rule(check_program):
