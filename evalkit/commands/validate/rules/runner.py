@@ -275,9 +275,9 @@ def _make_fixture(
     spec: BackendSpec, parameters: Mapping[str, Value], seed: int, elsewhere: Mapping[str, Any]
 ) -> RegistrationFixture | OdometryFixture:
     if isinstance(spec, RegistrationSpec):
-        return RegistrationFixture(spec.make, seed, spec.parameters, parameters, elsewhere)
+        return RegistrationFixture(spec.make, seed, spec.parameters, parameters, elsewhere, spec.runs_in)
     fixture = SlamFixture if isinstance(spec, SlamSpec) else OdometryFixture
-    return fixture(partial(spec.make, **parameters), spec.role, seed, elsewhere)
+    return fixture(partial(spec.make, **parameters), spec.role, seed, elsewhere, spec.runs_in)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 
 from evalkit.commands.validate.rules.resource_rules import BATCHES, in_another_thread
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, is_refusal
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, is_refusal, require_own_process
 from evalkit.commands.validate.rules.scenes import CloudPair, drawn_pair
 from evalkit.core.errors import format_exception
 from evalkit.core.match import Match
@@ -123,6 +123,7 @@ BOUNDS_STEPS: Mapping[Place, str] = {
 
 def check_bounds(fixture: RegistrationFixture) -> str:
     """It reads its arguments within their bounds, does not write to them, and does not keep them."""
+    require_own_process(fixture.runs_in)
     one = fixture.make()
     for pair in fixture.questions[:3]:
         for place, step in BOUNDS_STEPS.items():

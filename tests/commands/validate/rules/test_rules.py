@@ -387,7 +387,7 @@ def say(**answer): print(json.dumps(answer), flush=True)
 for line in sys.stdin:
     q = json.loads(line)
     sources, targets = len(q.get("source", ())) // 2, len(q.get("target", ())) // 2
-    if q["ask"] == "hello": say(protocol=1, kind="registration", summary="the guess", parameters=[])
+    if q["ask"] == "hello": say(protocol=1, kind="registration", summary="the guess", device=DEVICE, parameters=[])
     elif q["ask"] == "create": say()
     elif FAULT
     else: say(pose=q["guess"], converged=False, iterations=0, error_m=None, inliers=sources)
@@ -398,12 +398,27 @@ for line in sys.stdin:
 def check_program(tmp_path):
     """Check rules on a program that returns the guess except where the given fault applies."""
 
-    def check(fault, *only, **parameters):
+    def check(fault, *only, device="", **parameters):
         file = tmp_path / "program.py"
-        file.write_text(PROGRAM.replace("FAULT", fault), encoding="utf-8")
+        file.write_text(PROGRAM.replace("FAULT", fault).replace("DEVICE", repr(device)), encoding="utf-8")
         return runner.check(f"exec:{sys.executable} -I -S {file}", parameters, only=only)
 
     return check
+
+
+IN_THIS_PROCESS = ("read-only", "floating-point", "signals", "locale", "folder", "bounds")
+ON_THIS_MACHINE = ("memory", "slowdown", "open-files", "threads")
+
+
+@pytest.mark.parametrize(
+    ("device", "judged", "unknown"),
+    [("", ON_THIS_MACHINE, IN_THIS_PROCESS), ("a board", (), IN_THIS_PROCESS + ON_THIS_MACHINE)],
+)
+def test_what_does_not_show_here_is_not_judged_of_a_program_and_of_a_device(check_program, device, judged, unknown):
+    checked = check_program("False: pass", *IN_THIS_PROCESS, *ON_THIS_MACHINE, device=device)
+    found = outcomes(checked)
+    assert {name for name in found if found[name] == "not applicable"} == set(unknown)
+    assert all(found[name] == "passed" for name in judged)
 
 
 def test_a_program_that_refuses_large_clouds_fails_the_rules_that_ask_for_them_alone(check_program):
