@@ -12,6 +12,7 @@ from evalkit.commands.validate import probes, question_probes, timing_probes
 from evalkit.commands.validate.acceptance import Claim
 from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.commands.validate.probes import EXACT
+from evalkit.commands.validate.rules.runner import refuse_recorded
 from evalkit.config.experiment import Experiment, SequenceSpec, experiment_from_tables
 from evalkit.config.limits import Limits
 from evalkit.core.errors import NotInstalled
@@ -250,10 +251,11 @@ class ValidationPlan:
 
 
 def make_plan(request: ValidationRequest) -> ValidationPlan:
-    """Resolve a request before anything is computed; raises NotInstalled, UnknownName or BadParameter."""
+    """Resolve a request before anything is computed; raises NotInstalled, UnknownName, BadParameter, BackendFailed."""
     backend = request.backend
     reference, why = choose_reference(request.reference, backend)
     for name in (backend, reference):
+        refuse_recorded(name, registry.backend(name))
         if unusable := _find_unusable_reason(registry.backend(name)):
             raise NotInstalled(name, "cannot be validated here", unusable)
     given = _parse_settings(backend, request.given)

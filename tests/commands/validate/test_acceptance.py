@@ -71,6 +71,13 @@ def test_the_other_claim_is_proposed_where_nothing_but_equality_fails():
     assert report(KEPT, level(1, "registrations", other, worse), claim="as-good").next_step == ""
 
 
+def test_a_method_within_single_precision_is_asked_whether_it_is_meant_to_be():
+    same = report(KEPT, level(1, "registrations", SAME))
+    asked = "meant to compute in double precision? --margin exact says where it first does not"
+    assert replace(same, margin="float32").next_step == asked
+    assert same.next_step == ""
+
+
 def test_each_claim_depends_on_its_own_checks():
     other_method = level(1, "registrations", replace(SAME, outcome="failed"), GOOD)
     assert not report(KEPT, other_method).passed

@@ -65,6 +65,12 @@ RECORDED_REMEDY = (
 )
 
 
+def refuse_recorded(name: str, spec: BackendSpec) -> None:
+    """Raise BackendFailed for a file of results."""
+    if spec.recorded:
+        raise BackendFailed(name, "holds recorded results: there is no behaviour to check", RECORDED_REMEDY)
+
+
 def check(
     backend: str | BackendSpec,
     parameters: Mapping[str, object] | None = None,
@@ -83,9 +89,7 @@ def check(
     BadParameter or UnknownName for parameters and rules.
     """
     address, spec = address_of(backend), backend_at(backend)
-    if spec.recorded:
-        what = "holds recorded results: there is no behaviour to check"
-        raise BackendFailed(address.label, what, RECORDED_REMEDY)
+    refuse_recorded(address.label, spec)
     if why := spec.missing():
         raise NotInstalled(address.label, "cannot be checked here", why)
     if spec.broken:
