@@ -101,11 +101,17 @@ class Board:
             raise LineError(f"the firmware is no {KINDS[self._kind]}; it offers: {offered}")
         self._parameters = [one[1:] for one in self.firmware.parameters if self._kind in one[0]]
         self._numbers: list[float] | None = None  # values of the parameters, once the session is created
+        self._ended_by = 0  # the process that has ended it
         self._tracked: list[tuple[int, list[float]]] = []  # of a SLAM: keyframe and odom_from_base of each scan,
         self._keyframe_stamps_ns: list[int] = []
 
     def answer(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Return the answer to a question; raises LineError where the board does not answer or refuses."""
+        if self._ended_by:
+            raise BoardRefused(
+                f"another program (process {self._ended_by}) has used the board, and the session is lost; "
+                "let one run at a time use it (--jobs 1)"
+            )
         ask = question["ask"]
         if ask == "hello":
             return self._describe()
@@ -146,12 +152,10 @@ class Board:
         }
 
     def resume(self, other: int) -> None:
-        """Begin the session again, after another process has used the board; raises LineError where it had a state."""
+        """Begin the session again, after another process has used the board; one that has a state is lost."""
         if self._kind != "r" and self._numbers is not None:
-            raise LineError(
-                f"another program (process {other}) has used the board, and the session is lost; "
-                "let one run at a time use it (--jobs 1)"
-            )
+            self._ended_by = other
+            return
         self._link.restart()
         if self._numbers is not None:
             self._start(self._numbers)
