@@ -65,7 +65,7 @@ typedef struct {
     const char *reason;               /* why, 1 to 200 bytes; valid until the next call of a function */
 } evalkit_loop_closure;
 
-/* Callback for one iteration: error (m) and pairs before it, pose after it.  Pass `listener` on unchanged. */
+/* Callback for one iteration: its pairs, their error (m), and the pose after it.  Pass `listener` on unchanged. */
 typedef void (*evalkit_trace)(void *listener, double error_m, int32_t inliers, const evalkit_pose *target_from_source);
 
 /* Return EVALKIT_ABI, the version of this file at compile time. */

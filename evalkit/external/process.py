@@ -72,9 +72,10 @@ def scheme(rest: str) -> BackendSpec:
     except BackendFailed as error:
         return broken_spec(name, "; ".join(error.args[1:]), digest)
     parameters = (*declared.parameters, TIMEOUT)
-    return make_spec(
+    spec = make_spec(
         declared, parameters, partial(_make, name, argv, declared), compute_digest(words=f"{digest} {description}")
     )
+    return replace(spec, runs_in="device" if declared.device else "program")
 
 
 class ProgramRegistration:

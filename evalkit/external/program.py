@@ -29,6 +29,9 @@ MAX_ANSWER_BYTES = 1 << 20
 NOT_FINITE = re.compile(rb'\s*\{.*?"(\w+)":[^"]*?(-?\b(?:nan|inf|infinity)\b)', re.IGNORECASE)
 """A number as C prints it where it is not finite, behind its key."""
 
+DECIMAL_COMMA = re.compile(rb'"(\w+)":\s*-?\d+,\d')
+"""A number as C prints it in some locales, behind its key: in an object, only the next key may follow a comma."""
+
 EXIT_WAIT_S, LATE_POLL_S = 5.0, 0.05
 CHUNK_BYTES = 1 << 16
 
@@ -117,10 +120,7 @@ class Program:
         try:
             answer = untrusted_io.parse_json(line)
         except ValueError:
-            what, remedy = _find_not_finite(line), "answer finite numbers"
-            if not what:
-                what, remedy = f"the answer is not one line of JSON: {_printable(line)}", "print messages to stderr"
-            raise self._failure(what, remedy) from None
+            raise self._failure(*_find_mistake(line)) from None
         if not isinstance(answer, dict):
             raise self._failure(f"the answer is {_printable(line)}", "expected a JSON object")
         if "failed" in answer:
@@ -130,7 +130,8 @@ class Program:
 
     def malformed(self, key: str, found: object, expected: str) -> BackendFailed:
         """Return the error for an answer with an invalid value."""
-        return self._failure(f"the answer has '{key}': {brief(found)}, expected {expected}", "correct the answer")
+        has = f"the answer has no '{key}'" if found is None else f"the answer has '{key}': {brief(found)}"
+        return self._failure(f"{has}, expected {expected}", "correct the answer")
 
     def cpu_ns(self) -> int:
         """Return the CPU time of the program so far, with all its threads, without the programs that it started."""
@@ -186,10 +187,15 @@ class Program:
         return f"; last message: {stderr}" if stderr else ""
 
 
-def _find_not_finite(line: bytes) -> str:
-    """What an answer has that JSON has not, "" if it is another mistake."""
-    found = NOT_FINITE.match(line)
-    return f"the answer has {found[2].decode()} in '{found[1].decode()}': JSON has no such number" if found else ""
+def _find_mistake(line: bytes) -> tuple[str, str]:
+    """What is wrong with an answer that is no JSON, and the remedy."""
+    if found := NOT_FINITE.match(line):
+        what = f"the answer has {found[2].decode()} in '{found[1].decode()}': JSON has no such number"
+        return what, "answer finite numbers"
+    if found := DECIMAL_COMMA.search(line):
+        what = f"the answer has a decimal comma in '{found[1].decode()}': {_printable(line)}"
+        return what, 'write numbers with a point, as in the locale "C"'
+    return f"the answer is not one line of JSON: {_printable(line)}", "print messages to stderr"
 
 
 def _require_pipe(pipe: IO[bytes] | None) -> IO[bytes]:

@@ -15,10 +15,12 @@ import struct
 import sys
 from array import array
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
 from evalkit.external.serial_line import BAUDS, BoardRefused, Line, LineError, Link, open_command, open_device
+from evalkit.external.shared_device import SharedDevice
 
 VERSION = 3
 KINDS = {"r": "registration", "o": "odometry", "s": "slam"}
@@ -67,12 +69,15 @@ def parse_hello(answer: bytes) -> Firmware:
     """Parse the answer to H; raises LineError."""
     try:
         version, real, _, points, targets = struct.unpack_from("<HBBII", answer)
+        if version != VERSION:
+            remedy = "build it from the core of this evalkit"
+            raise LineError(f"the firmware is of version {version}, expected {VERSION}; {remedy}")
         kinds, summary, *lines = answer[12:].decode("ascii").splitlines()
         parameters = tuple((takers, name, parse_default(text)) for takers, name, text in map(str.split, lines))
-        if version != VERSION or real not in REALS or not kinds or set(kinds) - set(KINDS):
+        if real not in REALS or not kinds or set(kinds) - set(KINDS):
             raise ValueError
     except (struct.error, ValueError):
-        raise LineError(f"the board answers {answer[:40]!r} to H; is this firmware for version {VERSION}?") from None
+        raise LineError(f"the board answers {answer[:40]!r} to H, which is no greeting of this firmware") from None
     return Firmware(REALS[real], points, targets, kinds, summary, parameters)
 
 
@@ -95,11 +100,18 @@ class Board:
             offered = ", ".join(KINDS[one] for one in self.firmware.kinds)
             raise LineError(f"the firmware is no {KINDS[self._kind]}; it offers: {offered}")
         self._parameters = [one[1:] for one in self.firmware.parameters if self._kind in one[0]]
+        self._numbers: list[float] | None = None  # values of the parameters, once the session is created
+        self._ended_by = 0  # the process that has ended it
         self._tracked: list[tuple[int, list[float]]] = []  # of a SLAM: keyframe and odom_from_base of each scan,
         self._keyframe_stamps_ns: list[int] = []
 
     def answer(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Return the answer to a question; raises LineError where the board does not answer or refuses."""
+        if self._ended_by:
+            raise BoardRefused(
+                f"another program (process {self._ended_by}) has used the board, and the session is lost; "
+                "let one run at a time use it (--jobs 1)"
+            )
         ask = question["ask"]
         if ask == "hello":
             return self._describe()
@@ -139,10 +151,23 @@ class Board:
             ],
         }
 
+    def resume(self, other: int) -> None:
+        """Begin the session again, after another process has used the board; one that has a state is lost."""
+        if self._kind != "r" and self._numbers is not None:
+            self._ended_by = other
+            return
+        self._link.restart()
+        if self._numbers is not None:
+            self._start(self._numbers)
+
     def _create(self, values: Mapping[str, Any]) -> dict[str, Any]:
         numbers = [float(values[name]) for name, _ in self._parameters]
-        self._ask(b"C" + self._kind.encode() + struct.pack(f"<{len(numbers)}d", *numbers))
+        self._start(numbers)
+        self._numbers = numbers
         return {}
+
+    def _start(self, numbers: Sequence[float]) -> None:
+        self._ask(b"C" + self._kind.encode() + struct.pack(f"<{len(numbers)}d", *numbers))
 
     def _reals(self, values: Sequence[float]) -> bytes:
         content = array(self.firmware.real, values)
@@ -234,11 +259,41 @@ class Board:
             raise LineError(f"the board answers {len(answer)} bytes, expected {struct.calcsize(layout)}") from None
 
 
-def open_line(arguments: argparse.Namespace) -> Line:
-    """Open the device, or start the command."""
-    if arguments.command:
-        return open_command(shlex.split(arguments.command))
-    return open_device(arguments.device, arguments.baud)
+class Bridge:
+    """The board of a command line, which is opened with the first question; a device is shared with other bridges."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self._arguments = arguments
+        self._shared = SharedDevice(arguments.device) if arguments.device else None
+        self._line: Line | None = None
+        self._link: Link | None = None
+        self.board: Board | None = None
+
+    def answer(self, question: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the answer of the board; raises LineError."""
+        with self._shared.turn() if self._shared is not None else nullcontext(0) as other:
+            if self.board is not None and other:
+                self.board.resume(other)
+            return self._open().answer(question)
+
+    def _open(self) -> Board:
+        if self.board is None:
+            given = self._arguments
+            if self._line is None:
+                self._line = (
+                    open_command(shlex.split(given.command)) if given.command else open_device(given.device, given.baud)
+                )
+            self._link = Link(self._line, given.timeout, given.tries)
+            kind = {name: letter for letter, name in KINDS.items()}.get(given.kind, "")
+            self.board = Board(self._link, kind, given.device or "board behind a program")
+        return self.board
+
+    def close(self) -> None:
+        """Close the line, and say how often frames were sent again."""
+        if self._link is not None and self._link.repeats:
+            sys.stderr.write(f"serial_board: {self._link.repeats} frames were sent again\n")
+        if self._line is not None:
+            self._line.close()
 
 
 def parse_seconds(text: str) -> float:
@@ -267,32 +322,24 @@ def main() -> int:
     parser.add_argument("--baud", type=int, choices=BAUDS, default=115_200)
     parser.add_argument("--kind", choices=sorted(KINDS.values()), help="default: the first one of the firmware")
     parser.add_argument("--timeout", type=parse_seconds, default=0.5, help="seconds until a frame is sent again")
-    parser.add_argument("--tries", type=parse_tries, default=20, help="number of times that a frame is sent at most")
+    parser.add_argument("--tries", type=parse_tries, default=12, help="number of times that a frame is sent at most")
     arguments = parser.parse_args()
     if bool(arguments.device) == bool(arguments.command):
         parser.error("give a serial device, or --command")
-    kind = {name: letter for letter, name in KINDS.items()}.get(arguments.kind, "")
-    line = board = link = None
+    bridge = Bridge(arguments)
     try:
         for question in sys.stdin:
             try:
-                if board is None:
-                    line = open_line(arguments)
-                    link = Link(line, arguments.timeout, arguments.tries)
-                    board = Board(link, kind, arguments.device or "board behind a program")
-                answer = board.answer(json.loads(question))
+                answer = bridge.answer(json.loads(question))
             except LineError as error:
-                if board is not None and not isinstance(error, BoardRefused):
+                if bridge.board is not None and not isinstance(error, BoardRefused):
                     sys.stderr.write(f"serial_board: {error}\n")
                     return 1  # the session on the board is lost
                 answer = {"failed": str(error)}
             sys.stdout.write(json.dumps(answer) + "\n")
             sys.stdout.flush()
     finally:
-        if link is not None and link.repeats:
-            sys.stderr.write(f"serial_board: {link.repeats} frames were sent again\n")
-        if line is not None:
-            line.close()
+        bridge.close()
     return 0
 
 

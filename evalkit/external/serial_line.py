@@ -24,6 +24,9 @@ CHECKSUM_BYTES = 4
 BUSY_S = 600.0
 """Longest wait for a board that computes."""
 
+GREETING_S, MIN_TRIES = 6.0, 3
+"""How long a board is asked that has never answered: evalkit, which waits 10 s, shall be told the reason."""
+
 MAX_CODED_BYTES = 4 * DATA_BYTES
 """More bytes without a zero are noise."""
 
@@ -69,6 +72,14 @@ class Line:
         if not content:
             raise LineError("the line was closed; is the board, or the program behind the line, still running?")
         return content
+
+    def flush_input(self) -> None:
+        """Throw away what a device has received."""
+        if self.process is None:
+            import termios  # noqa: PLC0415 - not on Windows
+
+            with contextlib.suppress(termios.error):  # a pipe, in place of a device
+                termios.tcflush(self.reader, termios.TCIFLUSH)
 
     def close(self) -> None:
         """Close the line, and end the program behind it."""
@@ -175,9 +186,18 @@ class Link:
     tries: int
     repeats: int = 0
     """Number of frames that were sent again."""
+    received_bytes: int = 0
+    received_frames: int = 0
+    """Whole frames among the bytes."""
     _sequence: int = 0
     _started: bool = False
     _received: bytearray = field(default_factory=bytearray)
+
+    def restart(self) -> None:
+        """Begin a new session with the next message: another program has used the board."""
+        self._started = False
+        self._received.clear()
+        self.line.flush_input()
 
     def ask(self, message: bytes) -> bytes:
         """Send a message and return its answer; raises LineError."""
@@ -195,7 +215,10 @@ class Link:
         self._sequence = (self._sequence + 1) % 256
         flags |= 0 if self._started else FIRST
         frame = encode_frame(self._sequence, flags, data)
-        for attempt in range(self.tries):
+        tries = self.tries
+        if not self.received_frames:
+            tries = min(tries, max(MIN_TRIES, int(GREETING_S / self.timeout_s)))
+        for attempt in range(tries):
             self.repeats += bool(attempt)
             separator = b"\0" if attempt or flags & FIRST else b""  # ends what is left of a damaged frame
             self.line.write(separator + frame)
@@ -203,10 +226,18 @@ class Link:
             if answer is not None:
                 self._started = True
                 return self._wait() if answer[0] & BUSY else answer
-        raise LineError(
-            f"no answer from the board in {self.tries} tries of {self.timeout_s:g} s; "
-            "check device, speed and firmware; a slow line needs a larger --timeout"
-        )
+        raise LineError(f"no answer from the board in {tries} tries of {self.timeout_s:g} s; {self._find_cause()}")
+
+    def _find_cause(self) -> str:
+        """Return what may be wrong with a line without an answer, by what has arrived so far."""
+        if self.received_frames:
+            return f"{self.received_frames} answers had arrived before: see where it hangs, or set a larger --timeout"
+        if self.received_bytes:
+            return (
+                f"{self.received_bytes} bytes have arrived, and no whole frame among them: check --baud, and that the "
+                "firmware prints nothing else on this line"
+            )
+        return "no byte has arrived: check the device, its wires, and that the firmware runs"
 
     def _wait(self) -> tuple[int, bytes]:
         """Return the answer of a board that has the message and computes; evalkit's answer_timeout_s is the limit.
@@ -231,12 +262,17 @@ class Link:
             if zero:
                 self._received = bytearray(rest)
                 frame = decode_frame(bytes(coded))
+                if frame is not None and frame[1] & FIRST:
+                    raise LineError("the line returns what is sent: is it the board's device, and is its echo off?")
+                self.received_frames += frame is not None
                 if frame is not None and frame[0] == self._sequence:
                     return frame[1], frame[2]
                 continue
             left_s = end - time.monotonic()
             if left_s <= 0.0:
                 return None
-            self._received += self.line.read(left_s)
+            arrived = self.line.read(left_s)
+            self.received_bytes += len(arrived)
+            self._received += arrived
             if b"\0" not in self._received and len(self._received) > MAX_CODED_BYTES:
                 self._received.clear()

@@ -35,6 +35,9 @@ without a map, from the same start."""
 
 Excerpt = Literal["full", "quick"]
 
+RunsIn = Literal["evalkit", "program", "device"]
+"""Where a back end computes: in evalkit's own process, in that of a program, or on a device that a program asks."""
+
 FIRST_STAGE = "s2s."
 """Prefix of a registration's parameter that applies to the scan-to-scan stage only."""
 
@@ -56,7 +59,8 @@ class BackendSpec:
     end alone were chosen on: its results there are optimistic. Settings that were chosen for all back ends on the same
     runs with the same budget do not count. ``default``: among the methods of a comparison that names none; one of each
     family of methods is enough. ``reference``: the back end whose answers it is meant to give, its twin; a validation
-    that names no reference compares it with that one. "": with the first of role "reference".
+    that names no reference compares it with that one. "": with the first of role "reference". ``runs_in``: see
+    ``RunsIn``.
     """
 
     make: Callable[..., Any]
@@ -73,6 +77,7 @@ class BackendSpec:
     tuned_on: tuple[str, ...] = ()
     default: bool = False
     reference: str = ""
+    runs_in: RunsIn = "evalkit"
 
     kind: ClassVar[BackendKind]
     recorded: ClassVar[bool] = False

@@ -104,6 +104,8 @@ def test_a_back_end_that_reports_no_device_time_has_none(program, run_backend):
         ("print('Loading map...', flush=True)", "not one line of JSON: Loading map..."),
         ("print('{\"pose\":[nan,0,0]}', flush=True)", "the answer has nan in 'pose': JSON has no such number"),
         ('print(\'{"pose":[0,-inf,0],"n":1}\', flush=True)', "the answer has -inf in 'pose'"),
+        ('print(\'{"pose":[1,0,0],"elapsed_ns":0,5}\', flush=True)', "the answer has a decimal comma in 'elapsed_ns'"),
+        ("say(poses=[x, 0.0, 0.0])", "the answer has no 'pose', expected three numbers"),
         ('print(\'{"said":"a nan",}\', flush=True)', "not one line of JSON"),
         ("print('{}\\n{}', flush=True)", "not one line of JSON"),
         ("print('[1, 2]', flush=True)", "expected a JSON object"),

@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import threading
+from argparse import Namespace
 from dataclasses import replace
 from itertools import islice, product
 from pathlib import Path
@@ -21,8 +22,8 @@ import pytest
 
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit.external import serial_board, serial_line
-from evalkit.external.serial_board import Board, parse_default, parse_hello
+from evalkit.external import process, serial_board, serial_line, shared_device
+from evalkit.external.serial_board import Board, Bridge, parse_default, parse_hello
 from evalkit.external.serial_line import BUSY, FIRST, LAST, NO_SESSION, BoardRefused, LineError, Link
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
@@ -69,7 +70,8 @@ class StandIn:
     def __init__(self, program, harm=0.0):
         self._program, self._harm, self._random = program, harm, random.Random(0)
         self._host, device = pty.openpty()
-        self.line = serial_line.open_device(os.ttyname(device), 115200)
+        self.path = os.ttyname(device)
+        self.line = serial_line.open_device(self.path, 115200)
         os.close(device)
         self._stop = threading.Event()
         self.harmed = 0
@@ -243,6 +245,50 @@ def test_a_board_that_restarts_is_an_error_and_noise_before_the_session_is_not(s
         board.answer(question(next(frames(1))))
 
 
+@pytest.fixture
+def make_bridge(stand_in, monkeypatch, tmp_path):
+    """Return what makes another bridge to one device, as other processes have it, that has greeted the board."""
+    monkeypatch.setattr(shared_device.tempfile, "gettempdir", lambda: str(tmp_path))
+    path, made = stand_in().path, []
+
+    def make(kind):
+        made.append(Bridge(Namespace(device=path, command=None, baud=115200, kind=kind, timeout=0.2, tries=1500)))
+        assert made[-1].answer({"ask": "hello", "protocol": 1})["kind"] == kind
+        return made[-1]
+
+    yield make
+    for bridge in made:
+        bridge.close()
+
+
+@needs_firmware
+def test_registrations_of_several_programs_take_turns_on_one_board(make_bridge):
+    """Each has its own limit of iterations, one and two, which no answer reaches sooner."""
+    bridges = [make_bridge("registration") for _ in range(2)]
+    for number, bridge in enumerate(bridges, start=1):
+        bridge.answer({"ask": "create", "parameters": PARAMETERS | {"max_iterations": number, "epsilon": 0.0}})
+    points = np.random.default_rng(0).uniform(-2.0, 2.0, (80, 2))
+    asked = {
+        "ask": "register", "guess": [0.05, 0.0, 0.02], "source": points.ravel().tolist(),
+        "target": points.ravel().tolist(),
+    }  # fmt: skip
+    for _ in range(2):
+        assert [bridge.answer(asked)["iterations"] for bridge in bridges] == [1, 2]
+
+
+@needs_firmware
+def test_a_session_that_another_program_ended_says_which_one(make_bridge):
+    one = make_bridge("odometry")
+    one.answer({"ask": "create", "parameters": PARAMETERS})
+    scans = list(frames(2))
+    one.answer(question(scans[0]))
+    make_bridge("odometry")
+    says = rf"another program \(process {os.getpid()}\) has used the board, and the session is lost; .*\(--jobs 1\)"
+    for _ in range(2):
+        with pytest.raises(BoardRefused, match=says):
+            one.answer(question(scans[1]))
+
+
 @needs_firmware
 def test_what_the_firmware_cannot_take_is_refused_with_a_reason(stand_in):
     line = stand_in()
@@ -339,8 +385,50 @@ def test_a_program_behind_the_line_ends_with_a_killed_bridge(has_ended):
 
 def test_a_silent_board_is_an_error():
     reader, writer = os.pipe()[0], os.pipe()[1]
-    with pytest.raises(LineError, match=r"no answer from the board in 3 tries of 0.01 s"):
+    with pytest.raises(
+        LineError, match=r"no answer from the board in 3 tries of 0.01 s; no byte has arrived: check the"
+    ):
         Link(serial_line.Line(reader, writer), timeout_s=0.01, tries=3).ask(b"H")
+
+
+class Scripted:
+    """A line that gives what it was told to, one piece for each frame, or what a function makes of the frame."""
+
+    def __init__(self, *pieces):
+        self._pieces, self._ready = list(pieces), b""
+
+    def write(self, content):
+        piece = self._pieces.pop(0) if self._pieces else b""
+        self._ready = piece(content) if callable(piece) else piece
+
+    def read(self, _wait_s):
+        ready, self._ready = self._ready, b""
+        return ready
+
+
+NOISE = b"\x9a\x11\x00\xf3\x42"
+
+
+@pytest.mark.parametrize(
+    ("pieces", "says"),
+    [
+        ([NOISE, NOISE], "10 bytes have arrived, and no whole frame among them: check --baud, and that the firmware"),
+        ([serial_line.encode_frame(9, LAST, b"a")], "1 answers had arrived before: see where it hangs"),
+        ([lambda sent: sent], "the line returns what is sent"),
+    ],
+)
+def test_what_has_arrived_tells_why_there_is_no_answer(pieces, says):
+    with pytest.raises(LineError, match=says):
+        Link(Scripted(*pieces), timeout_s=1e-3, tries=2).ask(b"H")
+
+
+@pytest.mark.parametrize(("timeout_s", "tried"), [(0.25, 4), (0.02, 20)])
+def test_a_board_that_never_answered_is_asked_for_less_time_than_evalkit_waits(monkeypatch, timeout_s, tried):
+    """One second instead of six, and no more than 20 tries."""
+    assert serial_line.GREETING_S < process.HELLO_S - 2.0
+    monkeypatch.setattr(serial_line, "GREETING_S", 1.0)
+    with pytest.raises(LineError, match=f"no answer from the board in {tried} tries of {timeout_s:g} s"):
+        Link(Scripted(), timeout_s, tries=20).ask(b"H")
 
 
 class Slow:
@@ -451,8 +539,10 @@ def test_a_greeting_of_another_version_is_refused():
     )  # fmt: skip
     assert parse_default("true") is True
     assert parse_default("-2") == -2
-    for answer in (b"", b"\x02\x00\x04\x00" + bytes(8) + b"o\nmine\n", b"\x03\x00\x04\x00" + bytes(8) + b"x\nmine\n"):
-        with pytest.raises(LineError, match="is this firmware for version 3"):
+    with pytest.raises(LineError, match="the firmware is of version 2, expected 3; build it from the core"):
+        parse_hello(b"\x02\x00\x04\x00" + bytes(8) + b"o\nmine\n")
+    for answer in (b"", b"\x03\x00\x04\x00" + bytes(8) + b"x\nmine\n"):
+        with pytest.raises(LineError, match="which is no greeting of this firmware"):
             parse_hello(answer)
 
 

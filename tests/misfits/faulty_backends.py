@@ -141,6 +141,14 @@ class WritesThroughPointer(Sound):
         return match
 
 
+class ReadsBehind(Sound):
+    """Reads a byte behind the target."""
+
+    def register(self, target, source, guess):
+        ctypes.string_at(target.points.ctypes.data + target.points.nbytes, 1)
+        return super().register(target, source, guess)
+
+
 class AlwaysConverged(Sound):
     """Always reports convergence."""
 
@@ -438,6 +446,7 @@ def parameterised(stop: int) -> Sound:
 SOUND = spec(Sound)
 SEGFAULT, ALWAYS_SEGFAULT, EXITS, HANGS, HOGS = map(spec, (Segfault, AlwaysSegfault, Exits, Hangs, Hogs))
 LEAKS, ABSENT, RAISES, MATRIX = map(spec, (Leaks, Absent, Raises, Matrix))
+WRITES_THROUGH_POINTER, READS_BEHIND = map(spec, (WritesThroughPointer, ReadsBehind))
 PARAMETERISED = spec(parameterised, parameters=(Parameter("stop", 1, "", "13 ends badly", low=1),))
 MISSING = spec(Sound, missing=lambda: "not installed: pip install nothing")
 WHEELS = spec(Wheels, OdometrySpec, role="baseline")

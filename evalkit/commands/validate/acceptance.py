@@ -147,7 +147,9 @@ class AcceptanceReport:
 
     @property
     def next_step(self) -> str:
-        """What to ask where nothing fails but the equality of results: the subject may be another method. Else ""."""
+        """What to ask next, or "": of a method that may be another one, and of one that shows single precision."""
+        if self.passed and self.claim == "equal" and self.margin == "float32":
+            return "meant to compute in double precision? --margin exact says where it first does not"
         failed = [check for level in self.levels for check in level.failed(self.claim)]
         if not failed or any(check.deciding != "equal" for check in failed):
             return ""

@@ -25,6 +25,7 @@ TRACE_ALONE = "the pose is equal, but not trace"
 """Of a first difference that says where it shows, not what it is."""
 
 STATE_CAUSES = {
+    "read-only": "a call writes to its arguments, which later questions share",
     "fresh": "a new object depends on earlier ones: memory outside the object, such as a static variable",
     "deterministic": "a new object answers otherwise: memory outside the object or not initialised, or random numbers",
     "stateless": "an answer depends on earlier questions: memory that a call leaves to the next one",
@@ -45,17 +46,18 @@ def rules_level(
     Where one exception ends several rules, only the first one is broken by it; the others were not judged. A broken
     rule that may cause the others (``STATE_CAUSES``) comes first.
     """
-    results = sorted(results, key=lambda one: not _is_state_cause(one, results))
     waived = {one.rule for one in results if one.outcome == "failed" and one.rule in (waivers or {})}
     broken = [one for one in results if one.outcome == "failed" and one.rule not in waived]
+    cause = _find_state_cause(broken)
+    results, broken = (sorted(some, key=lambda one: one.rule != cause) for some in (results, broken))
     applicable = sum(one.outcome != "not applicable" for one in results)
     causes: dict[str, list[str]] = {}
     for one in broken:
         causes.setdefault(one.observed if one.raised else one.rule, []).append(one.rule)
     names = [first for first, *_ in causes.values()]
     summary = f"{len(causes)} of {applicable} rules broken" + (f": {', '.join(names)}" if names else "")
-    if len(names) > 1 and names[0] in STATE_CAUSES:
-        summary = f"{len(causes)} of {applicable} rules broken: {names[0]} ({STATE_CAUSES[names[0]]})"
+    if len(names) > 1 and cause:
+        summary = f"{len(causes)} of {applicable} rules broken: {cause} ({STATE_CAUSES[cause]})"
         summary += f", and perhaps by the same cause: {', '.join(names[1:])}"
     summary += f", {len(waived)} waived" if waived else ""
     kept = Counter(one.observed for one in results if one.outcome == "not judged")
@@ -77,10 +79,10 @@ def rules_level(
     return waive(AcceptanceLevel(0, "rules", question, tuple(checks)), waivers or {})
 
 
-def _is_state_cause(result: RuleResult, results: Sequence[RuleResult]) -> bool:
-    """Whether a rule is the first broken one of ``STATE_CAUSES``."""
-    broken = {one.rule for one in results if one.outcome == "failed" and not one.raised}
-    return result.rule == next((name for name in STATE_CAUSES if name in broken), None)
+def _find_state_cause(broken: Sequence[RuleResult]) -> str:
+    """Return the first of ``STATE_CAUSES`` that an answer breaks, no exception and no end of a process; "" if none."""
+    answered = {one.rule for one in broken if not one.raised and not one.also_breaks}
+    return next((name for name in STATE_CAUSES if name in answered), "")
 
 
 def waive(level: AcceptanceLevel, waivers: Mapping[str, str]) -> AcceptanceLevel:
@@ -157,9 +159,8 @@ def format_divergence(comparison: Mapping[str, Any], terms: ComparisonTerms, uni
     first = comparison["first"]
     if not first:
         return ""
-    what = first["what"]
-    if "raises" not in what:  # keep the text of a third party's exception
-        what = re.sub(r"\b[AB]\b", lambda one: terms.reference if one.group() == "A" else terms.backend, what)
+    of_sides = r"^[AB](?= raises)" if "raises" in first["what"] else r"\b[AB]\b"  # not in a third party's exception
+    what = re.sub(of_sides, lambda one: terms.reference if one.group() == "A" else terms.backend, first["what"])
     stage = f" ({format_stage(first['stage'])})" if first["stage"] != unit else ""
     iteration = f", iteration {first['iteration']}" if first["iteration"] is not None else ""
     return f"{unit} {first['scan']}{stage}{iteration}, {first['quantity']}: {first['kind']}: {what}"

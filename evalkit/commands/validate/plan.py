@@ -11,6 +11,7 @@ from typing import Any, Literal
 from evalkit.commands.validate.acceptance import Claim
 from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.commands.validate.probes import EXACT
+from evalkit.commands.validate.rules.runner import refuse_recorded
 from evalkit.config.experiment import Experiment, SequenceSpec
 from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.config.limits import Limits
@@ -147,10 +148,11 @@ class ValidationPlan:
 
 
 def make_plan(request: ValidationRequest) -> ValidationPlan:
-    """Resolve a request before anything is computed; raises NotInstalled, UnknownName or BadParameter."""
+    """Resolve a request before anything is computed; raises NotInstalled, UnknownName, BadParameter, BackendFailed."""
     backend = request.backend
     reference, why = choose_reference(request.reference, backend)
     for name in (backend, reference):
+        refuse_recorded(name, registry.backend(name))
         if unusable := _find_unusable_reason(registry.backend(name)):
             raise NotInstalled(name, "cannot be validated here", unusable)
     given = _parse_settings(backend, request.given)

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
@@ -14,7 +15,7 @@ from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_m
 from evalkit.commands.validate.first_screen import GOOD as GREEN_TEXT
 from evalkit.commands.validate.first_screen import first_figures
 from evalkit.commands.validate.known_motion import judge_gap
-from evalkit.commands.validate.level_answers import TRACE_ALONE, name_traces, rules_level, waive
+from evalkit.commands.validate.level_answers import TRACE_ALONE, format_divergence, name_traces, rules_level, waive
 from evalkit.commands.validate.rules.rule import RuleResult
 
 SCHEMA = json.loads((Path(package.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
@@ -68,6 +69,13 @@ def test_the_other_claim_is_proposed_where_nothing_but_equality_fails():
     assert report(KEPT, level(1, "registrations", SAME)).next_step == ""
     worse = replace(GOOD, outcome="failed")
     assert report(KEPT, level(1, "registrations", other, worse), claim="as-good").next_step == ""
+
+
+def test_a_method_within_single_precision_is_asked_whether_it_is_meant_to_be():
+    same = report(KEPT, level(1, "registrations", SAME))
+    asked = "meant to compute in double precision? --margin exact says where it first does not"
+    assert replace(same, margin="float32").next_step == asked
+    assert same.next_step == ""
 
 
 def test_each_claim_depends_on_its_own_checks():
@@ -179,6 +187,19 @@ def test_rules_that_were_not_asked_are_not_judged_and_counted():
     assert [one.outcome for one in level.checks] == ["failed", "failed", "not judged", "not judged"]
 
 
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ("B raises ZeroDivisionError: A or B", "lib:./mine.so raises ZeroDivisionError: A or B"),
+        ("B stops after 3 iterations, A after 4", "lib:./mine.so stops after 3 iterations, paper after 4"),
+    ],
+)
+def test_a_first_difference_names_both_sides_and_keeps_the_text_of_an_exception(what, said):
+    first = {"what": what, "stage": "pair", "scan": 2, "iteration": None, "quantity": "answer", "kind": "different"}
+    terms = SimpleNamespace(reference="paper", backend="lib:./mine.so")
+    assert format_divergence({"first": first}, terms, "pair") == f"pair 2, answer: different: {said}"
+
+
 def test_a_state_that_may_break_other_rules_comes_first():
     def broken(name):
         return RuleResult(name, "It holds.", "failed", "it does not")
@@ -190,6 +211,20 @@ def test_a_state_that_may_break_other_rules_comes_first():
     )
     assert [one.name for one in level.checks[1:]] == ["rule fresh", "rule first", "rule deterministic"]
     assert rules_level([broken("fresh")]).checks[0].observed == "1 of 1 rules broken: fresh"
+    level = rules_level([broken("deterministic"), broken("read-only")])
+    assert level.checks[0].observed == (
+        "2 of 2 rules broken: read-only (a call writes to its arguments, which later questions share), and perhaps by "
+        "the same cause: deterministic"
+    )
+
+
+@pytest.mark.parametrize("end", [{"raised": True}, {"also_breaks": "in-time"}, {"also_breaks": "alive"}])
+def test_a_rule_on_state_that_an_exception_or_an_end_breaks_says_nothing_of_state(end):
+    ended = RuleResult("stateless", "It holds.", "failed", "no answer within 10 s", **end)
+    level = rules_level([ended, RuleResult("wall", "It holds.", "failed", "it does not")])
+    assert level.checks[0].observed == "2 of 2 rules broken: stateless, wall"
+    waived = rules_level([RuleResult("fresh", "It holds.", "failed", "x"), ended], waivers={"fresh": "one cache"})
+    assert waived.checks[0].observed == "1 of 2 rules broken: stateless, 1 waived"
 
 
 def test_a_loss_is_worse_only_where_its_interval_lies_beyond_the_margin():

@@ -18,7 +18,7 @@ from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_m
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.commands.validate.probes import EXACT
-from evalkit.core.errors import BadData, BadParameter, NotInstalled, UnknownName
+from evalkit.core.errors import BackendFailed, BadData, BadParameter, NotInstalled, UnknownName
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -45,6 +45,12 @@ def misfits(monkeypatch):
 def make_plan(backend, **changes):
     known = plan.ValidationRequest(backend, {}, "", {}, (), ("room laps=0.04",), 1, "equal", "auto", 0.5, "", TINY)
     return plan.make_plan(replace(known, **changes))
+
+
+def test_a_file_of_results_is_refused_before_anything_is_computed(tmp_path):
+    (tmp_path / "poses.tum").write_text("0.0 0 0 0 0 0 0 1\n1.0 1 0 0 0 0 0 1\n")
+    with pytest.raises(BackendFailed, match="holds recorded results: there is no behaviour to check"):
+        make_plan(f"file:{tmp_path / 'poses.tum'}")
 
 
 @contextmanager

@@ -274,6 +274,11 @@ def test_times_are_told_by_the_clock_that_measured_them(reference, tmp_path):
         "100.0 % took longer"
     )
     assert ratio.observed == "device and CPU times cannot be compared"
+    first_alone = times(cpu=(0, 4e6), wall=(9e6, 4e6), device=(7e6, 0), conversion=1e6)
+    first_alone["cpu_ns"][0, 0], first_alone["device_ns"][0, 0] = 1e5, 0
+    board, _, ratio = costs({"room": first_alone})
+    assert board.observed == ("7 ms (95 % 7, at most 7) of device time; 9 ms (95 % 9, at most 9) by the wall clock")
+    assert ratio.observed == "device and CPU times cannot be compared"
     remote = costs({"room": times(cpu=(0, 4e6), wall=(3e6, 4e6))})[0]
     assert remote.observed.startswith("3 ms (95 % 3, at most 3) of wall clock time")
     both = costs({"room": times(device=(1e6, 0))})[0]

@@ -25,7 +25,7 @@ from evalkit.commands.validate.equivalence import comparison, map_cells
 from evalkit.commands.validate.equivalence.divergence import Divergence
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, PosePair, Question
 from evalkit.commands.validate.equivalence.margins import Margin
-from evalkit.commands.validate.equivalence.questions import DrawnQuestion
+from evalkit.commands.validate.equivalence.questions import DrawnQuestion, draw_questions
 from evalkit.commands.validate.rules import scenes
 from evalkit.core.errors import BadParameter, DataMissing, NotInstalled, UnknownName
 from evalkit.core.grid import OccupancyGrid
@@ -34,7 +34,8 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.plugins.protocols import NoAnswer
-from evalkit.plugins.specs import DatasetSpec, MapperSpec, OdometrySpec
+from evalkit.plugins.specs import DatasetSpec, MapperSpec, OdometrySpec, RegistrationSpec
+from evalkit_baselines.paper.icp import Icp
 
 
 def test_options_that_cannot_be_are_refused_with_what_is_expected():
@@ -87,6 +88,16 @@ def asked(heading, points=SOME, what="", family="clear", b=MATCH, **fields):
 )  # fmt: skip
 def test_the_quantity_that_separates_wrong_answers_is_named(headings, wrong, said):
     assert question_summary._describe_where([(asked(0.1 * at), bool(wrong(at))) for at in headings]) == said
+
+
+@pytest.mark.parametrize("limit_m", [0.2, 0.3, 0.31, 1.0])
+def test_a_drawn_question_has_other_numbers_of_pairs_for_a_limit_that_is_no_parameter(limit_m):
+    """Lengths from 2 cm to 3 m in equal ratios, of points whose next target is more than 8 m away."""
+    none = ComparedBackend("mine", RegistrationSpec(Icp, "", "", "MIT"), {})
+    drawn = [one for one in draw_questions(0, none, none, quick=True) if one.what.startswith("pairs of 2 cm to 3 m")]
+    (asked,) = (one.question for one in drawn)
+    match = Icp(max_correspondence_m=limit_m).register(asked.target, asked.source, asked.guess)
+    assert match.history[0].inliers == sum(0.02 * 150.0 ** (number / 47) < limit_m for number in range(48))
 
 
 def test_only_other_pairs_in_the_first_iteration_whatever_the_guess_point_to_the_pairs_themselves():

@@ -95,17 +95,16 @@ class ObservedStep:
                     yield Mistake(kind, what, se2.compose(step, self.before))
 
     def _exchange_clouds(self) -> Iterator[Mistake]:
-        """The step of the target onto the source, inverted."""
-        back = se2.inverse(self.before)
-        moved = se2.transform(back, self.target)
-        for pairs in (
-            self._filter_pairs(*_nearest(moved, self.source)),
-            self._take_shortest(*_nearest(moved, self.source)),
-        ):
-            if len(pairs) >= MIN_PAIRS:
-                step = best_step(moved[pairs[:, 0]], self.source[pairs[:, 1]])
-                row = se2.inverse(se2.compose(step, back))
-                yield Mistake("neighbours", "target and source are exchanged", row)
+        """The step of the target onto the source: inverted, or as it is where the guess is not inverted either."""
+        for inverted in (True, False):
+            start = se2.inverse(self.before) if inverted else self.before
+            moved = se2.transform(start, self.target)
+            onto, distance = _nearest(moved, self.source)
+            for pairs in (self._filter_pairs(onto, distance), self._take_shortest(onto, distance)):
+                if len(pairs) >= MIN_PAIRS:
+                    row = se2.compose(best_step(moved[pairs[:, 0]], self.source[pairs[:, 1]]), start)
+                    row = se2.inverse(row) if inverted else row
+                    yield Mistake("neighbours", "target and source are exchanged", row)
 
     def _after(self, before: Floats, pairs: Ints) -> Floats:
         moved = se2.transform(before, self.source[pairs[:, 0]])

@@ -185,10 +185,19 @@ def _limits(rng: np.random.Generator, shared: Shared) -> Iterator[DrawnQuestion]
             length = value * np.resize([0.0, 0.0, 1.0 - relative, 1.0 + relative], len(grid))
             source = target + np.stack([length * np.cos(bearing), length * np.sin(bearing)], axis=1)
             yield _ask("limits", f"pairs {100 * relative:g} % below and above {name}", target, source, Pose())
+    yield _ask("limits", "pairs of 2 cm to 3 m, 12 m between the targets", *_pairs_of_all_lengths(), Pose())
     for pairs in range(1, 8):
         target = rng.uniform(-4.0, 4.0, (60, 2))
         source = np.concatenate([target[:pairs] + rng.normal(0.0, 0.01, (pairs, 2)), target[:20] + 80.0])
         yield _ask("limits", f"{pairs} points with a partner", target, source, Pose())
+
+
+def _pairs_of_all_lengths() -> tuple[Floats, Floats]:
+    """Targets (48, 2) and sources (48, 2) that show a limit of their distance, also one that is no parameter."""
+    grid = np.stack(np.meshgrid(np.arange(7.0), np.arange(7.0)), axis=-1).reshape(-1, 2)[:48]
+    target = 12.0 * (grid - 3.0)
+    length, bearing = np.geomspace(0.02, 3.0, 48), 2.4 * np.arange(48)
+    return target, target + length[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
 
 
 def _edges(rng: np.random.Generator) -> Iterator[DrawnQuestion]:

@@ -21,11 +21,14 @@ from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.odometry.run_odometry import answer_frame, check_estimate
 from evalkit.plugins.protocols import NoAnswer, Odometry
-from evalkit.plugins.specs import Role
+from evalkit.plugins.specs import Role, RunsIn
 
 
 class OdometryFixture:
-    """A back end under test; runs each drive with a new object. ``elsewhere``: as for a ``RegistrationFixture``."""
+    """A back end under test; runs each drive with a new object.
+
+    ``elsewhere``, ``runs_in``: as for a ``RegistrationFixture``.
+    """
 
     kept_bytes = resource_rules.LEAK_BYTES
 
@@ -35,8 +38,10 @@ class OdometryFixture:
         role: Role = "",
         seed: int = 0,
         elsewhere: Mapping[str, Any] = {},
+        runs_in: RunsIn = "evalkit",
     ) -> None:
-        self._make, self.role, self.seed, self.elsewhere = make, role, seed, elsewhere
+        self._make, self.role, self.seed = make, role, seed
+        self.elsewhere, self.runs_in = elsewhere, runs_in
         self.watch = StateWatch()
         self.short = drive(8)
         self.asked_s = math.inf

@@ -12,7 +12,14 @@ import numpy as np
 from evalkit.commands.validate.rules.odometry_fixture import OdometryFixture, answer_row, last_pose
 from evalkit.commands.validate.rules.registration_rules import UNIT_TOLERANCE, check_turn
 from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, in_another_thread
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, RuleNotJudged, is_refusal, rule_table
+from evalkit.commands.validate.rules.rule import (
+    RuleBroken,
+    RuleNotApplicable,
+    RuleNotJudged,
+    is_refusal,
+    require_own_process,
+    rule_table,
+)
 from evalkit.commands.validate.rules.scenes import (
     BEAMS,
     SimulatedDrive,
@@ -233,6 +240,7 @@ def check_deterministic(fixture: OdometryFixture) -> str:
 
 def check_read_only(fixture: OdometryFixture) -> str:
     """It does not write to its arguments."""
+    require_own_process(fixture.runs_in)
     simulated = drive(4)
     before = [frame.scan.ranges.tobytes() + frame.scan.angles.tobytes() for frame in simulated.frames]
     try:

@@ -21,6 +21,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.protocols import Registration
+from evalkit.plugins.specs import RunsIn
 
 
 class RegistrationFixture:
@@ -28,7 +29,9 @@ class RegistrationFixture:
 
     ``parameters``, ``given``: what it declares, and the complete values it is made with. ``elsewhere``: the arguments
     of ``state_rules.answers_elsewhere``, by which another process finds the same back end; {} if none can.
-    ``note_progress``: what a rule of several long calls calls before each; the time limit counts from there.
+    ``note_progress(*step)``: what a rule calls before each of several calls that are long, from which the time limit
+    then counts, or that may end the process, where a step in words says in which one it was. ``runs_in``: where it
+    computes.
     """
 
     def __init__(
@@ -38,13 +41,14 @@ class RegistrationFixture:
         parameters: Sequence[Parameter] = (),
         given: Mapping[str, Value] = {},
         elsewhere: Mapping[str, Any] = {},
+        runs_in: RunsIn = "evalkit",
     ) -> None:
-        self._make, self.seed, self.elsewhere = make, seed, elsewhere
+        self._make, self.seed, self.elsewhere, self.runs_in = make, seed, elsewhere, runs_in
         self._parameters, self._given = parameters, given
         self.asked_s = math.inf
         self.watch = StateWatch()
         self.worn: Registration | None = None  # the object of the endurance run
-        self.note_progress: Callable[[], object] = lambda: None
+        self.note_progress: Callable[..., object] = lambda *_: None
 
     def make(self) -> Registration:
         """A new object."""

@@ -10,7 +10,13 @@ import numpy as np
 from evalkit.commands.validate.rules.range_rules import RANGE_RULES, validate_match
 from evalkit.commands.validate.rules.registration_fixture import RegistrationFixture
 from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, is_refusal, rule_table
+from evalkit.commands.validate.rules.rule import (
+    RuleBroken,
+    RuleNotApplicable,
+    is_refusal,
+    require_own_process,
+    rule_table,
+)
 from evalkit.commands.validate.rules.scenes import (
     CloudPair,
     clear_pair,
@@ -259,6 +265,7 @@ def check_deterministic(fixture: RegistrationFixture) -> str:
 
 def check_read_only(fixture: RegistrationFixture) -> str:
     """It does not write to its arguments."""
+    require_own_process(fixture.runs_in)
     pair = noisy_pair()
     before = pair.target.points.tobytes(), pair.source.points.tobytes()
     try:

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -22,8 +22,9 @@ import numpy as np
 import psutil
 
 from evalkit.commands.validate.rules.process_state import StateWatch, libc, process_state
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, require_no_device, require_own_process
 from evalkit.core.se2 import Floats
+from evalkit.plugins.specs import RunsIn
 
 CALLS, BATCHES, INSTANCES = 10_000, 10, 200
 BUDGET_S, PROGRAM_BUDGET_S = 1.5, 3.0
@@ -52,7 +53,9 @@ RISING = 0.8
 
 
 class Endurance(Protocol):
-    """A fixture that can be called many times."""
+    """A fixture that can be called many times; ``runs_in``: where the back end computes."""
+
+    runs_in: RunsIn
 
     @property
     def endurance(self) -> ResourceUse:
@@ -186,8 +189,9 @@ def _run_batches(call: Callable[[], object], size: int, work_ns: float) -> tuple
     a slow moment of the machine lengthens both.
     """
     heap, taken, slowest_ns = [_heap_bytes()], [], 0.0
+    clocks = _child_clocks()
     for _ in range(BATCHES):
-        times_ns = np.array([(*_times_ns(call), _cpu_ns(_work)) for _ in range(size)])
+        times_ns = np.array([(*_times_ns(call, clocks), _cpu_ns(_work)) for _ in range(size)])
         slowest_ns = max(slowest_ns, float(times_ns[:, 1].max()))
         taken.append(_quick(times_ns[:, 0]) / _quick(times_ns[:, 2]) * work_ns)
         heap.append(_heap_bytes())
@@ -245,6 +249,7 @@ def _leak_bytes(heap: Floats, size: int, kept_bytes: float) -> float:
 
 def check_memory(fixture: Endurance) -> str:
     """Calls and instances leave no memory behind."""
+    require_no_device(fixture.runs_in)
     found = fixture.endurance
     calls = found.size * BATCHES
     if leak := _leak_bytes(found.heap, found.size, found.kept_bytes):
@@ -261,6 +266,7 @@ def check_memory(fixture: Endurance) -> str:
 
 def check_slowdown(fixture: Endurance) -> str:
     """Calls do not become slower the more there were."""
+    require_no_device(fixture.runs_in)
     found = fixture.endurance
     first, last = found.call_ns[0], [*found.call_ns, *found.call_again_ns][-1]
     observed = f"a call takes {1e-3 * first:.3g} us at first, {1e-3 * last:.3g} us after {found.calls} calls"
@@ -280,6 +286,7 @@ def _check_unchanged(fixture: Endurance, names: tuple[str, ...], what: str) -> s
 
 def check_open_files(fixture: Endurance) -> str:
     """Calls leave no file open."""
+    require_no_device(fixture.runs_in)
     return _check_unchanged(fixture, ("open files",), "open files")
 
 
@@ -295,11 +302,13 @@ def check_files(fixture: Endurance) -> str:
 
 def check_threads(fixture: Endurance) -> str:
     """Calls leave no thread or process behind."""
+    require_no_device(fixture.runs_in)
     return _check_unchanged(fixture, ("threads", "processes"), "threads and processes")
 
 
 def check_floating_point(fixture: Endurance) -> str:
     """The rounding mode and the other controls of floating-point arithmetic stay as they are."""
+    require_own_process(fixture.runs_in)
     found = fixture.endurance
     if not found.after["rounding"]:
         raise RuleNotApplicable("the floating-point controls of this machine are not known")
@@ -308,16 +317,19 @@ def check_floating_point(fixture: Endurance) -> str:
 
 def check_signals(fixture: Endurance) -> str:
     """Signal handlers, blocked signals and timers stay as they are."""
+    require_own_process(fixture.runs_in)
     return _check_unchanged(fixture, ("signal handlers", "blocked signals", "timers"), "handlers, masks and timers")
 
 
 def check_locale(fixture: Endurance) -> str:
     """The locale stays as it is."""
+    require_own_process(fixture.runs_in)
     return _check_unchanged(fixture, ("locale",), "the locale")
 
 
 def check_folder(fixture: Endurance) -> str:
     """Working folder, environment, file mode mask, limits, priority and cores stay as they are."""
+    require_own_process(fixture.runs_in)
     names = ("working folder", "environment variables", "file mode mask", "limits", "priority", "cores")
     return _check_unchanged(fixture, names, "working folder, environment and limits")
 
@@ -344,17 +356,33 @@ def _heap_bytes() -> float:
     return float(info.uordblks + info.hblkhd + children)
 
 
-def _times_ns(call: Callable[[], object]) -> tuple[int, int]:
-    """CPU time and elapsed time of a call."""
+def _child_clocks() -> list[int]:
+    """The clocks of the CPU time of the programs that this process has started; none where they are not known."""
+    if sys.platform != "linux":
+        return []
+    return [(~child.pid << 3) | 2 for child in psutil.Process().children(recursive=True)]
+
+
+def _times_ns(call: Callable[[], object], clocks: Sequence[int]) -> tuple[int, int]:
+    """CPU time, with that of other clocks, and elapsed time of a call."""
     begun_ns = time.perf_counter_ns()
-    cpu_ns = _cpu_ns(call)
+    cpu_ns = _cpu_ns(call, clocks)
     return cpu_ns, time.perf_counter_ns() - begun_ns
 
 
-def _cpu_ns(call: Callable[[], object]) -> int:
-    before = time.thread_time_ns()
+def _cpu_ns(call: Callable[[], object], clocks: Sequence[int] = ()) -> int:
+    before = _read_ns(clocks)
     call()
-    return time.thread_time_ns() - before
+    return _read_ns(clocks) - before
+
+
+def _read_ns(clocks: Sequence[int]) -> int:
+    """The CPU time of this thread and of other clocks; nothing of one whose process has ended."""
+    now_ns = time.thread_time_ns()
+    for clock in clocks:
+        with contextlib.suppress(OSError):
+            now_ns += time.clock_gettime_ns(clock)
+    return now_ns
 
 
 def in_another_thread(call: Callable[[], Any]) -> Any:

@@ -17,6 +17,7 @@ from evalkit.core.errors import (
     NotInstalled,
     format_exception,
 )
+from evalkit.plugins.specs import RunsIn
 
 ProcessRule = Literal["alive", "in-time"]
 """The rules about a process as a whole."""
@@ -31,6 +32,18 @@ class RuleBroken(Exception):
 
 class RuleNotApplicable(Exception):
     """The rule cannot be checked for this plug-in; the text is the reason."""
+
+
+def require_own_process(runs_in: RunsIn) -> None:
+    """Raise RuleNotApplicable for what only shows in evalkit's own process, where a back end computes elsewhere."""
+    if runs_in != "evalkit":
+        raise RuleNotApplicable("it computes in another process, whose state is not known here")
+
+
+def require_no_device(runs_in: RunsIn) -> None:
+    """Raise RuleNotApplicable for what shows in a process of this machine, where a back end computes on a device."""
+    if runs_in == "device":
+        raise RuleNotApplicable("it computes on a device, where this is not known")
 
 
 class RuleNotJudged(RuleNotApplicable):

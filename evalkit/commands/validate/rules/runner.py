@@ -15,12 +15,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from evalkit.commands.validate.rules import odometry_rules, registration_rules, slam_rules
 from evalkit.commands.validate.rules.odometry_fixture import OdometryFixture
 from evalkit.commands.validate.rules.registration_fixture import RegistrationFixture
-from evalkit.commands.validate.rules.rule import Rule, RuleReport, RuleResult, check_rule
+from evalkit.commands.validate.rules.rule import ProcessRule, Rule, RuleReport, RuleResult, check_rule
 from evalkit.commands.validate.rules.slam_rules import SlamFixture
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
 from evalkit.execution.parent import end_with_parent
@@ -65,6 +65,12 @@ RECORDED_REMEDY = (
 )
 
 
+def refuse_recorded(name: str, spec: BackendSpec) -> None:
+    """Raise BackendFailed for a file of results."""
+    if spec.recorded:
+        raise BackendFailed(name, "holds recorded results: there is no behaviour to check", RECORDED_REMEDY)
+
+
 def check(
     backend: str | BackendSpec,
     parameters: Mapping[str, object] | None = None,
@@ -83,9 +89,7 @@ def check(
     BadParameter or UnknownName for parameters and rules.
     """
     address, spec = address_of(backend), backend_at(backend)
-    if spec.recorded:
-        what = "holds recorded results: there is no behaviour to check"
-        raise BackendFailed(address.label, what, RECORDED_REMEDY)
+    refuse_recorded(address.label, spec)
     if why := spec.missing():
         raise NotInstalled(address.label, "cannot be checked here", why)
     if spec.broken:
@@ -187,7 +191,10 @@ class _RuleRunner:
             at = lines[-1].get("begun", "") if lines else names[0]
             if at:
                 text = limit or child.describe_end()
-                self._results[at] = RuleResult(at, self._rules[at].sentence, "failed", text)
+                step = lines[-1].get("step", "") if lines else ""
+                text += f", in {step}" if step else ""
+                ended: ProcessRule = "in-time" if hang else "alive"
+                self._results[at] = RuleResult(at, self._rules[at].sentence, "failed", text, also_breaks=ended)
                 (self._hangs if hang else self._crashes).append(f"{at}: {text}")
 
     def _watch(self, child: ChildProcess, folder: Path) -> tuple[bool, str]:
@@ -238,21 +245,27 @@ def main() -> int:
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     sys.path.extend(entry for entry in request["path"] if entry not in sys.path)
     address = Address(**request["address"])
-    kind = spec_at(address, BackendSpec, registry.backend).kind
+    spec = spec_at(address, BackendSpec, registry.backend)
+    if spec.broken:  # a program that answered before this process began
+        raise BackendFailed(address.label, "cannot be used any more", spec.broken)
     fixture = load_fixture(request["address"], request["parameters"], request["seed"])
     with (folder / RESULTS).open("a", encoding="utf-8", buffering=1) as file:
         for name in request["rules"]:
-            begun = json.dumps({"begun": name}) + "\n"
-            file.write(begun)
-            fixture.note_progress = partial(file.write, begun)
+            _note_step(file, name)
+            fixture.note_progress = partial(_note_step, file, name)
             try:
-                result: dict[str, Any] = asdict(_check_rule(RULES[kind][name], fixture))
+                result: dict[str, Any] = asdict(_check_rule(RULES[spec.kind][name], fixture))
             except NotInstalled as error:
                 result = {"outcome": NOT_INSTALLED, "observed": error.args}
             file.write(json.dumps(result) + "\n")
             if (name == STARTS and result["outcome"] != "passed") or result.get("also_breaks"):
                 break  # the program behind it has ended: it counts as an end of this process
     return 0
+
+
+def _note_step(file: IO[str], rule: str, step: str = "") -> None:
+    """Write that a rule has begun, or a step of it."""
+    file.write(json.dumps({"begun": rule, "step": step}) + "\n")
 
 
 def load_fixture(address: Mapping[str, str], parameters: Mapping[str, Value], seed: int) -> Any:
@@ -266,9 +279,9 @@ def _make_fixture(
     spec: BackendSpec, parameters: Mapping[str, Value], seed: int, elsewhere: Mapping[str, Any]
 ) -> RegistrationFixture | OdometryFixture:
     if isinstance(spec, RegistrationSpec):
-        return RegistrationFixture(spec.make, seed, spec.parameters, parameters, elsewhere)
+        return RegistrationFixture(spec.make, seed, spec.parameters, parameters, elsewhere, spec.runs_in)
     fixture = SlamFixture if isinstance(spec, SlamSpec) else OdometryFixture
-    return fixture(partial(spec.make, **parameters), spec.role, seed, elsewhere)
+    return fixture(partial(spec.make, **parameters), spec.role, seed, elsewhere, spec.runs_in)
 
 
 if __name__ == "__main__":

@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import psutil
 
 from evalkit.commands.validate.rules.resource_rules import BATCHES, in_another_thread
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, is_refusal
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, is_refusal, require_own_process
 from evalkit.commands.validate.rules.scenes import CloudPair, drawn_pair
 from evalkit.core.errors import format_exception
 from evalkit.core.match import Match
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from evalkit.commands.validate.rules.registration_fixture import RegistrationFixture
 
 Bits = tuple[object, ...]
+
+Place = Literal["middle", "end", "beginning"]
+"""Of clouds in their memory."""
 
 LATER_S, PAUSES_S = 3.0, (0.0, 0.6, 0.6)
 """The first answers are asked for again after at least this time (s), and after pauses: in odd and even seconds."""
@@ -110,16 +113,27 @@ def _shift_middle(cloud: Cloud, rng: np.random.Generator) -> Cloud:
     return Cloud(points)
 
 
+BOUNDS_STEPS: Mapping[Place, str] = {
+    "middle": "a call whose clouds are read-only: does it write to them, or keep those of an earlier call?",
+    "end": "a call with no memory behind its clouds: does it access what is behind them?",
+    "beginning": "a call with no memory before its clouds: does it access what is before them?",
+}
+"""By the place of clouds in their memory: what a process that ends there was asked."""
+
+
 def check_bounds(fixture: RegistrationFixture) -> str:
     """It reads its arguments within their bounds, does not write to them, and does not keep them."""
+    require_own_process(fixture.runs_in)
     one = fixture.make()
     for pair in fixture.questions[:3]:
-        for at_end in (True, False):
-            with shared_memory(at_end) as target, shared_memory(at_end) as source:
+        for place, step in BOUNDS_STEPS.items():
+            with shared_memory(place) as target, shared_memory(place) as source:
                 inside = CloudPair(target.cloud(pair.target), source.cloud(pair.source), pair.truth, pair.guess)
                 target.protect()
                 source.protect()
-                _require(answer_bits(fixture.make(), pair), answer_bits(one, inside), "beside protected memory")
+                expected = answer_bits(fixture.make(), pair)
+                fixture.note_progress(step)
+                _require(expected, answer_bits(one, inside), "beside protected memory")
             # both regions are inaccessible from here on
     return "no access beside the buffers, no write, none after the call"
 
@@ -236,15 +250,15 @@ def _require(expected: Any, found: Any, when: str) -> None:
 
 
 class Region:
-    """Two pages of memory, or more, between two inaccessible ones; clouds lie at its end or at its beginning."""
+    """Pages of memory between two inaccessible ones, and the place of clouds in it."""
 
     PAGES = 16
 
-    def __init__(self, at_end: bool) -> None:
+    def __init__(self, place: Place) -> None:
         self._size = self.PAGES * mmap.PAGESIZE
         self._map = mmap.mmap(-1, self._size + 2 * mmap.PAGESIZE)
         self._base = ctypes.addressof(ctypes.c_char.from_buffer(self._map))
-        self._at_end = at_end
+        self._place = place
         self._set(self._base, mmap.PAGESIZE, 0)
         self._set(self._base + mmap.PAGESIZE + self._size, mmap.PAGESIZE, 0)
 
@@ -253,7 +267,8 @@ class Region:
         size = cloud.points.nbytes
         if size > self._size:
             raise ValueError(f"region: {size} bytes do not fit into {self._size}")
-        start = mmap.PAGESIZE + (self._size - size if self._at_end else 0)
+        free = self._size - size
+        start = mmap.PAGESIZE + {"middle": free // 16 * 8, "end": free, "beginning": 0}[self._place]
         points: Floats = np.frombuffer(self._map, dtype=np.float64, count=size // 8, offset=start).reshape(-1, 2)
         points[:] = cloud.points
         points.flags.writeable = False
@@ -280,9 +295,9 @@ _KEPT: list[Region] = []
 
 
 @contextmanager
-def shared_memory(at_end: bool = True) -> Iterator[Region]:
+def shared_memory(place: Place = "end") -> Iterator[Region]:
     """Memory for a cloud that becomes inaccessible at the end."""
-    region = Region(at_end)
+    region = Region(place)
     _KEPT.append(region)
     try:
         yield region

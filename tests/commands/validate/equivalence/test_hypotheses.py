@@ -64,6 +64,21 @@ def test_a_scaled_or_weighted_step_is_named(after, said):
     assert explained(step(after)) == ("step", said)
 
 
+@pytest.mark.parametrize("inverted", [True, False])
+def test_exchanged_clouds_are_named_whether_or_not_guess_and_answer_are_inverted(inverted):
+    """All points are 2 m apart, so that the partner of each is the one with its number."""
+    before = np.array([0.05, -0.04, 0.03])
+    source = se2.transform(se2.inverse(before), MOVED)
+    right = se2.compose(best_step(MOVED, TARGET), before)
+    start = se2.inverse(before) if inverted else before
+    moved = se2.transform(start, TARGET)
+    row = se2.compose(best_step(moved, source), start)
+    observed = ObservedStep(
+        TARGET, source, before, before, PAIRS, right, se2.inverse(row) if inverted else row, len(PAIRS), None, None, 3.0
+    )
+    assert explained(observed) == ("neighbours", "target and source are exchanged")
+
+
 def test_a_sine_of_degrees_is_named_with_its_place():
     """BEFORE turns by 0.9 rad: 51.57 degrees, whose sine as of radians is 0.996 instead of 0.783."""
     c, s, wrong = math.cos(0.9), math.sin(0.9), math.sin(math.degrees(0.9))

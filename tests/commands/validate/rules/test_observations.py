@@ -1,5 +1,6 @@
 """What a rule observes in a fixture written by hand: each fault is named, and what cannot be observed is not judged."""
 
+import itertools
 import math
 import time
 from dataclasses import replace
@@ -32,7 +33,7 @@ STATE = {"rounding": 1, "open files": 3, "threads": 1}
 
 def measured(**changes):
     flat = ResourceUse(50, np.zeros(resource_rules.BATCHES + 1), STEADY, 0.0, STATE, STATE, LEAK_BYTES, 0.0)
-    return SimpleNamespace(endurance=replace(flat, **changes))
+    return SimpleNamespace(endurance=replace(flat, **changes), runs_in="evalkit")
 
 
 def test_resources_that_grow_are_named_with_their_amount():
@@ -129,7 +130,7 @@ def test_calls_are_measured_a_second_time_only_where_they_seem_to_become_slower(
     use = resource_rules.measure(object, lambda _: growing, process_state.StateWatch())
     assert (use.calls, len(use.call_again_ns)) == (120, resource_rules.BATCHES)
     with pytest.raises(RuleBroken, match="every call costs more than the one before"):
-        resource_rules.check_slowdown(SimpleNamespace(endurance=use))
+        resource_rules.check_slowdown(SimpleNamespace(endurance=use, runs_in="evalkit"))
 
 
 def test_resources_that_are_not_known_here_are_not_judged():
@@ -192,6 +193,7 @@ class Driven:
     def __init__(self, run):
         self.run = run
         self.seed = 0
+        self.runs_in = "evalkit"
 
     def _drive(self):
         return odometry_rules.drive(3)
@@ -212,6 +214,29 @@ def raising(error):
     return run
 
 
+def test_the_time_of_a_call_is_also_that_of_the_program_that_it_asks(monkeypatch):
+    """Each call takes a program 1 us more than the one before, and this process 100 us."""
+    now_ns, spent_ns, calls = 0, 0, itertools.count()
+
+    def call():
+        nonlocal now_ns, spent_ns
+        now_ns += 100_000
+        spent_ns += 1000 * next(calls)
+
+    def steady():
+        nonlocal now_ns
+        now_ns += 100_000
+
+    clock = SimpleNamespace(
+        thread_time_ns=lambda: now_ns, perf_counter_ns=time.perf_counter_ns, clock_gettime_ns=lambda _: spent_ns
+    )
+    monkeypatch.setattr(resource_rules, "time", clock)
+    monkeypatch.setattr(resource_rules, "_work", steady)
+    monkeypatch.setattr(resource_rules, "_child_clocks", lambda: [7])
+    _, taken_ns, _ = resource_rules._run_batches(call, 1, 1e5)
+    assert taken_ns == pytest.approx(100_000 + 1000 * np.arange(resource_rules.BATCHES), rel=1e-12)
+
+
 def test_the_slowest_call_is_named():
     calls = iter(range(1000))
 
@@ -221,7 +246,7 @@ def test_the_slowest_call_is_named():
     *_, slowest_ns = resource_rules._run_batches(call, 2, 1e4)
     assert slowest_ns >= 5e7
     use = ResourceUse(4, np.zeros(11), np.full(10, 1e4), 0.0, {}, {}, slowest_ns=3e8)
-    observed = resource_rules.check_slowdown(SimpleNamespace(endurance=use))
+    observed = resource_rules.check_slowdown(SimpleNamespace(endurance=use, runs_in="evalkit"))
     assert observed.endswith("us after 40 calls; the slowest took 300 ms, waiting included")
 
 
@@ -280,7 +305,7 @@ def registering(answer):
     """A fixture of a registration with one answer, to which the pair it is asked is given."""
     return SimpleNamespace(
         register=lambda pair: answer(pair.target, pair.source, pair.guess).target_from_source,
-        shared=SimpleNamespace(register=answer), note_progress=lambda: None,
+        shared=SimpleNamespace(register=answer), note_progress=lambda: None, runs_in="evalkit",
     )  # fmt: skip
 
 

@@ -296,6 +296,22 @@ def test_a_back_end_that_ends_the_process_is_caught():
     assert checked.broken[0].observed == "the process exited with code 3"
 
 
+@pytest.mark.parametrize(
+    ("fault", "step"),
+    [
+        (
+            "WRITES_THROUGH_POINTER",
+            "a call whose clouds are read-only: does it write to them, or keep those of an earlier",
+        ),
+        ("READS_BEHIND", "a call with no memory behind its clouds: does it access what is behind them"),
+    ],
+)
+def test_a_crash_beside_protected_memory_says_in_which_call_it_was(fault, step):
+    checked = runner.check(f"faulty_backends:{fault}", only=("bounds",))
+    assert checked.broken[0].observed.startswith("the process was terminated by SIG")
+    assert f", in {step}" in checked.broken[0].observed
+
+
 def test_a_hang_is_terminated_and_breaks_the_rule_in_time():
     checked = runner.check("faulty_backends:HANGS", only=("wall", "inliers"), limit_s=6.0)
     assert outcomes(checked) == {"wall": "failed", "inliers": "passed", "alive": "passed", "in-time": "failed"}
@@ -410,7 +426,7 @@ def say(**answer): print(json.dumps(answer), flush=True)
 for line in sys.stdin:
     q = json.loads(line)
     sources, targets = len(q.get("source", ())) // 2, len(q.get("target", ())) // 2
-    if q["ask"] == "hello": say(protocol=1, kind="registration", summary="the guess", parameters=[])
+    if q["ask"] == "hello": say(protocol=1, kind="registration", summary="the guess", device=DEVICE, parameters=[])
     elif q["ask"] == "create": say()
     elif FAULT
     else: say(pose=q["guess"], converged=False, iterations=0, error_m=None, inliers=sources)
@@ -421,12 +437,27 @@ for line in sys.stdin:
 def check_program(tmp_path):
     """Check rules on a program that returns the guess except where the given fault applies."""
 
-    def check(fault, *only, **parameters):
+    def check(fault, *only, device="", **parameters):
         file = tmp_path / "program.py"
-        file.write_text(PROGRAM.replace("FAULT", fault), encoding="utf-8")
+        file.write_text(PROGRAM.replace("FAULT", fault).replace("DEVICE", repr(device)), encoding="utf-8")
         return runner.check(f"exec:{sys.executable} -I -S {file}", parameters, only=only)
 
     return check
+
+
+IN_THIS_PROCESS = ("read-only", "floating-point", "signals", "locale", "folder", "bounds")
+ON_THIS_MACHINE = ("memory", "slowdown", "open-files", "threads")
+
+
+@pytest.mark.parametrize(
+    ("device", "judged", "unknown"),
+    [("", ON_THIS_MACHINE, IN_THIS_PROCESS), ("a board", (), IN_THIS_PROCESS + ON_THIS_MACHINE)],
+)
+def test_what_does_not_show_here_is_not_judged_of_a_program_and_of_a_device(check_program, device, judged, unknown):
+    checked = check_program("False: pass", *IN_THIS_PROCESS, *ON_THIS_MACHINE, device=device)
+    found = outcomes(checked)
+    assert {name for name in found if found[name] == "not applicable"} == set(unknown)
+    assert all(found[name] == "passed" for name in judged)
 
 
 def test_a_program_that_refuses_large_clouds_fails_the_rules_that_ask_for_them_alone(check_program):
@@ -451,6 +482,16 @@ def test_a_program_that_hangs_or_ends_has_not_refused_a_question(check_program, 
     passed = dict.fromkeys(("wall", "inliers", "alive", "in-time"), "passed")
     assert outcomes(checked) == {**passed, "few-points": "failed", breaks: "failed"}
     assert all(re.search(said, one.observed) for one in checked.broken)
+
+
+def test_a_program_that_does_not_start_again_is_said_to_end_not_to_break_the_next_rule(check_program, tmp_path):
+    gone = tmp_path / "gone"
+    ends = f"""sources == 2: open({str(gone)!r}, "w"); sys.exit(3)
+    elif __import__("os").path.exists({str(gone)!r}): sys.exit(4)"""
+    checked = check_program(ends, "few-points", "wall")
+    assert outcomes(checked) == {"few-points": "failed", "wall": "failed", "alive": "failed", "in-time": "passed"}
+    wall = next(one for one in checked.broken if one.rule == "wall")
+    assert "ended with code 4" in wall.observed
 
 
 def test_a_program_with_an_invalid_answer_is_started_again_for_the_next_rule(check_program):
