@@ -84,7 +84,8 @@ void ek_frontend_reset(ek_frontend *frontend);
  * scan and the previous one have it, otherwise from constant velocity. A scan without points keeps the guess and never
  * becomes a keyframe. Points of a keyframe for which the lasting map has no room are left out and counted
  * (lasting.voxels.dropped). EK_TOO_MANY_POINTS; EK_NOT_FINITE: a point, the odometry or the predicted pose; EK_OUT_OF_RANGE:
- * a stamp not later than the last, or a coordinate or pose larger than EK_MAX_COORDINATE. An error changes no state. */
+ * a stamp not later than the last, or a coordinate or pose larger than EK_MAX_COORDINATE. An error changes no state; *estimate is
+ * then undefined. */
 ek_status ek_frontend_update(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
                              ek_estimate *estimate);
 

@@ -114,7 +114,8 @@ ek_status ek_icp_init_table(ek_icp *icp, ek_arena *arena);
  * Stateless: the same arguments give the same result. An empty index gives the guess, not converged, 0 pairs.
  * EK_NO_POINTS, EK_TOO_MANY_POINTS, EK_NOT_FINITE (points or guess), EK_OUT_OF_RANGE (parameters, a coordinate larger
  * than EK_MAX_COORDINATE, or an index larger than `targets`), EK_NULL_POINTER (also: EK_METRIC_LINE without
- * ek_icp_init_lines or without normals of the target, and a target with a table without ek_icp_init_table). An error leaves *match unchanged. */
+ * ek_icp_init_lines or without normals of the target, and a target with a table without ek_icp_init_table). An error
+ * leaves *match unchanged. */
 ek_status ek_icp_register(ek_icp *icp, const ek_index *target, const ek_real *source_xy, size_t count, ek_pose guess,
                           const ek_icp_parameters *parameters, ek_icp_trace trace, void *context, ek_match *match);
 

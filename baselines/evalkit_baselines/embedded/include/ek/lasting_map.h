@@ -46,10 +46,12 @@ void ek_lasting_map_clear(ek_lasting_map *map);
 /* Add a keyframe: count pairs x y (m) at a pose, which stay within EK_MAX_COORDINATE. */
 void ek_lasting_map_add(ek_lasting_map *map, const ek_real *xy, size_t count, ek_pose start_from_base);
 
-/* Index the voxels around a place (m), if they have changed or the place has. */
+/* Index the voxels around a place (m), if they have changed or the place has. EK_NOT_FINITE or EK_OUT_OF_RANGE for the means of
+ * voxels, which points within EK_MAX_COORDINATE do not give. */
 ek_status ek_lasting_map_near(ek_lasting_map *map, ek_real x, ek_real y);
 
-/* Go back to the centre that the map had before ek_lasting_map_near, after a scan that was refused. */
+/* Go back to the centre (m) that the map had before ek_lasting_map_near, after a scan that was refused. Returns what that
+ * returns. */
 ek_status ek_lasting_map_return(ek_lasting_map *map, ek_real centre_x, ek_real centre_y, int32_t changed);
 
 #ifdef __cplusplus

@@ -16,7 +16,8 @@ typedef struct {
     uint32_t left, right, bottom, top;
 } ek_marks;
 
-/* A square of cells. The bits of a line are packed into words, lowest cell first. */
+/* A square of cells. The bits of a line are packed into words, lowest cell first; the caller provides their memory, lines *
+ * words each. */
 typedef struct {
     uint32_t lines;   /* side in cells; a multiple of EK_WORD */
     uint32_t words;   /* lines / EK_WORD */
