@@ -56,13 +56,16 @@ def three(runs):
 
 
 def test_an_answer_without_a_recording_that_counts_says_so(build, three):
-    def told(runs, *simulated):
+    def told(runs, *simulated, tuned_on=()):
         made = build(runs)
         cards = {label: replace(card, simulated=label in simulated) for label, card in made.sequences.items()}
-        return [text for text in pills(replace(made, sequences=cards)) if "simulated" in text]
+        methods = {**made.methods, "a": replace(made.methods["a"], tuned_on=tuned_on)}
+        return [text for text in pills(replace(made, sequences=cards, methods=methods)) if "simulated" in text]
 
     assert told(three, "room", "lab", "hall") == ["only simulated data count"]
     assert told(three, "room", "lab") == []
+    assert told(three, "room", "hall", tuned_on=("lab",)) == ["only simulated data count for a"]  # it wins there
+    assert told(three, "room", "lab", tuned_on=("lab",)) == []
     single = [run for run in three if run.sequence != "hall" or run.method == "a"]
     assert told(single, "room", "lab") == ["only simulated data count"]  # one method alone is no comparison
     assert told([run for run in three if run.method == "a"], "room", "lab", "hall") == []  # nothing counts

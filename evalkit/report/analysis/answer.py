@@ -71,7 +71,7 @@ def compute_answer(
         format_title(tally, lead) if contests else explain_no_contest(sequences, verdicts),
         "" if lead.rivals else lead.names,
         format_subtitle(tally, lead, losses, find_lost(sequences, winners), cheapest),
-        compute_pills(comparison, sequences, verdicts, {one.sequence for one in contests}),
+        compute_pills(comparison, sequences, verdicts, contests, winners),
         winners,
         lead.rivals,
         lead.undecided,

@@ -8,6 +8,7 @@ from typing import Literal
 
 from evalkit.core.run_status import BROKEN, NOT_EXECUTED
 from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.contests import Contest
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.statements.outcome import NOT_APART
@@ -44,14 +45,16 @@ def compute_pills(
     comparison: Comparison,
     sequences: Sequence[SequenceAnalysis],
     verdicts: Sequence[SequenceVerdict],
-    counted: Collection[str],
+    contests: Sequence[Contest],
+    winners: Sequence[str],
 ) -> tuple[Pill, ...]:
-    """Return the pills, the most important first; ``counted``: the sequences that the answer counts."""
+    """Return the pills, the most important first; ``contests``: what the answer counts; ``winners``: whom it names."""
     runs = comparison.records
+    counted = {one.sequence for one in contests}
     pills = [
         *(Pill(f"{sequence.label}: {text}") for sequence in sequences for text in sequence.card.warnings),
         *(_describe_degenerate(comparison, sequence) for sequence in sequences if sequence.card.degenerate),
-        _describe_simulated(one for one in sequences if one.label in counted),
+        _describe_simulated(sequences, contests, winners),
         _describe_known_map(comparison, sequences),
         *_group("lost the track on", _find_lost(sequences), _find_lost_by_geometry(sequences)),
         *_group("did not finish", _find_broken(runs)),
@@ -64,10 +67,15 @@ def compute_pills(
     return tuple(pill for pill in pills if pill is not None)
 
 
-def _describe_simulated(counted: Iterable[SequenceAnalysis]) -> Pill | None:
-    """Return that no recording is among the sequences that the answer counts; None if one is, or nothing counts."""
-    simulated = [one.card.simulated for one in counted]
-    return Pill("only simulated data count") if simulated and all(simulated) else None
+def _describe_simulated(
+    sequences: Sequence[SequenceAnalysis], contests: Sequence[Contest], winners: Sequence[str]
+) -> Pill | None:
+    """Return that no recording is among the sequences that count, or that count for a winner; else None."""
+    recorded = {one.label for one in sequences if not one.card.simulated}
+    if contests and not any(one.sequence in recorded for one in contests):
+        return Pill("only simulated data count")
+    without = [one for one in winners if not any(its.sequence in recorded for its in contests if one in its.part)]
+    return Pill(f"only simulated data count for {name_or_count(without, MAX_NAMED)}") if without else None
 
 
 def _describe_known_map(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> Pill | None:
