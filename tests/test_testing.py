@@ -73,6 +73,19 @@ def test_a_spec_without_a_name_in_a_module_is_rejected():
         check_backend(replace(OF_THIS_FILE, summary="another"))
 
 
+@pytest.mark.parametrize(
+    ("source", "remedy"),
+    [("import nowhere_to_be_found", "install that; a plug-in imports its library in the code that `make` calls"),
+     ("import numpy.nowhere", "install that; "), ("", "give a registered name, or module:SPEC")],
+)  # fmt: skip
+def test_a_module_that_lacks_a_library_says_where_to_import_it(tmp_path, monkeypatch, source, remedy):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "lacking.py").write_text(source)
+    monkeypatch.delitem(sys.modules, "lacking", raising=False)
+    with pytest.raises(NotInstalled, match=re.escape(f"; {remedy}")):
+        spec_at(Address("lacking:SPEC", "lacking", "SPEC"), RegistrationSpec, lambda _name: None)
+
+
 def test_the_error_can_be_pickled():
     error = RulesBroken("x", (RuleResult("order", "It holds.", "failed", "it does not"),), 22)
     assert (
