@@ -116,6 +116,7 @@ def test_the_error_can_be_pickled():
         ),
         (datasets.Loose, "mounting", "base_from_sensor changes: 8 different values in 8 frames"),
         (datasets.OtherClock, "truth", "the true trajectory covers 0 % of the frames: are both on the same clock?"),
+        (datasets.NoNotes, "notes", "notes() returns a NoneType, expected a mapping of names to counts"),
         (datasets.Words, "notes", "notes() has 'scans out of order': 'many', expected a name and a count"),
     ],
     ids=lambda value: getattr(value, "__name__", None),
@@ -138,6 +139,13 @@ def test_a_truth_that_begins_after_the_checked_frames_is_compared_with_all_frame
     report = dataset_rules.check(datasets.spec(datasets.LateTruth), 20, {"scans": 100})
     said = {one.rule: one.observed for one in report.results}
     assert said["truth"] == "the true trajectory covers 70 % of the frames; exact"
+
+
+def test_one_exception_of_a_data_set_breaks_one_rule_and_the_others_are_not_judged():
+    found = dataset_rules.check(datasets.spec(datasets.Unreadable), 20, {})
+    assert [(one.rule, one.observed) for one in found.broken] == [("opens", "raises ValueError: line 3")]
+    unjudged = {one.rule for one in found.results if one.outcome == "not judged"}
+    assert unjudged == {"again", "seeds", "stamps", "length", "angles", "odometry", "mounting", "truth"}
 
 
 def test_a_shipped_data_set_follows_every_rule():
