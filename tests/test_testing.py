@@ -73,6 +73,19 @@ def test_a_spec_without_a_name_in_a_module_is_rejected():
         check_backend(replace(OF_THIS_FILE, summary="another"))
 
 
+@pytest.mark.parametrize(
+    ("source", "remedy"),
+    [("import nowhere_to_be_found", "install that; a plug-in imports its library in the code that `make` calls"),
+     ("import numpy.nowhere", "install that; "), ("", "give a registered name, or module:SPEC")],
+)  # fmt: skip
+def test_a_module_that_lacks_a_library_says_where_to_import_it(tmp_path, monkeypatch, source, remedy):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "lacking.py").write_text(source)
+    monkeypatch.delitem(sys.modules, "lacking", raising=False)
+    with pytest.raises(NotInstalled, match=re.escape(f"; {remedy}")):
+        spec_at(Address("lacking:SPEC", "lacking", "SPEC"), RegistrationSpec, lambda _name: None)
+
+
 def test_the_error_can_be_pickled():
     error = RulesBroken("x", (RuleResult("order", "It holds.", "failed", "it does not"),), 22)
     assert (
@@ -103,6 +116,7 @@ def test_the_error_can_be_pickled():
         ),
         (datasets.Loose, "mounting", "base_from_sensor changes: 8 different values in 8 frames"),
         (datasets.OtherClock, "truth", "the true trajectory covers 0 % of the frames: are both on the same clock?"),
+        (datasets.NoNotes, "notes", "notes() returns a NoneType, expected a mapping of names to counts"),
         (datasets.Words, "notes", "notes() has 'scans out of order': 'many', expected a name and a count"),
     ],
     ids=lambda value: getattr(value, "__name__", None),
@@ -125,6 +139,13 @@ def test_a_truth_that_begins_after_the_checked_frames_is_compared_with_all_frame
     report = dataset_rules.check(datasets.spec(datasets.LateTruth), 20, {"scans": 100})
     said = {one.rule: one.observed for one in report.results}
     assert said["truth"] == "the true trajectory covers 70 % of the frames; exact"
+
+
+def test_one_exception_of_a_data_set_breaks_one_rule_and_the_others_are_not_judged():
+    found = dataset_rules.check(datasets.spec(datasets.Unreadable), 20, {})
+    assert [(one.rule, one.observed) for one in found.broken] == [("opens", "raises ValueError: line 3")]
+    unjudged = {one.rule for one in found.results if one.outcome == "not judged"}
+    assert unjudged == {"again", "seeds", "stamps", "length", "angles", "odometry", "mounting", "truth"}
 
 
 def test_a_shipped_data_set_follows_every_rule():

@@ -96,7 +96,9 @@ def spec_at(address: Address, wanted: type[Spec], registered: Callable[[str], Sp
     try:
         spec = registry.as_spec(getattr(_module(address), address.attribute), wanted)
     except Exception as error:  # third-party code; a plug-in under development may raise anything
-        raise NotInstalled(address.label, f"does not load ({type(error).__name__}: {error})", _REMEDY) from error
+        is_library = isinstance(error, ImportError) and error.name not in (None, address.module)
+        remedy = _LIBRARY_REMEDY if is_library else _REMEDY
+        raise NotInstalled(address.label, f"does not load ({type(error).__name__}: {error})", remedy) from error
     if not isinstance(spec, wanted):
         or_class = " or a class with register or update" if wanted is BackendSpec else ""
         found = f"is a {type(spec).__name__}, expected a {wanted.__name__}{or_class}"
@@ -114,6 +116,7 @@ def _identify(spec: BackendSpec | DatasetSpec) -> str:
     return f"'{spec.summary}' of {made}({defaults})"
 
 
+_LIBRARY_REMEDY = "install that; a plug-in imports its library in the code that `make` calls, and says in `missing` how"
 _REMEDY = "give a registered name, or module:SPEC of a module that can be imported"
 
 

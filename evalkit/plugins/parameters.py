@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from evalkit.core.errors import BadParameter, UnknownName
@@ -81,7 +81,12 @@ def parameter(
 
 
 def declared_parameters(settings: type) -> tuple[Parameter, ...]:
-    """Return the parameters that a dataclass declares with ``parameter``, in the order of its fields."""
+    """Return the parameters that a dataclass declares with ``parameter``, in the order of its fields.
+
+    Raises TypeError for another class.
+    """
+    if not is_dataclass(settings):
+        raise TypeError(f"{settings.__name__} declares parameters but is no dataclass: is @dataclass missing?")
     declared = ((item.name, item.metadata[_KEY]) for item in fields(settings) if _KEY in item.metadata)
     return tuple(replace(found, name=name) for name, found in declared)
 

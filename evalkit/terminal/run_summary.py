@@ -54,8 +54,9 @@ def _name_next_step(runs: Sequence[Run], folder: str) -> str:
     first, failed = broken[0]
     alike = {spec.method.backend for spec, result in broken if result.reason == failed.reason}
     if failed.status == RunStatus.FAILED and len(alike) > 1:
-        call = f"evalkit.testing.check_dataset('{first.sequence.dataset}', ...)"
-        return f"check the data, because several methods failed for the same reason: {call} in Python"
+        path = first.sequence.parameters.get("path")
+        words = ["evalkit", "validate", first.sequence.dataset, *(["--set", f"path={path}"] if path else [])]
+        return f"{shlex.join(words)} (the data: several methods failed for the same reason)"
     return shlex.join(["evalkit", "validate", first.method.backend, "--only", "rules"]) + " (why no run is complete)"
 
 

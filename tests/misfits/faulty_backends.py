@@ -326,6 +326,11 @@ class Stands(Wheels):
         return Pose()
 
 
+class RemarksInOneText(Wheels):
+    def remarks(self):
+        return "no room for 3 loops"
+
+
 class SinceTheLastScan(Wheels):
     """Returns the motion since the scan before."""
 

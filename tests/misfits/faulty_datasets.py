@@ -133,6 +133,16 @@ class Words(Straight):
         return {"scans out of order": "many"}
 
 
+class NoNotes(Straight):
+    def notes(self):
+        return None
+
+
+class Unreadable(Straight):
+    def frames(self):
+        raise ValueError("line 3")
+
+
 class Refuses(Straight):
     def __init__(self, seed=0) -> None:
         super().__init__(seed)

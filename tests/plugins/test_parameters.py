@@ -130,3 +130,11 @@ def test_a_registration_cannot_have_a_parameter_of_the_front_end():
     spec = registry.backend("paper")
     with pytest.raises(BadParameter, match="mine: parameter 'keyframes': found 'two of this name'"):
         complete_parameters("mine", replace(spec, parameters=(Parameter("keyframes", 4, "", "own"),)), {})
+
+
+def test_parameters_of_a_class_that_is_no_dataclass_are_an_error_that_says_so():
+    class Mine:
+        width: float = parameter(0.5, "m", "how wide")
+
+    with pytest.raises(TypeError, match=r"^Mine declares parameters but is no dataclass: is @dataclass missing\?$"):
+        declared_parameters(Mine)

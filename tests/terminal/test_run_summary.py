@@ -5,9 +5,11 @@ from types import SimpleNamespace
 from evalkit.core.run_status import RunStatus
 from evalkit.terminal.run_summary import _name_next_step
 
+SEQUENCE = SimpleNamespace(dataset="lab-logs", parameters={"path": "my drive.log", "limit": 0})
+
 
 def run_of(backend, status, reason=""):
-    spec = SimpleNamespace(method=SimpleNamespace(backend=backend), sequence=SimpleNamespace(dataset="lab-logs"))
+    spec = SimpleNamespace(method=SimpleNamespace(backend=backend), sequence=SEQUENCE)
     return spec, SimpleNamespace(status=status, reason=reason, is_complete=status == RunStatus.COMPLETE)
 
 
@@ -22,10 +24,11 @@ def test_without_a_complete_run_the_next_command_asks_why_the_first_one_failed()
 
 def test_where_methods_fail_for_the_same_reason_the_data_are_to_be_checked():
     failed = [run_of(name, RunStatus.FAILED, "ValueError: ranges") for name in ("paper", "wheel-odometry")]
-    said = (
-        "check the data, because several methods failed for the same reason: evalkit.testing.check_dataset('lab-logs'"
-    )
-    assert _name_next_step(failed, "results").startswith(said)
+    said = "evalkit validate lab-logs --set 'path=my drive.log' (the data: several methods failed for the same reason)"
+    assert _name_next_step(failed, "results") == said
+    made = SimpleNamespace(dataset="made", parameters={})
+    without = [(SimpleNamespace(method=spec.method, sequence=made), result) for spec, result in failed]
+    assert _name_next_step(without, "results").startswith("evalkit validate made (the data")
     others = (
         failed[0],
         run_of("ndt", RunStatus.FAILED, "another"),

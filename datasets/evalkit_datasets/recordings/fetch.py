@@ -49,7 +49,7 @@ def fetch(name: str, progress: ReportProgress = _ignore_progress) -> Path:
         raise DataMissing(name, f"it has no public URL ({card.derived})", catalog.suggest_replacement(card))
     if os.environ.get(OFFLINE, "0") not in {"", "0"}:
         raise DataMissing(name, f"not on this machine, and {OFFLINE} is set", f"unset {OFFLINE}")
-    target.parent.mkdir(parents=True, exist_ok=True)
+    _create_folder(card, target.parent)
     part = target.with_name(target.name + ".part")
     _download(card, part, progress)
     _verify_or_delete(card, part)
@@ -84,12 +84,21 @@ def list_downloads(names: Iterable[str]) -> list[CatalogFile]:
     return list(found.values())
 
 
+def _create_folder(card: CatalogFile, folder: Path) -> None:
+    """Create a folder of the cache. Raises DataMissing where that is not possible, as with a home that is read-only."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        what = f"cannot be kept in {folder} ({error.strerror})"
+        raise DataMissing(card.name, what, "set XDG_CACHE_HOME to a folder that can be written") from error
+
+
 def _build(card: CatalogFile, target: Path, progress: ReportProgress) -> Path:
     """Build a file from its sources, fetched first; raises BadData if the result is not the catalogued file."""
     from evalkit_datasets.recordings.building.builders import iter_built  # noqa: PLC0415 - used for building only
 
     sources = [fetch(source, progress) for source in card.sources]
-    target.parent.mkdir(parents=True, exist_ok=True)
+    _create_folder(card, target.parent)
     part = target.with_name(f"{target.name}.{os.getpid()}.part")
     try:
         with part.open("wb") as file:

@@ -2,6 +2,7 @@
 
 import hashlib
 import http.server
+import re
 import socket
 import threading
 from dataclasses import replace
@@ -86,6 +87,15 @@ def test_a_file_is_downloaded_verified_and_then_found(register_file, server):
     assert not target.with_name("a.log.part").exists()
     assert fetch("a.log") == target
     assert server.asked == [None]
+
+
+def test_a_cache_that_cannot_be_created_is_named_with_the_variable_that_moves_it(register_file, server):
+    target = register_file()
+    target.parents[1].write_text("a file where the folder should be")
+    what = f"a.log: cannot be kept in {target.parent} (Not a directory); set XDG_CACHE_HOME to a folder that can be"
+    with pytest.raises(DataMissing, match=re.escape(what)):
+        fetch("a.log")
+    assert server.asked == []
 
 
 def test_an_interrupted_download_is_kept_and_resumed(register_file, server):

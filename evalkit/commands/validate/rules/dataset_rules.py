@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cached_property
 from itertools import islice, pairwise
 
 import numpy as np
 
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, RuleReport, check_rule, rule_table
+from evalkit.commands.validate.rules.rule import (
+    RuleBroken,
+    RuleNotApplicable,
+    RuleReport,
+    RuleResult,
+    check_rule,
+    rule_table,
+)
 from evalkit.core.errors import DataMissing, EvalkitError, brief
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -61,6 +69,7 @@ class DatasetFixture:
 def check(dataset: str | DatasetSpec, frames: int, parameters: Mapping[str, object]) -> RuleReport:
     """The results of all rules on the first frames of a data set: a registered name, "module:SPEC", or a spec.
 
+    Where one exception ends several rules, it breaks the first of them alone; the others are not judged.
     Raises DataMissing if its files are not here, BadParameter or UnknownName for parameters.
     """
     spec = spec_of(dataset)
@@ -69,7 +78,12 @@ def check(dataset: str | DatasetSpec, frames: int, parameters: Mapping[str, obje
     if why := spec.missing(**{name: value for name, value in complete.items() if name != "seed"}):
         raise DataMissing(label, "cannot be checked here", why)
     fixture = DatasetFixture(spec, complete, frames)
-    return RuleReport(label, tuple(check_rule(rule, fixture) for rule in RULES.values()))
+    results: list[RuleResult] = []
+    for rule in RULES.values():
+        result = check_rule(rule, fixture)
+        known = any(one.raised and one.observed == result.observed for one in results)
+        results.append(replace(result, outcome="not judged") if result.raised and known else result)
+    return RuleReport(label, tuple(results))
 
 
 def spec_of(dataset: str | DatasetSpec) -> DatasetSpec:
@@ -207,7 +221,9 @@ def check_mounting(fixture: DatasetFixture) -> str:
 
 def check_notes(fixture: DatasetFixture) -> str:
     """Defects are counts by name."""
-    notes = fixture.sequence.notes()
+    notes: object = fixture.sequence.notes()
+    if not isinstance(notes, Mapping):
+        raise RuleBroken(f"notes() returns a {type(notes).__name__}, expected a mapping of names to counts")
     for name, count in notes.items():
         if not isinstance(name, str) or not isinstance(count, (int, np.integer)) or count < 0:
             raise RuleBroken(f"notes() has {name!r}: {count!r}, expected a name and a count")

@@ -32,6 +32,7 @@ from evalkit.commands.validate.rules.state_rules import FORKS, LATER_S, count_ot
 from evalkit.core.errors import EvalkitError, format_exception
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
+from evalkit.odometry.corrections import read_remarks
 
 ON_TRACK_M = 0.25
 """Largest error after 0.6 m and 0.6 rad: two voxels of a usual map, its turn measured at 4 m."""
@@ -50,9 +51,14 @@ QUARTER_TURN = Pose(0.2, 0.1, math.pi / 2.0)
 
 def check_starts(fixture: OdometryFixture) -> str:
     """It is created from its parameters and returns finite poses."""
-    simulated = drive(8)
-    if np.isnan(answers := fixture.run(simulated.frames)).all():
+    odometry = fixture.make()
+    answers = np.array([answer_row(odometry, frame) for frame in drive(8).frames])
+    if np.isnan(answers).all():
         raise RuleBroken("it has no answer to any of 8 scans")
+    try:
+        read_remarks(odometry)
+    except (TypeError, ValueError) as error:
+        raise RuleBroken(str(error)) from error
     return f"{int(np.isfinite(answers[:, 0]).sum())} poses for {len(answers)} scans"
 
 

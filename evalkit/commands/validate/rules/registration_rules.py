@@ -222,6 +222,7 @@ def check_ends(fixture: RegistrationFixture) -> str:
     expected = match_bits(one.register(pair.target, pair.source, pair.guess))
 
     def counts(name: str, index: int) -> bool:
+        fixture.note_progress()  # for a slow back end, which may be asked for every other point
         points = getattr(pair, name).points.copy()
         points[index] += 0.01
         cloud = Cloud(points)
@@ -234,7 +235,7 @@ def check_ends(fixture: RegistrationFixture) -> str:
             raise RuleNotApplicable(f"not every point of the {name} decides its answer")
         for index, which in ((0, "first"), (count - 1, "last")):
             if not counts(name, index):
-                if left_out := next((other for other in range(1, count - 1) if not counts(name, other)), None):
+                if left_out := next((other for other in range(1, count - 1, 2) if not counts(name, other)), None):
                     number = f"number {left_out + 1}"
                     raise RuleNotApplicable(f"not every point of the {name} decides its answer: {number} does not")
                 raise RuleBroken(

@@ -165,6 +165,7 @@ def test_every_shipped_back_end_follows_every_rule_that_needs_no_other_process_o
         (faulty.Leaks, "memory", "one object grows by .* bytes with each question, in .* calls and again in twice"),
         (faulty.StartsElsewhere, "first", "the first answer is .10.000 m, -5.000 m, 1.0000 rad"),
         (faulty.Stands, "follows", "with true wheel odometry: 59.1 cm and 34.4 deg off after .* rad.$"),
+        (faulty.RemarksInOneText, "starts", "remarks.. returned 'no room for 3 loops', expected a tuple of texts"),
         (faulty.SinceTheLastScan, "follows", "it is the motion since the scan before; return start_from_base"),
         (faulty.OfTheWheels, "follows", "it is odom_from_base; return start_from_base"),
         (faulty.Wheels, "moves", "are the scans used"),
@@ -562,7 +563,7 @@ def test_the_rules_of_a_data_set_are_checked_by_name_and_as_a_module(evalkit):
     assert (code, answer["subject"], answer["levels"][0]["checks"][0]["observed"]) == (
         0,
         "room",
-        "0 of 10 rules broken",
+        "0 of 11 rules broken",
     )
     code, shown = evalkit("validate", "faulty_datasets:SOUND", "--only", "rules")
     assert code == 0
