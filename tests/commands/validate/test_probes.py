@@ -21,7 +21,7 @@ from evalkit.commands.validate import (
 )
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check
 from evalkit.commands.validate.asked_question import AskedQuestion
-from evalkit.commands.validate.equivalence import comparison, map_cells
+from evalkit.commands.validate.equivalence import comparison, lockstep, map_cells
 from evalkit.commands.validate.equivalence.divergence import Divergence
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, PosePair, Question
 from evalkit.commands.validate.equivalence.margins import Margin
@@ -110,6 +110,11 @@ def test_a_program_that_ended_is_started_again_for_the_next_question(runs_in, re
         registration.register(Cloud(np.zeros((0, 2))), points, Pose())
     with nullcontext() if answers else pytest.raises(BackendFailed):
         assert registration.register(points, points, Pose()).inliers == 3
+    for _ in range(lockstep.MAX_STARTS):
+        with suppress(BackendFailed):
+            registration.register(Cloud(np.zeros((0, 2))), points, Pose())
+    with pytest.raises(BackendFailed):
+        registration.register(points, points, Pose())
 
 
 @pytest.mark.parametrize("limit_m", [0.2, 0.3, 0.31, 1.0])

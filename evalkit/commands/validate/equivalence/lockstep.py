@@ -31,6 +31,9 @@ DISTURBED_M = 0.3
 DISTURBED_RAD = 0.15
 """Error of a disturbed guess, well within what the paper's method recovers from."""
 
+MAX_STARTS = 5
+"""Of a program: one that hangs takes its time for an answer each time."""
+
 REMEDY = "make sure that it runs alone before comparing it"
 
 
@@ -98,23 +101,25 @@ RecordedCall = tuple[Cloud, Cloud, Pose, Match]
 
 
 class _RestartedRegistration:
-    """A registration by a program, which is started again for the next question after it has ended."""
+    """A registration by a program, which is started again for the next question after it has ended, a few times."""
 
     def __init__(
         self, registration: Registration, make: Callable[[], tuple[Registration, Registration]], stage: int
     ) -> None:
         self._registration: Registration | None = registration
-        self._make, self._stage = make, stage
+        self._make, self._stage, self._starts = make, stage, 1
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         if self._registration is None:
+            self._starts += 1
             self._registration = self._make()[self._stage]
         try:
             return self._registration.register(target, source, guess)
         except BackendRefused:
             raise
         except BackendFailed:
-            self._registration = None
+            if self._starts < MAX_STARTS:
+                self._registration = None
             raise
 
 
