@@ -121,6 +121,22 @@ def test_cached_neighbours_equal_a_new_search(limit):
         assert (nearest[found] == np.asarray(expected)[found]).all()
 
 
+def test_a_neighbour_is_kept_without_a_query_until_another_point_may_be_nearer():
+    class Counting:
+        def __init__(self, tree):
+            self.data, self.tree, self.points = tree.data, tree, []
+
+        def query(self, points, **kwargs):
+            self.points += points[:, 0].tolist()
+            return self.tree.query(points, **kwargs)
+
+    tree = Counting(cKDTree([[0.0, 0.0], [1.0, 0.0]]))
+    association = Association(tree, 1)
+    for x in (0.1, -0.34, 0.49, 0.51):  # 0.1 from the one and 0.9 from the other; 0.34 + 0.44 and 0.49 + 0.39 are less
+        association.find(np.array([[x, 0.0]]))
+    assert tree.points == [0.1, 0.51]
+
+
 def test_a_single_target_point_is_the_neighbour_of_every_point():
     nearest, distance = Association(cKDTree([[1.0, 0.0]]), 2).find(np.array([[0.0, 0.0], [1.0, 3.0]]))
     assert nearest.tolist() == [0, 0]

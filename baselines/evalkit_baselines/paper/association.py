@@ -23,8 +23,8 @@ Built = TypeVar("Built")
 class Association:
     """The nearest target point of each point of a source that moves a little from call to call.
 
-    Exact: a point keeps its neighbour without a query only while it has moved less than half the distance by which the
-    second nearest point (or the limit) was farther; until then no other point can be nearer (triangle inequality).
+    Exact: a point keeps its neighbour without a query only while its distance to it, and how far it has moved since the
+    query, are together less than the distance to all other points was then (triangle inequality).
     """
 
     def __init__(self, tree: cKDTree, sources: int, limit_m: float = math.inf) -> None:
@@ -32,22 +32,24 @@ class Association:
         self._targets = np.asarray(tree.data)
         self._nearest = np.zeros(sources, dtype=np.int64)
         self._query_points = np.zeros((sources, 2))
-        self._slack = np.full(sources, -np.inf)  # how far a point may move before its next query; -inf: no neighbour
+        self._others = np.full(sources, -np.inf)  # at the query: no other point is nearer; -inf: no neighbour
 
     def find(self, points: Floats) -> tuple[Ints, Floats]:
         """Return target indices (N,) and distances (N,) in metres; inf where no target point is within the limit."""
-        stale = np.flatnonzero(_length(points - self._query_points) >= self._slack)
-        if len(stale):
-            self._query(stale, points.take(stale, axis=0))
         distance = _length(points - self._targets.take(self._nearest, axis=0))
-        return self._nearest, np.where(self._slack == -np.inf, np.inf, distance)
+        stale = np.flatnonzero(distance + _length(points - self._query_points) >= self._others)
+        if len(stale):
+            distance[stale] = self._query(stale, points.take(stale, axis=0))
+        return self._nearest, distance
 
-    def _query(self, rows: Ints, points: Floats) -> None:
+    def _query(self, rows: Ints, points: Floats) -> Floats:
         distances, nearest = map(np.asarray, self._tree.query(points, k=2, distance_upper_bound=self._limit_m))
         first, second = distances.T
-        self._slack[rows] = 0.5 * (np.minimum(second, self._limit_m) - first)
-        self._nearest[rows] = np.where(np.isfinite(first), nearest[:, 0], 0)
+        found = np.isfinite(first)
+        self._others[rows] = np.where(found, np.minimum(second, self._limit_m), -np.inf)
+        self._nearest[rows] = np.where(found, nearest[:, 0], 0)
         self._query_points[rows] = points
+        return np.asarray(first)
 
 
 class CloudCache(Generic[Built]):
