@@ -43,7 +43,8 @@ def make_sandboxed_task(task: AnyTask, limit_s: float, memory_mib: int) -> AnyTa
 def run(function: Callable[..., Result], arguments: Mapping[str, Any], limit_s: float, memory_mib: int) -> Result:
     """The function's result, or {"ended": how its process ended, and what it did then}.
 
-    ``limit_s``: time in all, see ``Usage.exceeds``; ``memory_mib``: memory of the process and of all that it starts.
+    ``limit_s``: time from one noted place to the next, or to the end, see ``Usage.exceeds``. ``memory_mib``: memory of
+    the process and of all that it starts.
     """
     task = Task("result", function, arguments)
     with tempfile.TemporaryDirectory(prefix="evalkit-validate-") as place:
@@ -52,14 +53,12 @@ def run(function: Callable[..., Result], arguments: Mapping[str, Any], limit_s: 
         (folder / SYSTEM_PATH).write_bytes(pickle.dumps(path))
         (folder / REQUEST).write_bytes(pickle.dumps(task))
         with ChildProcess(MODULE, folder) as child:
-            broken_limit = next(
-                (why for used in child.watch() if (why := _broken_limit(used, limit_s, memory_mib))), ""
-            )
+            broken_limit = _watch(child, folder, limit_s, memory_mib)
         result = read_result(folder / RESULT) if not broken_limit else None
         if result is not None:
             return result
         how = broken_limit or child.describe_end()
-        at = (folder / PLACE).read_text(encoding="utf-8") if (folder / PLACE).exists() else ""
+        at = _read_place(folder)
         return {ENDED: f"{how}; it was in: {at}" if at else how}
 
 
@@ -83,10 +82,28 @@ def main() -> int:
     return 0
 
 
-def _broken_limit(used: Usage, limit_s: float, memory_mib: int) -> str:
-    if used.exceeds(limit_s):
+def _watch(child: ChildProcess, folder: Path, limit_s: float, memory_mib: int) -> str:
+    """Watch the process until it ends; return the limit that it exceeded, or ""."""
+    begin, place = Usage(0.0, 0.0, 0), ""
+    for used in child.watch():
+        if (now := _read_place(folder)) != place:
+            begin, place = used, now
+        if why := _broken_limit(used, limit_s, memory_mib, begin):
+            return why
+    return ""
+
+
+def _broken_limit(used: Usage, limit_s: float, memory_mib: int, begin: Usage) -> str:
+    if used.exceeds(limit_s, begin):
         return f"not finished after {limit_s:g} s"
     return f"used more than {memory_mib} MiB" if used.resident_bytes > memory_mib * 2**20 else ""
+
+
+def _read_place(folder: Path) -> str:
+    try:
+        return (folder / PLACE).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return ""
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import pytest
 from evalkit.execution import sandbox
 from evalkit.execution.sandbox import ENDED
 from evalkit.execution.task import make_task
+from evalkit.execution.usage import Usage
 
 
 @pytest.fixture(autouse=True)
@@ -64,6 +65,25 @@ def test_a_hang_is_terminated(tmp_path, monkeypatch):
     sleeps, broken_limit = tmp_path / "sleeps", sandbox._broken_limit
     monkeypatch.setattr(sandbox, "_broken_limit", lambda *given: broken_limit(*given) if sleeps.exists() else "")
     assert run("sleep", limit_s=1.0, sleeps=str(sleeps)) == {ENDED: "not finished after 1 s; it was in: a long one"}
+
+
+class Noting:
+    """A child of which a usage is known after each 0.8 s, and that has noted a new place in the first ``notes``."""
+
+    def __init__(self, folder, notes):
+        self._place, self._notes = folder / sandbox.PLACE, notes
+
+    def watch(self):
+        for number in range(8):
+            if number < self._notes:
+                self._place.write_text(f"question {number}")
+            yield Usage(0.8 * number, 0.8 * number, 0)
+
+
+@pytest.mark.parametrize(("notes", "why"), [(8, ""), (2, "not finished after 1 s")])
+def test_the_limit_counts_from_the_last_place_that_was_noted(tmp_path, notes, why):
+    """Eight questions of 0.8 s with a limit of 1 s."""
+    assert sandbox._watch(Noting(tmp_path, notes), tmp_path, 1.0, 500) == why
 
 
 def test_a_place_is_recorded_only_in_a_sandbox(tmp_path, monkeypatch):

@@ -1,7 +1,7 @@
 """What surrounds a validation: options, the quantity that separates wrong answers, drives, maps and pairs by hand."""
 
 import math
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -21,13 +21,13 @@ from evalkit.commands.validate import (
 )
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check
 from evalkit.commands.validate.asked_question import AskedQuestion
-from evalkit.commands.validate.equivalence import comparison, map_cells
+from evalkit.commands.validate.equivalence import comparison, lockstep, map_cells
 from evalkit.commands.validate.equivalence.divergence import Divergence
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend, PosePair, Question
 from evalkit.commands.validate.equivalence.margins import Margin
 from evalkit.commands.validate.equivalence.questions import DrawnQuestion, draw_questions
 from evalkit.commands.validate.rules import scenes
-from evalkit.core.errors import BadParameter, DataMissing, NotInstalled, UnknownName
+from evalkit.core.errors import BackendFailed, BackendRefused, BadParameter, DataMissing, NotInstalled, UnknownName
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.match import Iteration, Match
 from evalkit.core.odometry_estimate import OdometryEstimate
@@ -88,6 +88,33 @@ def asked(heading, points=SOME, what="", family="clear", b=MATCH, **fields):
 )  # fmt: skip
 def test_the_quantity_that_separates_wrong_answers_is_named(headings, wrong, said):
     assert question_summary._describe_where([(asked(0.1 * at), bool(wrong(at))) for at in headings]) == said
+
+
+@pytest.mark.parametrize(("runs_in", "refuses", "answers"), [("program", False, True), ("program", True, False),
+                                                            ("evalkit", False, False)])  # fmt: skip
+def test_a_program_that_ended_is_started_again_for_the_next_question(runs_in, refuses, answers):
+    """Each object ends with a question without a target. A refusal is no end, and no library is loaded again."""
+
+    class Ends(Icp):
+        ended = False
+
+        def register(self, target, source, guess):
+            if self.ended or not len(target):
+                object.__setattr__(self, "ended", True)
+                raise (BackendRefused if refuses else BackendFailed)("mine", "no target", "")
+            return super().register(target, source, guess)
+
+    side = ComparedBackend("mine", RegistrationSpec(Ends, "", "", "MIT", runs_in=runs_in), {})
+    registration, points = side.registrations()["s2m"], Cloud(np.array([[0.0, 0.0], [2.0, 1.0], [1.0, 3.0]]))
+    with pytest.raises(BackendFailed):
+        registration.register(Cloud(np.zeros((0, 2))), points, Pose())
+    with nullcontext() if answers else pytest.raises(BackendFailed):
+        assert registration.register(points, points, Pose()).inliers == 3
+    for _ in range(lockstep.MAX_STARTS):
+        with suppress(BackendFailed):
+            registration.register(Cloud(np.zeros((0, 2))), points, Pose())
+    with pytest.raises(BackendFailed):
+        registration.register(points, points, Pose())
 
 
 @pytest.mark.parametrize("limit_m", [0.2, 0.3, 0.31, 1.0])

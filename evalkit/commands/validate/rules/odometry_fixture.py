@@ -40,8 +40,8 @@ class OdometryFixture:
         elsewhere: Mapping[str, Any] = {},
         runs_in: RunsIn = "evalkit",
     ) -> None:
-        self._make, self.role, self.seed = make, role, seed
-        self.elsewhere, self.runs_in = elsewhere, runs_in
+        self._make, self.role, self.seed, self.elsewhere = make, role, seed, elsewhere
+        self.runs_in: RunsIn = runs_in
         self.watch = StateWatch()
         self.short = drive(8)
         self.asked_s = math.inf

@@ -43,7 +43,8 @@ class RegistrationFixture:
         elsewhere: Mapping[str, Any] = {},
         runs_in: RunsIn = "evalkit",
     ) -> None:
-        self._make, self.seed, self.elsewhere, self.runs_in = make, seed, elsewhere, runs_in
+        self._make, self.seed, self.elsewhere = make, seed, elsewhere
+        self.runs_in: RunsIn = runs_in
         self._parameters, self._given = parameters, given
         self.asked_s = math.inf
         self.watch = StateWatch()
