@@ -24,8 +24,10 @@ from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, 
 from evalkit.core.errors import BadData
 from evalkit.core.ground_truth import Truth
 from evalkit.core.match import Match
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.trajectory import Trajectory
+from evalkit.plugins.protocols import NoAnswer
 
 STEADY = np.full(resource_rules.BATCHES, 5e3)
 STATE = {"rounding": 1, "open files": 3, "threads": 1}
@@ -195,6 +197,15 @@ class Driven:
         self.seed = 0
         self.runs_in = "evalkit"
 
+    def make(self):
+        def update(frame):
+            (row,) = self.run([frame])
+            if np.isnan(row).any():
+                raise NoAnswer("nothing")
+            return OdometryEstimate(Pose.of(row))
+
+        return SimpleNamespace(update=update)
+
     def _drive(self):
         return odometry_rules.drive(3)
 
@@ -354,7 +365,8 @@ def test_another_answer_to_the_same_points_in_another_order_is_named():
 
 def dataset(frames=None, truth=None, count=3):
     frames = odometry_rules.drive(3).frames if frames is None else frames
-    return SimpleNamespace(frames=frames, sequence=SimpleNamespace(truth=lambda: truth), count=count)
+    sequence = SimpleNamespace(truth=lambda: truth, frames=lambda: iter(frames))
+    return SimpleNamespace(frames=frames, sequence=sequence, count=count)
 
 
 def test_a_data_set_with_other_types_than_it_declares_is_named():
