@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Bits = tuple[object, ...]
 
-RegionPart = Literal["middle", "end", "beginning"]
+MemoryPlace = Literal["middle", "end", "beginning"]
 """Of clouds in their memory."""
 
 LATER_S, PAUSES_S = 3.0, (0.0, 0.6, 0.6)
@@ -113,7 +113,7 @@ def _shift_middle(cloud: Cloud, rng: np.random.Generator) -> Cloud:
     return Cloud(points)
 
 
-BOUNDS_STEPS: Mapping[RegionPart, str] = {
+BOUNDS_STEPS: Mapping[MemoryPlace, str] = {
     "middle": "a call whose clouds are read-only: does it write to them, or keep those of an earlier call?",
     "end": "a call with no memory behind its clouds: does it access what is behind them?",
     "beginning": "a call with no memory before its clouds: does it access what is before them?",
@@ -254,7 +254,7 @@ class Region:
 
     PAGES = 16
 
-    def __init__(self, place: RegionPart) -> None:
+    def __init__(self, place: MemoryPlace) -> None:
         self._size = self.PAGES * mmap.PAGESIZE
         self._map = mmap.mmap(-1, self._size + 2 * mmap.PAGESIZE)
         self._base = ctypes.addressof(ctypes.c_char.from_buffer(self._map))
@@ -295,7 +295,7 @@ _KEPT: list[Region] = []
 
 
 @contextmanager
-def shared_memory(place: RegionPart = "end") -> Iterator[Region]:
+def shared_memory(place: MemoryPlace = "end") -> Iterator[Region]:
     """Memory for a cloud that becomes inaccessible at the end."""
     region = Region(place)
     _KEPT.append(region)
