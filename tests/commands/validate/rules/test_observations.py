@@ -123,7 +123,10 @@ def test_calls_are_measured_a_second_time_only_where_they_seem_to_become_slower(
     monkeypatch.setattr(resource_rules, "BUDGET_S", 0.0)  # the fewest calls
     monkeypatch.setattr(resource_rules, "_work", steady)
     clock = SimpleNamespace(
-        thread_time_ns=lambda: now_ns, perf_counter_ns=time.perf_counter_ns, process_time=time.process_time
+        thread_time_ns=lambda: now_ns,
+        perf_counter_ns=time.perf_counter_ns,
+        process_time=time.process_time,
+        clock_gettime_ns=lambda _: 0,
     )
     monkeypatch.setattr(resource_rules, "time", clock)
     use = resource_rules.measure(object, lambda _: steady, process_state.StateWatch())
