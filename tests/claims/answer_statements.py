@@ -503,18 +503,31 @@ def busy(facts: Facts, count: str, cause: str, **said: str) -> Iterator[str]:
 
 
 def _tuned_on(facts: Facts, method: str) -> list[str]:
+    """Return the sequences whose data set a method was tuned on; one for a data set that one has the name of."""
     chosen = facts.content["methods"][method]["tuned_on"]
-    return [one for one, own in facts.runs.items() if next(iter(own.values()))[0]["dataset"] in chosen]
+    data = {one: next(iter(own.values()))[0]["dataset"] for one, own in facts.runs.items()}
+    return [one for one, name in data.items() if name in chosen and (one == name or name not in data)]
 
 
-@kind(IN_PILLS, r"settings of (?P<count>\d+) methods were chosen on data shown here: not counted there$")
+@kind(IN_PILLS, r"only simulated data count(?: for (?P<methods>.+))?$")
+def simulated_pill(facts: Facts, methods: str | None) -> Iterator[str]:
+    answer = facts.content["answer"]
+    recorded = [one for one in answer["counted"] if not facts.content["sequences"][one]["simulated"]]
+    yield from same("no recording counts", methods is None, not recorded)
+    if methods is not None:
+        left_out = {one["method"]: one["left_out"] for one in answer["standings"]}
+        without = [one for one in answer["winners"] if not set(recorded) - set(left_out[one])]
+        yield from same("no recording counts for", list_of(methods), without)
+
+
+@kind(IN_PILLS, r"settings of (?P<count>\d+) methods chosen on data shown here: not counted there$")
 def many_tuned_pill(facts: Facts, count: str) -> Iterator[str]:
     chosen = [_tuned_on(facts, method) for method in facts.methods if _tuned_on(facts, method)]
     yield from same("tuned", int(count), len(chosen))
     yield from same("more than two groups", len({tuple(one) for one in chosen}) > 2, True)
 
 
-@kind(IN_PILLS, r"settings of (?P<methods>.+?) were chosen on (?P<where>.+?): not counted there$")
+@kind(IN_PILLS, r"settings of (?P<methods>.+?) chosen on (?P<where>.+?): not counted there$")
 def tuned_pill(facts: Facts, methods: str, where: str) -> Iterator[str]:
     true = [one for one in facts.methods if _tuned_on(facts, one) == list_of(where)]
     count = re.fullmatch(r"(\d+) methods", methods)

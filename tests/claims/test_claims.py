@@ -135,6 +135,13 @@ def _cases(record, build):
     yield build(_lost([*_seeds(record, "a", [1.0, 2.0, 2.1]), *_seeds(record, "b", [1.0, 1.2, 1.1])], 7.0))
     cards = {"room": replace(winner.sequences["room"], degenerate="A corridor without ends.")}
     yield replace(winner, sequences=cards)
+    yield _simulated(winner, "room")
+    apart = {"a": clear[0], "b": [4.0 * one for one in clear[0]], "c": [40.0 * one for one in clear[0]]}
+    rooms = build(
+        [one for room in ("room", "hall") for name in apart for one in _seeds(record, name, apart[name], room=room)]
+    )
+    tuned_there = {"a": replace(rooms.methods["a"], tuned_on=("hall",))}
+    yield _simulated(replace(rooms, methods={**rooms.methods, **tuned_there}), "room")
     both = build([*winner.records, *(one for name in "ab" for one in _seeds(record, name, [0.1, 0.2], room="hall"))])
     both = replace(both, sequences={**both.sequences, **cards})
     yield replace(both, methods={name: replace(card, tuned_on=("hall",)) for name, card in both.methods.items()})
@@ -200,6 +207,12 @@ def _cases(record, build):
     table = {metric.name: metric for metric in all_metrics()}
     names = ("relations_all_mean_m", "relations_short_mean_m", "cpu_median_ms")
     yield replace(short, metrics=tuple(table[name] for name in names))
+
+
+def _simulated(comparison, *labels):
+    """The comparison where the sequences with these labels are simulated."""
+    cards = {label: replace(card, simulated=label in labels) for label, card in comparison.sequences.items()}
+    return replace(comparison, sequences=cards)
 
 
 def _rivals(record):

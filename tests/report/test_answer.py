@@ -295,7 +295,7 @@ def test_a_data_set_on_which_settings_were_chosen_does_not_count_for_that_method
     assert found.title == "Take b: best or tied on 3 of 3 data sets; no other method on any."
     assert found.standing("a").left_out == ("room", "hall")
     assert [one.left_out for one in found.contests] == [("a",), (), ("a",)]
-    assert "settings of a were chosen on room and hall: not counted there" in [pill.text for pill in found.pills]
+    assert "settings of a chosen on room and hall: not counted there" in [pill.text for pill in found.pills]
     assert "chosen" not in " ".join(pills(comparison))
     two = {**tuned, "a": replace(tuned["a"], tuned_on=("room",)), "c": replace(tuned["c"], tuned_on=("hall",))}
     assert title(replace(comparison, methods=two)) == (
@@ -310,7 +310,7 @@ def test_a_data_set_on_which_settings_were_chosen_does_not_count_for_that_method
     chosen = {"a": ("room",), "b": ("hall",), "c": ("room", "hall")}
     many = {name: replace(card, tuned_on=chosen[name]) for name, card in comparison.methods.items()}
     told = [text for text in pills(replace(comparison, methods=many)) if "chosen" in text]
-    assert told == ["settings of 3 methods were chosen on data shown here: not counted there"]
+    assert told == ["settings of 3 methods chosen on data shown here: not counted there"]
 
 
 def test_the_title_says_that_fewer_data_sets_count_for_the_winner_and_why(build, runs, three, record):

@@ -203,7 +203,7 @@ def test_without_a_verdict_the_map_strip_names_no_best_and_no_worst(room):
     analysis = analyse(once)
     roles = dict(choose_tiles(analysis, analysis.sequences[0]))
     assert (roles["plane"], roles["lost"]) == ("best value", "worst value")
-    assert describe_strip(analysis, analysis.sequences[0]) == ("room: ATE RMSE and CPU time a scan; not counted above")
+    assert describe_strip(analysis, analysis.sequences[0]) == ("room: ATE RMSE and CPU time a scan; not counted")
     assert list(roles.values()).count("worst value") == 1
     whole = analyse(room)
     assert describe_strip(whole, whole.sequences[0]) == "room: ATE RMSE and CPU time a scan"

@@ -175,20 +175,24 @@ def _describe_load(runs: Sequence[RunRecord]) -> Pill | None:
 
 
 def _describe_tuned(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> list[Pill]:
-    """Return one pill for each group of methods whose settings were chosen on the same sequences, or one for many."""
+    """Return one pill for each group of methods whose settings were chosen on the same sequences, or one for many.
+
+    Where the name of a data set is that of a sequence, other sequences of it are not named.
+    """
+    labels = {one.label for one in sequences}
     chosen: dict[str, list[str]] = {}
     for sequence in sequences:
+        if sequence.label != find_dataset(sequence) and find_dataset(sequence) in labels:
+            continue
         for method in find_left_out(comparison, sequence):
             chosen.setdefault(method, []).append(sequence.label)
     groups: dict[tuple[str, ...], list[str]] = {}
     for method, where in chosen.items():
         groups.setdefault(tuple(where), []).append(method)
     if len(groups) > MAX_GROUPS:
-        return [Pill(f"settings of {len(chosen)} methods were chosen on data shown here: not counted there")]
+        return [Pill(f"settings of {len(chosen)} methods chosen on data shown here: not counted there")]
     return [
-        Pill(
-            f"settings of {name_or_count(methods, MAX_OF_A_KIND)} were chosen on {join_words(where)}: not counted there"
-        )
+        Pill(f"settings of {name_or_count(methods, MAX_OF_A_KIND)} chosen on {join_words(where)}: not counted there")
         for where, methods in groups.items()
     ]
 
