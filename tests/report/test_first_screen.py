@@ -203,10 +203,10 @@ def test_without_a_verdict_the_map_strip_names_no_best_and_no_worst(room):
     analysis = analyse(once)
     roles = dict(choose_tiles(analysis, analysis.sequences[0]))
     assert (roles["plane"], roles["lost"]) == ("best value", "worst value")
-    assert describe_strip(analysis, analysis.sequences[0]) == ("room: ATE RMSE and CPU time a scan; not counted")
+    assert describe_strip(analysis, analysis.sequences[0]) == ("room: ATE RMSE, CPU time a scan; not counted")
     assert list(roles.values()).count("worst value") == 1
     whole = analyse(room)
-    assert describe_strip(whole, whole.sequences[0]) == "room: ATE RMSE and CPU time a scan"
+    assert describe_strip(whole, whole.sequences[0]) == "room: ATE RMSE, CPU time a scan"
 
 
 def test_only_the_last_map_is_the_worst_also_where_it_is_the_answer(record, build):

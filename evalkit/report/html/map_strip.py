@@ -98,7 +98,7 @@ def describe_strip(analysis: Analysis, sequence: SequenceAnalysis) -> str:
     """Return which recording the maps are of, what their numbers are, and whether it counts in the answer."""
     label = sequence.deciding.metric.label if sequence.deciding else ""
     counts = any(one.sequence == sequence.label for one in analysis.answer.contests)
-    return f"{sequence.label}: {label} and CPU time a scan{'' if counts else '; not counted'}"
+    return f"{sequence.label}: {label}, CPU time a scan{'' if counts else '; not counted'}"
 
 
 def build_tiles(analysis: Analysis, number: int, strokes: Strokes) -> list[Tile]:
