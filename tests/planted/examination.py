@@ -10,6 +10,7 @@ from typing import Any
 from evalkit.commands.validate import level_answers, probes, question_probes
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin
 from evalkit.commands.validate.rules import runner
+from evalkit.core.errors import BackendFailed
 from evalkit.execution import sandbox
 from evalkit.external import INCLUDE
 from evalkit.plugins import defaults
@@ -58,8 +59,14 @@ def build(number: int, folder: Path, options: str = "-O1", compiler: str = "cc",
 
 
 def examine(backend: str, seed: int) -> list[str]:
-    """The texts of all failed checks of a back end: its rules, then the comparison in a process of its own."""
-    checked = runner.check(backend, seed=seed)
+    """The texts of all failed checks of a back end: its rules, then the comparison in a process of its own.
+
+    Of one that does not start, why it cannot be checked.
+    """
+    try:
+        checked = runner.check(backend, seed=seed)
+    except BackendFailed as error:
+        return [str(error)]
     broken = [f"rule {one.rule}: {one.observed}" for one in checked.broken]
     result = sandbox.run(compare, {"backend": backend, "seed": seed}, 240.0, 2048)
     return [*broken, *result.get("texts", [f"comparison: {result.get(sandbox.ENDED)}"])]

@@ -8,7 +8,7 @@ FAULTS = tuple(
     Fault(*row)
     for row in (
         (301, "numbers are written with six decimals", "precision|round|decimals|digits"),
-        (302, "answers are not flushed", "rule (starts|in-time|alive).*no answer"),
+        (302, "answers are not flushed", "(rule (starts|in-time|alive)|cannot be checked).*no answer"),
         (303, "a line is cut after 64 KiB", "rule large|sizes"),
         (304, "the order of a sum is that of a hash table", STATE),
         (305, "inliers are counted with 8 bits", "inliers"),

@@ -85,6 +85,11 @@ def test_a_library_that_writes_where_it_may_not_is_refused(number, said, tmp_pat
         spec.make(**{one.name: one.default for one in spec.parameters}).register(cloud, cloud, Pose(0.0, 0.0, 2.0))
 
 
+def test_a_program_that_gives_no_answer_is_found_by_the_reason_of_its_refusal():
+    (text,) = examination.examine("exec:true", 1)
+    assert text.startswith("exec:true: cannot be checked here; ended with code 0 instead of answering")
+
+
 @pytest.mark.parametrize("source", sorted(faults.LIBRARIES))
 def test_every_fault_has_a_number_of_its_own_and_a_variant_in_the_source(source):
     text = (examination.FOLDER / source).read_text(encoding="utf-8")
