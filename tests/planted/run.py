@@ -93,7 +93,8 @@ def planned(sources: Sequence[str], numbers: Sequence[int], fault_options: str =
         for compiler in compilers if not numbers else ():
             correct = BUILDS[Path(source).suffix]
             some = correct if compiler == compilers[0] else correct[::3]
-            yield from (Build(source, Fault(0, "", ""), compiler, one) for one in some)
+            allowed = [one for one in some if source not in LINKED or "-ffast-math" not in one]  # the C core refuses it
+            yield from (Build(source, Fault(0, "", ""), compiler, one) for one in allowed)
         for fault in LIBRARIES[source]:
             if compilers and (not numbers or fault.number in numbers):
                 options = fault_options or FAULT_BUILDS.get(source, BUILDS[Path(source).suffix][1])

@@ -85,6 +85,14 @@ def test_a_library_that_writes_where_it_may_not_is_refused(number, said, tmp_pat
         spec.make(**{one.name: one.default for one in spec.parameters}).register(cloud, cloud, Pose(0.0, 0.0, 2.0))
 
 
+def test_the_core_is_not_built_with_options_that_it_refuses():
+    def fast(source):
+        return [one for one in run.planned([source], ()) if "-ffast-math" in one.options]
+
+    assert fast("odometry.c") == []
+    assert fast("planted.c") != []
+
+
 def test_a_program_that_gives_no_answer_is_found_by_the_reason_of_its_refusal():
     (text,) = examination.examine("exec:true", 1)
     assert text.startswith("exec:true: cannot be checked here; ended with code 0 instead of answering")
