@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, is_dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -119,9 +120,16 @@ class RegistrationSpec(BackendSpec):
 
     def make_stages(self, parameters: Mapping[str, Value]) -> tuple[Registration, Registration]:
         """Make the registrations of both stages, scan-to-scan first, from complete parameters."""
+        make_first, make_second = self.stage_makers(parameters)
+        return make_first(), make_second()
+
+    def stage_makers(
+        self, parameters: Mapping[str, Value]
+    ) -> tuple[Callable[[], Registration], Callable[[], Registration]]:
+        """Return what makes the registration of each stage, as ``make_stages`` does."""
         own = {each.name: parameters[each.name] for each in self.parameters}
         first = {key.removeprefix(FIRST_STAGE): v for key, v in parameters.items() if key.startswith(FIRST_STAGE)}
-        return self.make(**{**own, **first}), self.make(**own)
+        return partial(self.make, **{**own, **first}), partial(self.make, **own)
 
 
 @dataclass(frozen=True)

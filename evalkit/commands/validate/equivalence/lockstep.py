@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -49,10 +48,9 @@ class ComparedBackend:
         """A new registration for each stage of the front end; raises TypeError if the back end is no registration."""
         if not isinstance(self.spec, RegistrationSpec):
             raise TypeError(f"{self.label}: a {self.spec.kind} has no registrations")
-        stages = self.spec.make_stages(self.parameters)
-        if self.spec.runs_in != "evalkit":
-            make = partial(self.spec.make_stages, self.parameters)
-            stages = _RestartedRegistration(stages[0], make, 0), _RestartedRegistration(stages[1], make, 1)
+        makers = self.spec.stage_makers(self.parameters)
+        is_program = self.spec.runs_in != "evalkit"
+        stages = (_RestartedRegistration(make) if is_program else make() for make in makers)
         return dict(zip(("s2s", "s2m"), stages, strict=True))
 
 
@@ -103,16 +101,14 @@ RecordedCall = tuple[Cloud, Cloud, Pose, Match]
 class _RestartedRegistration:
     """A registration by a program, which is started again for the next question after it has ended, a few times."""
 
-    def __init__(
-        self, registration: Registration, make: Callable[[], tuple[Registration, Registration]], stage: int
-    ) -> None:
-        self._registration: Registration | None = registration
-        self._make, self._stage, self._starts = make, stage, 1
+    def __init__(self, make: Callable[[], Registration]) -> None:
+        self._make, self._starts = make, 1
+        self._registration: Registration | None = make()
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         if self._registration is None:
             self._starts += 1
-            self._registration = self._make()[self._stage]
+            self._registration = self._make()
         try:
             return self._registration.register(target, source, guess)
         except BackendRefused:
