@@ -178,10 +178,10 @@ def check_truth(fixture: DatasetFixture) -> str:
         return f"no trajectory; {known.how}"
     if not len(known.trajectory):
         raise RuleBroken("the true trajectory has no pose")
-    which, inside = f"first {len(fixture.frames)}", _share_covered(known.trajectory, fixture.frames)
+    which, inside = f"first {len(fixture.frames)} frames", _share_covered(known.trajectory, fixture.frames)
     if inside < COVERED:  # recordings may begin long before their reference
-        which, inside = "", _share_covered(known.trajectory, fixture.sequence.frames())
-    said = f"the true trajectory covers {100 * inside:.0f} % of the {which} frames".replace("  ", " ")
+        which, inside = "frames", _share_covered(known.trajectory, fixture.sequence.frames())
+    said = f"the true trajectory covers {100 * inside:.0f} % of the {which}"
     if inside < COVERED:
         raise RuleBroken(f"{said}: are both on the same clock?")
     _require_one_unit(fixture.frames, known.trajectory)
