@@ -229,6 +229,8 @@ def _compare(request: ValidationRequest, folder: Path, workers: int, display: Pr
     from evalkit.commands.validate import plan, run  # noqa: PLC0415 - as above
 
     planned = plan.make_plan(request)
+    if any(registry.find_backend(method).device for method in planned.methods):
+        workers = 1  # a device has one session
     _keep_seed(folder, request.seed)
     for name, why in planned.unavailable.items():
         err.print(f"not available here: {name}: {why}")
