@@ -10,6 +10,7 @@ from evalkit.commands.tune.result import TuningResult
 from evalkit.core.run_status import NOT_EXECUTED, RunStatus
 from evalkit.report.analysis.ranking import Ranking
 from evalkit.report.analysis.scores import STATUS_LABELS
+from evalkit.report.formatting import format_amount, format_difference, format_spread
 from evalkit.report.html.blocks import Block, Cell, Column, Table, Text
 
 
@@ -41,21 +42,21 @@ def format_number(value: float) -> str:
 def _make_heading(name: str, ranking: Ranking | None) -> Column:
     if ranking is None:
         return Column(name, number=True)
-    return Column(f"{name}: {ranking.metric.label}", ranking.metric.unit, number=True)
+    return Column(f"{name}: {ranking.metric.label}", number=True)
 
 
 def _make_score_cell(result: TuningResult, label: str, sequence: str, ranking: Ranking | None) -> Cell:
     score = None if ranking is None else ranking.of(label)
     own = [record for record in result.comparison.records if (record.method, record.sequence) == (label, sequence)]
-    if score is None or not score.values:
+    if ranking is None or score is None or not score.values:
         statuses = dict.fromkeys(STATUS_LABELS[record.result.status] for record in own if not record.result.is_complete)
         why = score.reason if score is not None else "; ".join(record.result.reason for record in own[:1])
         return Cell(", ".join(statuses) or "no value", sort=math.inf, tone="warn", tip=why)
     middle, between = score.median or 0.0, score.interval
     shown = (
-        format_number(middle)
+        format_amount(ranking.metric, middle)
         if between is None
-        else f"{format_number(middle)} ({format_number(between.low)} to {format_number(between.high)})"
+        else format_spread(ranking.metric, middle, between.low, between.high)
     )
     executed = [record.result.status for record in own if record.result.status not in NOT_EXECUTED]
     lost = sum(status != RunStatus.COMPLETE for status in executed)
@@ -110,18 +111,14 @@ def _build_differences(pairs: Sequence[tuple[str, HeldOutSequence]]) -> Table:
 
 def _make_difference_row(label: str, one: HeldOutSequence) -> Sequence[Cell | str]:
     metric = one.ranking.metric
-    unit = f" {metric.unit}" if metric.unit else ""
     head = (label, one.ranking.sequence, metric.label)
-    medians = [
-        Cell(f"{format_number(cell.median or 0.0)}{unit}", sort=cell.median) for cell in (one.default, one.tuned)
-    ]
+    medians = [Cell(format_amount(metric, cell.median or 0.0), sort=cell.median) for cell in (one.default, one.tuned)]
     if one.difference is None:
         return (*head, *medians, Cell("-"), Cell("-"), "one run, no interval")
-    interval, verdict = one.difference.interval, "no"
+    verdict = "no"
     if one.significant:
         verdict = "worse" if one.worse else "better"
-    result = f"{interval.value:+.3g} ({interval.low:+.3g} to {interval.high:+.3g}){unit}"
     detectable = one.difference.detectable or math.inf
-    return (*head, *medians, Cell(result, sort=interval.value),
-            Cell(f"{format_number(detectable)}{unit}", sort=detectable),
+    return (*head, *medians, Cell(format_difference(metric, one.difference), sort=one.difference.interval.value),
+            Cell(format_amount(metric, detectable, 1) if math.isfinite(detectable) else "none", sort=detectable),
             Cell(verdict, tone="bad" if one.worse else "good" if one.significant else ""))  # fmt: skip
