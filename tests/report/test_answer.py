@@ -167,6 +167,23 @@ def test_the_one_method_that_holds_where_others_fail_leads_there(build, three, h
     assert title(alone).startswith("Only a is ranked: ")
 
 
+def test_the_dot_of_a_lost_track_is_a_cross_also_where_settings_were_chosen(build, three):
+    gone = [
+        replace(run, scores=replace(run.scores, lost=LostTrack(9.0, "a jump")))
+        if (run.method, run.sequence, run.seed) == ("b", "hall", 0) else run for run in three
+    ]  # fmt: skip
+    for runs, words, shape in (
+        (three, "settings chosen here: not counted", "tuned"),
+        (gone, "lost the track in 1 of 2, at 9 s; settings chosen here: not counted", "lost"),
+    ):
+        made = build(runs)
+        tuned = replace(made, methods={**made.methods, "b": replace(made.methods["b"], tuned_on=("hall",))})
+        drawn = str(draw_dots(analyse(tuned), assign_strokes("abc", ()))).replace("\u00a0", " ")
+        (dot,) = re.findall(r"<title>b on hall: [^<]*</title>.*?</svg></svg>", drawn)
+        assert f", {words}</title>" in dot
+        assert f'class="dot {shape}"' in dot
+
+
 def test_without_a_finished_run_there_is_no_answer(build, record):
     failed = [record(name, "room", {}, status="failed", reason="it broke", answered=0) for name in "ab"]
     comparison = build(failed)
