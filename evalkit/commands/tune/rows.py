@@ -12,6 +12,7 @@ from evalkit.report.analysis.ranking import Ranking
 from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.formatting import format_amount, format_difference, format_spread
 from evalkit.report.html.blocks import Block, Cell, Column, Table, Text
+from evalkit.stats.runs import FEW_CONFIDENCE, FEW_RUNS, PAIRED_CONFIDENCE
 
 
 def build_held_out_blocks(result: TuningResult) -> list[Block]:
@@ -71,7 +72,7 @@ def _build_tests(verdicts: Sequence[HeldOutVerdict]) -> Table:
         Column("Better / worse", number=True, tip="runs in which tuned has the smaller / larger error"),
         Column("Ratio", "x", number=True, tip="error of tuned divided by the default's, median over runs"),
         Column("p", number=True, tip="Wilcoxon's signed-rank test, Holm over the back ends"),
-        Column("Detectable", "x", number=True, tip="the ratio that these runs detect with 80 % power at 5 %"),
+        Column("Detectable", "x", number=True, tip="the ratio that these runs detect with 80 % power, in all rows"),
         Column("Lost", number=True, tip="runs lost: default → tuned"),
         Column("Verdict"),
     )  # fmt: skip
@@ -97,11 +98,17 @@ def _make_test_row(one: HeldOutVerdict) -> Sequence[Cell | str]:
     )
 
 
+PAIRED = (
+    f"paired, with the interval of {100 * PAIRED_CONFIDENCE:.0f} %, of {100 * FEW_CONFIDENCE:.0f} % below {FEW_RUNS} "
+    "pairs and on recordings"
+)
+
+
 def _build_differences(pairs: Sequence[tuple[str, HeldOutSequence]]) -> Table:
     columns = (
         Column("Back end"), Column("Sequence"), Column("Metric"), Column("Default", number=True),
-        Column("Tuned", number=True), Column("Tuned - default", number=True, tip="paired, with 95 % interval"),
-        Column("Detectable", number=True, tip="the difference that these runs detect with 80 % power at 5 %"),
+        Column("Tuned", number=True), Column("Tuned - default", number=True, tip=PAIRED),
+        Column("Detectable", number=True, tip="the difference that these runs detect with 80 % power"),
         Column("Significant"),
     )  # fmt: skip
     return Table(
