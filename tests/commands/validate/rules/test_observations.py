@@ -21,7 +21,7 @@ from evalkit.commands.validate.rules import (
 from evalkit.commands.validate.rules.odometry_fixture import last_pose
 from evalkit.commands.validate.rules.resource_rules import LEAK_BYTES, ResourceUse
 from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, RuleNotJudged
-from evalkit.core.errors import BadData
+from evalkit.core.errors import BackendEnded, BackendRefused, BadData
 from evalkit.core.ground_truth import Truth
 from evalkit.core.match import Match
 from evalkit.core.odometry_estimate import OdometryEstimate
@@ -290,6 +290,21 @@ def test_an_odometry_without_answers_or_that_writes_to_its_scans_is_named():
 
     with pytest.raises(RuleBroken, match="a scan changed in the call"):
         odometry_rules.check_read_only(Driven(change))
+
+
+def test_a_scan_of_many_beams_is_asked_for_also_where_one_of_a_single_beam_is_refused():
+    truth = odometry_rules.drive(6).truth
+
+    def run(frames):
+        beams = len(frames[0].scan.ranges)
+        if beams == 1:
+            raise BackendRefused("ours", "it refuses a scan of 1 beam", "send more")
+        if beams > odometry_rules.BEAMS:
+            raise BackendEnded("ours", "it was killed by signal 11", "mend it")
+        return truth
+
+    with pytest.raises(BackendEnded, match="killed by signal 11"):
+        odometry_rules.check_values(Driven(run))
 
 
 def test_answers_that_depend_on_the_time_of_the_first_stamp_are_named():
