@@ -276,7 +276,7 @@ def check_stamps(fixture: OdometryFixture) -> str:
 
 
 def check_values(fixture: OdometryFixture) -> str:
-    """Scans with nan and inf among the ranges, with one beam and with 20,000 beams give an answer or an exception."""
+    """It tracks scans with nan and inf among the ranges; one beam or 20,000 give an answer or an exception."""
     simulated = drive(6)
     rng = np.random.default_rng(fixture.seed)
     for name, chosen in (("nan", np.nan), ("inf", np.inf)):

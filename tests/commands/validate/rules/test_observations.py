@@ -23,7 +23,7 @@ from evalkit.commands.validate.rules import (
 )
 from evalkit.commands.validate.rules.endurance import LEAK_BYTES, ResourceUse
 from evalkit.commands.validate.rules.odometry_fixture import last_pose
-from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, RuleNotJudged
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, RuleNotJudged, check_rule
 from evalkit.core.errors import BackendEnded, BackendRefused, BadData
 from evalkit.core.ground_truth import Truth
 from evalkit.core.match import Match
@@ -308,6 +308,13 @@ def test_a_scan_of_many_beams_is_asked_for_also_where_one_of_a_single_beam_is_re
 
     with pytest.raises(BackendEnded, match="killed by signal 11"):
         odometry_rules.check_values(Driven(run))
+
+
+def test_an_odometry_that_refuses_scans_with_holes_breaks_a_rule_that_says_so():
+    refused = BackendRefused("ours", "it refuses nan", "fill the holes")
+    result = check_rule(odometry_rules.RULES["values"], Driven(raising(refused)))
+    assert (result.outcome, result.observed) == ("failed", f"raises BackendRefused: {refused}")
+    assert result.sentence.startswith("It tracks scans with nan and inf among the ranges; ")
 
 
 def test_answers_that_depend_on_the_time_of_the_first_stamp_are_named():
