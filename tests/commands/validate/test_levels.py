@@ -446,8 +446,8 @@ def test_answers_that_rounding_decides_are_said_with_their_number():
         "beyond_rounding": 0, "unanswered": 0, "excepted": 2, "questions": 132,
     }  # fmt: skip
     assert format_margin({"room": {"float32": compared}}, "float32") == (
-        "within the single-precision rounding margin (0.0001 m and 1e-05 rad; rounding decides 2 of 132 answers, at most "
-        "0.0057 m apart)"
+        "within the single-precision rounding margin (0.0001 m and 1e-05 rad; rounding decides 2 of 132 answers, at "
+        "most 0.0057 m apart)"
     )
 
 
