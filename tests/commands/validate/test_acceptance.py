@@ -12,10 +12,11 @@ import evalkit.commands.validate as package
 from evalkit.commands.validate import plan
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check, Claim, as_junit
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin
+from evalkit.commands.validate.difference_causes import TRACE_ALONE, name_traces
 from evalkit.commands.validate.first_screen import GOOD as GREEN_TEXT
 from evalkit.commands.validate.first_screen import first_figures
 from evalkit.commands.validate.known_motion import judge_gap
-from evalkit.commands.validate.level_answers import TRACE_ALONE, format_divergence, name_traces, rules_level, waive
+from evalkit.commands.validate.level_answers import format_divergence, rules_level, waive
 from evalkit.commands.validate.rules.rule import RuleResult
 
 SCHEMA = json.loads((Path(package.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
