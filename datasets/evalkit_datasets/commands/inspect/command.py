@@ -129,7 +129,8 @@ def _print_inspection(recording: Inspection, advice: SuggestedConfig | None) -> 
     if advice is None:
         return
     for reason in advice.reasons:
-        print_hanging(out, f"chosen: {reason}", "green")
+        style = next((STYLES[level] for level in STYLES if reason.startswith(f"{level}: ")), None)
+        print_hanging(out, f"chosen: {reason}" if style is None else reason, style or "green")
     for defect in advice.defects:
         print_hanging(out, f"known defect: {defect}")
     opened = f"opened: {advice.scans} scans{', with ground truth' if advice.truth else ''}"

@@ -25,6 +25,7 @@ from evalkit_datasets.commands.inspect.odometry_findings import is_apart
 from evalkit_datasets.commands.inspect.reader_trial import ReaderTrial, find_fields, try_reader
 from evalkit_datasets.commands.inspect.repeated_findings import PROBLEM, repeat_body, repeat_problems, repeat_sweep
 from evalkit_datasets.commands.inspect.truth_choices import find_truth_files
+from evalkit_datasets.commands.inspect.truth_doubts import find_truth_doubts
 from evalkit_datasets.parsing.robots import count_common_spaces
 from evalkit_datasets.parsing.transforms import own_name, with_prefix_of
 from evalkit_datasets.readers import reader_common
@@ -120,6 +121,9 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
     tried = try_reader(recording.streams.reader, {"path": str(recording.path), **values, **given})
     choices += _tell_scans_without_odometry(recording, tried)
+    truth = str({**values, **given}.get("ground_truth", ""))
+    if truth and not tried.problem:
+        choices += find_truth_doubts(recording, lidar, truth)
     if "base_from_sensor" not in given and not tried.problem:  # then the recorded mounting is unknown
         choices += _choose_mounting(recording, lidar, tried)
     if tried.mounting != Pose() and "base_from_sensor" not in given:
@@ -205,7 +209,9 @@ def _choose_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTria
     seen = f"{angle.heading_deg:.0f} deg (standard error {angle.error_deg:.1f} deg) on {angle.pairs} straight drives"
     if not missing:
         stated = f"lidar heading {math.degrees(tried.mounting.theta):.0f} deg, as recorded"
-        yield Choice("base_from_sensor", None, f"{stated}, but the scans show {seen}: check it", warns=True)
+        mend = _state_mounting(recording, tried.mounting, angle.heading_deg)
+        why = f"warning: {stated}, but the scans show {seen}; if they are right, {mend}"
+        yield Choice("base_from_sensor", None, why, warns=True)
         return
     square = 90.0 * round(angle.heading_deg / 90.0)
     near = (
@@ -216,6 +222,14 @@ def _choose_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTria
     where = "x and y are unknown, taken as 0: beside a ground truth, give base_from_sensor"
     value = f"0 0 {heading:.4f}"
     yield Choice("base_from_sensor", value, f"{why}{', taken as square' if near else ''}; {where}", warns=True)
+
+
+def _state_mounting(recording: Inspection, mounting: Pose, heading_deg: float) -> str:
+    """Return how another heading of a lidar is stated, at the place that is recorded."""
+    place = f"{mounting.x:.4g}", f"{mounting.y:.4g}"
+    if recording.streams.reader == "columns":
+        return f"write base_from_sensor = [{', '.join(place)}, {heading_deg:.1f}] in the layout"
+    return f"give --set 'base_from_sensor={' '.join(place)} {math.radians(heading_deg):.4f}'"
 
 
 def _describe_missing_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTrial) -> str:
