@@ -72,7 +72,10 @@ def test_the_odometry_of_a_bag_in_millimetres_is_a_problem_with_its_key(tmp_path
     assert said.startswith("problem: odometry /odom: its lengths are in mm, not in m: the scans move 1000 times less")
     assert said.endswith("; give --set odometry_unit=mm")
     assert not [one for one in recording.findings if "jump" in one.what]
-    assert [one for one in choose_parameters("rosbag", {"path": str(path)}) if said in one.reason]
+    (taken,) = [one for one in choose_parameters("rosbag", {"path": str(path)}) if one.name == "odometry_unit"]
+    assert (taken.value, taken.warns) == ("mm", True)  # a comparison mends it, and the page tells
+    what = said.removeprefix("problem").removesuffix("; give --set odometry_unit=mm")
+    assert taken.reason == f"warning{what}; mended by --set odometry_unit=mm"
     given = {"path": str(path), "odometry_unit": "mm"}
     assert not [one for one in choose_parameters("rosbag", given) if "median" in one.reason]
     poses = [frame.odom_from_base.row for frame in RosBag(**given, limit=13).frames()]  # the first straight drive

@@ -124,11 +124,14 @@ def _check_steps_back(found: StreamTiming, about: str) -> Iterator[InspectionFin
     count = "once" if found.steps_back == 1 else f"{found.steps_back} times"
     where = f"{step.length_s:.2f} s at {step.at_s:.1f} s ({count})"
     back = f"the stamps of {about} go back by {where} while the recording goes on"
-    before = [f"--set limit={step.before}"] if step.before > 0 else []
-    behind = [f"--set start={step.behind}"] if step.behind < found.count - found.repeated else []
-    part = f"take the part before it or behind it: {' or '.join([*before, *behind])}"
-    advice = part if found.steps_back == 1 and [*before, *behind] else "mend the clock, and record again"
-    yield problem(SET_BACK, f"{back}: in the order of their stamps, scans of different places mix", advice)
+    before, behind = step.before, found.count - found.repeated - step.behind
+    parts = [f"--set limit={step.before}"] * (before > 0) + [f"--set start={step.behind}"] * (behind > 0)
+    part, mend = f"take the part before it or behind it: {' or '.join(parts)}", None
+    if found.steps_back > 1 or not parts:
+        part = "mend the clock, and record again"
+    else:
+        mend = ("limit", step.before) if before >= behind else ("start", step.behind)
+    yield problem(SET_BACK, f"{back}: in the order of their stamps, scans of different places mix", part, mend)
 
 
 def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[InspectionFinding]:

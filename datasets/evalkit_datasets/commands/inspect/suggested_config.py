@@ -19,7 +19,7 @@ from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.lidar_findings import is_default_code
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
-from evalkit_datasets.commands.inspect.mended_inspection import inspect_mended
+from evalkit_datasets.commands.inspect.mended_inspection import inspect_mended, tell_mends
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
 from evalkit_datasets.commands.inspect.odometry_findings import is_apart
 from evalkit_datasets.commands.inspect.reader_trial import ReaderTrial, find_fields, try_reader
@@ -95,14 +95,17 @@ def suggest_config(recording: Inspection, given: Mapping[str, Value] | None = No
 def choose_parameters(reader: str, given: Mapping[str, Value]) -> tuple[Choice, ...]:
     """Return what was found in and beside the recording ``given["path"]``, without the parameters that are given.
 
+    A problem with a single mend is mended.
     For a catalogued recording, it also says by which data set it runs with its ground truth.
     """
-    recording = inspect_recording(Path(str(given["path"])), reader, given)
-    if not recording.lidars:
+    found = inspect_recording(Path(str(given["path"])), reader, given)
+    if not found.lidars:
         return ()
+    topic = _select_lidar(found, given).topic
+    recording, mends = inspect_mended(found, given, topic)
     dataset, drive, _ = _find_catalogued(recording.path)
     catalogued = [Choice("use", None, _describe_catalogued(dataset, drive))] if dataset else []
-    return (*_choose(recording, given)[0], *catalogued)
+    return (*tell_mends(found, topic, mends), *_choose(recording, {**given, **mends})[0], *catalogued)
 
 
 def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Choice, ...], ReaderTrial]:
