@@ -109,3 +109,24 @@ def test_an_invalid_data_set_is_refused_before_any_measurement(tmp_path, on, mes
     assert isinstance(error, BadParameter)
     assert message in str(error)
     assert not list(tmp_path.iterdir())
+
+
+def test_without_a_true_trajectory_no_device_is_called_broken_or_lost(capsys):
+    result = result_of([10.0, 6.0, 8.0])
+    for device in result["devices"]:
+        device["at_hand"] = {"ate_rmse_m": None}
+    content = command._as_json("mine", "room", result)
+    assert [content["breaks_at"], *(device["broken"] for device in content["devices"])] == [None, None, None]
+    shown = show(result, capsys)
+    assert "; without a true trajectory, its errors are unknown." in shown
+    assert "up to 1 x slower unknown" in shown
+    assert "lost" not in shown.split("age (95 %)")[1]
+    result["devices"][1]["lost"] = "fewer than two answers"
+    assert command._as_json("mine", "room", result)["breaks_at"] == 1.0  # that is known without a truth
+
+
+def test_a_path_instead_of_a_data_set_says_how_a_file_is_given(tmp_path):
+    bag = tmp_path / "drive.bag"
+    bag.touch()
+    with pytest.raises(BadParameter, match=r"of a file its reader, 'READER path=.*drive\.bag', which evalkit inspect"):
+        make_tuning_tables(["embedded"], [str(bag)], [], 2, {})
