@@ -974,3 +974,30 @@ def test_a_lidar_without_a_mounting_is_said_to_be_taken_as_the_base(tmp_path):
             bag.scan(T0 + at * PERIOD, [2.0, 3.0, 4.0, 5.0, 6.0])
         chosen = choose_parameters("rosbag", {"path": str(bag.write(folder))})
         assert any(one.reason.startswith(told) for one in chosen) is (folder is bare)
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_an_odometry_without_any_stamp_has_the_times_of_recording_as_the_scans_have(tmp_path, stamped):
+    """A clock of a simulation begins at 0: its first stamp is one."""
+    bag = Bag("mcap").tf(T0, "base_link", "laser")
+    for at in range(50):
+        stamp = at * PERIOD if stamped else 0
+        bag.odom(stamp, 0.1 * at, recorded=T0 + at * PERIOD)
+        bag.scan(stamp or stamped, [2.0, 3.0, 4.0, 5.0, 6.0], recorded=T0 + at * PERIOD)
+    path = bag.write(tmp_path)
+    recording = RosBag(str(path))
+    assert list(recording.frames())[-1].odom_from_base.x == pytest.approx(4.9)
+    assert (
+        recording.notes().get("odometry poses without a stamp, given the time of recording", 0) == (0, 50)[not stamped]
+    )
+    assert not [one for one in inspect_recording(path).findings if one.level == "problem"]
+
+
+def test_scans_with_one_stamp_are_not_said_to_be_placed_apart(tmp_path):
+    bag = Bag("mcap")
+    for at in range(20):
+        bag.scan(T0, [2.0, 3.0, 4.0, 5.0, 6.0], recorded=T0 + at * PERIOD)
+    path = bag.write(tmp_path)
+    (said,) = [one for one in inspect_recording(path).findings if "stamp of another scan" in one.what]
+    assert said.advice == "the reader keeps the first of equal stamps; record the time of each scan"
+    assert len(RosBag(str(path))) == 1

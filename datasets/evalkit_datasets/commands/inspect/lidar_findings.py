@@ -83,7 +83,11 @@ def check_lidars(lidars: Sequence[LidarStats], reader: str) -> Iterator[Inspecti
 def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
     found, about = lidar.timing, lidar.topic
     if not found.usable:
-        advice = "the reader places the scans one second apart in the order of the file: times and speeds are unknown"
+        advice = "the reader keeps the first of equal stamps; record the time of each scan"
+        if lidar.kind == LOG_LINES:
+            advice = (
+                "the reader places the scans one second apart in the order of the file: times and speeds are unknown"
+            )
         yield problem(about, f"{found.repeated} of {found.count} scans have the stamp of another scan", advice)
     elif found.repeated or found.backwards:
         what = f"stamps decrease {found.backwards} times, {found.repeated} are repeated"
