@@ -228,6 +228,19 @@ def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_compariso
         assert told == [f"problem: {one.about}: {one.what}; {one.advice}" for one in found]
 
 
+def test_ranges_in_millimetres_beside_limits_in_metres_are_mended(tmp_path):
+    bag = Bag("mcap")
+    for k in range(12):
+        given = {"angle_increment": 0.01, "time_increment": 0.0005}  # limits: 0.125 to 12 m
+        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), **given)
+    path = bag.write(tmp_path)
+    mend = {"fields": f"{FIELDS} range_unit=mm"}
+    assert suggested(path) == (mend, 0)
+    scan = next(RosBag(str(path), **mend).frames()).scan
+    np.testing.assert_allclose([scan.range_min_m, scan.range_max_m], [0.125, 12.0])
+    assert scan.hits.all()
+
+
 def suggested(path):
     """Return the parameters of the suggested command that mend something, and how many problems are left with them."""
     advice = suggest_config(inspect_recording(path))
@@ -1001,3 +1014,14 @@ def test_scans_with_one_stamp_are_not_said_to_be_placed_apart(tmp_path):
     (said,) = [one for one in inspect_recording(path).findings if "stamp of another scan" in one.what]
     assert said.advice == "the reader keeps the first of equal stamps; record the time of each scan"
     assert len(RosBag(str(path))) == 1
+
+
+def test_a_lidar_whose_frame_no_transform_names_is_told_which_frames_there_are(tmp_path):
+    bag = Bag("mcap").tf(T0, "base_link", "lidar_link", 0.2)
+    for at in range(20):
+        bag.odom(T0 + at * PERIOD, 0.1 * at).scan(T0 + at * PERIOD, [2.0, 3.0, 4.0, 5.0, 6.0], frame="laser")
+    path = bag.write(tmp_path)
+    (said,) = [one for one in inspect_recording(path).findings if one.about == "lidar frame laser"]
+    assert said.what == "no transform leads to it; those in the recording have the frames base_link, lidar_link"
+    reasons = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if one.name == "base_from_sensor"]
+    assert ["of 'laser', but those of base_link, lidar_link" in reason for reason in reasons] == [True]

@@ -38,6 +38,9 @@ MAX_BEYOND = 0.5
 MIN_RATE_HZ, MAX_RATE_HZ, MIN_RATED = 0.02, 500.0, 10
 """Scans per second beyond which the unit of time is doubted, of at least so many scans."""
 
+MAX_HITS_BESIDE = 0.05
+"""Ranges beyond the maximum beside a larger share of hits may be a code for no return."""
+
 SURE_MILLIMETRES = 2000.0
 """Median range read as m from which it is in mm: in cm it would be 20 m, that of no room or hall."""
 
@@ -170,7 +173,8 @@ def _check_units(lidar: LidarStats, reader: str) -> Iterator[InspectionFinding]:
     if middle > MAX_MEDIAN_M or beyond > MAX_BEYOND:
         far = f"{100 * beyond:.0f} % of the ranges lie beyond the maximum of {lidar.range_max_m or 0.0:g} m"
         what = f"the median range is {middle:.0f} m" if beyond <= MAX_BEYOND else far
-        mend = ("fields", "range_unit=mm") if middle > SURE_MILLIMETRES else None
+        read_m = lidar.returns.beyond_m if lidar.returns.hits < MAX_HITS_BESIDE else middle
+        mend = ("fields", "range_unit=mm") if read_m > SURE_MILLIMETRES else None
         what = f"{what}: millimetres or centimetres taken for metres?"
         yield problem(lidar.topic, what, remedies.get("too long", ""), mend)
     elif 0.0 < middle < MIN_MEDIAN_M:

@@ -15,7 +15,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.se2 import wrap
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import Choice
-from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
+from evalkit_datasets.commands.inspect.frame_tree import list_frames, mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.lidar_findings import is_default_code
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
@@ -243,6 +243,9 @@ def _describe_missing_mounting(recording: Inspection, lidar: LidarStats, tried: 
         return ""
     if mounting is not None and mounting.unlinked:
         return f"no transform from '{mounting.unlinked}' to '{lidar.frame}' (it is on '{mounting.base}')"
+    frames = recording.frames
+    if frames.names and lidar.frame not in frames.names:
+        return f"no transform states the mounting of '{lidar.frame}', but those of {list_frames(frames)}"
     return "no transform states the mounting"
 
 
