@@ -1,4 +1,4 @@
-"""Assertions for a plug-in's own tests: a back end or a data set follows evalkit's rules.
+"""Assertions for a plug-in's own tests: a back end, a data set or a mapper follows evalkit's rules.
 
 from evalkit.testing import check_backend
 
@@ -11,15 +11,15 @@ They also work in a script without a main guard, and in an interactive session.
 from __future__ import annotations
 
 from evalkit.commands.validate.equivalence.comparison import NotEquivalent, assert_equivalent
-from evalkit.commands.validate.rules import dataset_rules, runner
+from evalkit.commands.validate.rules import dataset_rules, mapper_rules, runner
 from evalkit.commands.validate.rules.rule import RuleReport, RuleResult
 from evalkit.core.errors import UnknownName
 from evalkit.plugins.address import backend_at, stop_loading
-from evalkit.plugins.specs import BackendSpec, DatasetSpec
+from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec
 
 __all__ = [
     "NotEquivalent", "RulesBroken", "assert_equivalent", "backend_rules", "check_backend", "check_dataset",
-    "check_rule",
+    "check_mapper", "check_rule",
 ]  # fmt: skip
 
 
@@ -86,6 +86,12 @@ def check_dataset(dataset: str | DatasetSpec, /, frames: int = 50, **parameters:
     """
     stop_loading()
     return _require_unbroken(dataset_rules.check(dataset, frames, parameters))
+
+
+def check_mapper(mapper: str | MapperSpec, /, **parameters: object) -> RuleReport:
+    """Check all rules of a mapper; see ``check_backend``. Raises RulesBroken, NotInstalled if it cannot run here."""
+    stop_loading()
+    return _require_unbroken(mapper_rules.check(mapper, parameters))
 
 
 def _require_unbroken(report: RuleReport) -> RuleReport:

@@ -10,7 +10,7 @@ import threading
 import uuid
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from multiprocessing import current_process, util
@@ -65,7 +65,10 @@ class Executor(Protocol):
 
 @dataclass(frozen=True)
 class LocalExecutor:
-    """Executes up to ``jobs`` runs at a time on this machine, each pinned to a core of its own."""
+    """Executes up to ``jobs`` runs at a time on this machine, each pinned to a core of its own.
+
+    Runs whose back ends compute on the same device follow each other: a board has one session, and one clock.
+    """
 
     jobs: int = 1
 
@@ -75,22 +78,23 @@ class LocalExecutor:
         """See Executor."""
         os.environ.update(environment.SINGLE_THREAD)  # inherited by the scoring processes, as by the runs
         jobs = max(min(self.jobs, len(pending)), 1)
-        cores, stop = environment.queue_cores(jobs), threading.Event()
+        cores, stop, turns = environment.queue_cores(jobs), threading.Event(), _DeviceTurns(pending)
 
         def execute(run: PendingRun) -> tuple[RunSpec, RunResult]:
             """Execute one run; an exception stops all other runs at once."""
-            if stop.is_set():
-                raise CancelledError
-            core = cores.get()
-            try:
-                progress.started(run.spec)
-                slot = WorkerSlot(core, scoring, lambda scans: progress.answered(run.spec, scans), stop, frames)
-                return run.spec, run_task.execute_run(store, settings, run, slot)
-            except BaseException:
-                stop.set()
-                raise
-            finally:
-                cores.put(core)  # after the scoring, which must not compete with a timed run
+            with turns.of(run):
+                if stop.is_set():
+                    raise CancelledError
+                core = cores.get()
+                try:
+                    progress.started(run.spec)
+                    slot = WorkerSlot(core, scoring, lambda scans: progress.answered(run.spec, scans), stop, frames)
+                    return run.spec, run_task.execute_run(store, settings, run, slot)
+                except BaseException:
+                    stop.set()
+                    raise
+                finally:
+                    cores.put(core)  # after the scoring, which must not compete with a timed run
 
         specs = [run.spec for run in pending if not run.is_executed]
         with (
@@ -110,6 +114,20 @@ class LocalExecutor:
                 stop.set()
                 threads.shutdown(wait=True, cancel_futures=True)
                 raise
+
+
+class _DeviceTurns:
+    """A lock for each device on which back ends of runs compute."""
+
+    def __init__(self, runs: Sequence[PendingRun]) -> None:
+        backends = {run.spec.method.backend for run in runs}
+        self._devices = {name: device for name in backends if (device := registry.find_backend(name).device)}
+        self._locks = {device: threading.Lock() for device in self._devices.values()}
+
+    def of(self, run: PendingRun) -> AbstractContextManager[object]:
+        """What a run waits for, and has in a block."""
+        device = self._devices.get(run.spec.method.backend)
+        return nullcontext() if device is None else self._locks[device]
 
 
 @dataclass(frozen=True)

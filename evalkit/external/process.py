@@ -75,7 +75,7 @@ def scheme(rest: str) -> BackendSpec:
     spec = make_spec(
         declared, parameters, partial(_make, name, argv, declared), compute_digest(words=f"{digest} {description}")
     )
-    return replace(spec, runs_in="device" if declared.device else "program")
+    return replace(spec, runs_in="device" if declared.device else "program", device=declared.device)
 
 
 class ProgramRegistration:

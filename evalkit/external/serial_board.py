@@ -110,7 +110,7 @@ class Board:
         if self._ended_by:
             raise BoardRefused(
                 f"another program (process {self._ended_by}) has used the board, and the session is lost; "
-                "let one run at a time use it (--jobs 1)"
+                "let one command at a time use it"
             )
         ask = question["ask"]
         if ask == "hello":

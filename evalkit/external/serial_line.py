@@ -234,8 +234,8 @@ class Link:
             return f"{self.received_frames} answers had arrived before: see where it hangs, or set a larger --timeout"
         if self.received_bytes:
             return (
-                f"{self.received_bytes} bytes have arrived, and no whole frame among them: check --baud, and that the "
-                "firmware prints nothing else on this line"
+                f"{self.received_bytes} bytes have arrived, and no whole frame among them: check --baud, and that "
+                "nothing is printed within an answer"
             )
         return "no byte has arrived: check the device, its wires, and that the firmware runs"
 

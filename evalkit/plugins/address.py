@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from evalkit.core.errors import NotInstalled
 from evalkit.plugins import registry
-from evalkit.plugins.specs import BackendSpec, DatasetSpec
+from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec
 
 
 class LoadingStopped(BaseException):
@@ -34,7 +34,7 @@ def stop_loading() -> None:
         raise LoadingStopped
 
 
-Spec = TypeVar("Spec", BackendSpec, DatasetSpec)
+Spec = TypeVar("Spec", BackendSpec, DatasetSpec, MapperSpec)
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Address:
     holds: str = ""
 
 
-def address_of(plug_in: str | BackendSpec | DatasetSpec | type) -> Address:
+def address_of(plug_in: str | BackendSpec | DatasetSpec | MapperSpec | type) -> Address:
     """Find the address of a registered name, of "module:SPEC", of a spec object or of a class that is a back end.
 
     Raises NotInstalled for an object that another process cannot import.
@@ -79,7 +79,7 @@ def _is_being_imported(module: str) -> bool:
     return any(getattr(getattr(one, "__spec__", None), "_initializing", False) for one in found)
 
 
-def label_of(plug_in: str | BackendSpec | DatasetSpec, otherwise: str) -> str:
+def label_of(plug_in: str | BackendSpec | DatasetSpec | MapperSpec, otherwise: str) -> str:
     """Name a plug-in as its address does, or otherwise if no module has it."""
     if isinstance(plug_in, str):
         return plug_in
@@ -109,7 +109,7 @@ def spec_at(address: Address, wanted: type[Spec], registered: Callable[[str], Sp
     return spec
 
 
-def _identify(spec: BackendSpec | DatasetSpec) -> str:
+def _identify(spec: BackendSpec | DatasetSpec | MapperSpec) -> str:
     """Return what tells a spec from others of its module, equal in every process."""
     made = getattr(spec.make, "__qualname__", type(spec.make).__qualname__)
     defaults = ", ".join(f"{one.name} {one.default}" for one in spec.parameters)
@@ -150,7 +150,7 @@ def _module_of_file(file: str) -> ModuleType:
     return sys.modules[name]
 
 
-def _address_of_object(spec: BackendSpec | DatasetSpec | type) -> Address:
+def _address_of_object(spec: BackendSpec | DatasetSpec | MapperSpec | type) -> Address:
     if isinstance(spec, type):
         return _address_of_class(spec)
     home = getattr(spec.make, "__module__", "")  # first the module that defines it; others may have imported it
@@ -177,3 +177,8 @@ def _address_of_class(made: type) -> Address:
 def backend_at(backend: str | BackendSpec) -> BackendSpec:
     """Return the spec of a registered name, of "module:SPEC", or itself. Raises NotInstalled if there is none."""
     return spec_at(address_of(backend), BackendSpec, registry.backend)
+
+
+def mapper_at(mapper: str | MapperSpec) -> MapperSpec:
+    """Return the spec of a registered name, of "module:SPEC", or itself. Raises NotInstalled if there is none."""
+    return spec_at(address_of(mapper), MapperSpec, registry.mapper) if isinstance(mapper, str) else mapper

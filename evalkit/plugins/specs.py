@@ -61,7 +61,7 @@ class BackendSpec:
     runs with the same budget do not count. ``default``: among the methods of a comparison that names none; one of each
     family of methods is enough. ``reference``: the back end whose answers it is meant to give, its twin; a validation
     that names no reference compares it with that one. "": with the first of role "reference". ``runs_in``: see
-    ``RunsIn``.
+    ``RunsIn``. ``device``: the name of the device on which it computes, or "": runs on one device follow each other.
     """
 
     make: Callable[..., Any]
@@ -79,6 +79,7 @@ class BackendSpec:
     default: bool = False
     reference: str = ""
     runs_in: RunsIn = "evalkit"
+    device: str = ""
 
     kind: ClassVar[BackendKind]
     recorded: ClassVar[bool] = False

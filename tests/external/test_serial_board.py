@@ -283,7 +283,7 @@ def test_a_session_that_another_program_ended_says_which_one(make_bridge):
     scans = list(frames(2))
     one.answer(question(scans[0]))
     make_bridge("odometry")
-    says = rf"another program \(process {os.getpid()}\) has used the board, and the session is lost; .*\(--jobs 1\)"
+    says = rf"another program \(process {os.getpid()}\) has used the board, and the session is lost; let one command"
     for _ in range(2):
         with pytest.raises(BoardRefused, match=says):
             one.answer(question(scans[1]))
@@ -324,6 +324,33 @@ def test_a_firmware_with_too_little_memory_says_how_much_the_session_needs(make_
     assert create(needed) == {}
     with pytest.raises(LineError, match=f"needs {needed} bytes, BOARD_BYTES is {needed - 1}"):
         create(needed - 1)
+
+
+PORT_THAT_PRINTS = """#define port_read read_without_printing
+#include "host.c"
+#undef port_read
+int port_read(void)
+{
+    printf("waiting\\r\\n");
+    return read_without_printing();
+}
+"""
+
+
+@needs_firmware
+def test_a_firmware_may_print_between_its_answers(make_firmware, tmp_path):
+    (tmp_path / "port.c").write_text(PORT_THAT_PRINTS)
+    line = StandIn(make_firmware("printing", f"-I{CORE / 'board'}", port=tmp_path / "port.c"))
+    try:
+        link = Link(line.line, timeout_s=0.2, tries=20)
+        board = Board(link, "o", "stand-in")
+        board.answer({"ask": "create", "parameters": PARAMETERS})
+        scans = list(frames(2))
+        found = [Pose.of(board.answer(question(frame))["pose"]).row.tolist() for frame in scans]
+        assert found == poses_of_the_core(scans)
+        assert link.repeats == 0
+    finally:
+        line.close()
 
 
 PORT_WITH_OTHER_CLOCK = """#define port_clock_ns clock_of_this_computer
@@ -412,7 +439,7 @@ NOISE = b"\x9a\x11\x00\xf3\x42"
 @pytest.mark.parametrize(
     ("pieces", "says"),
     [
-        ([NOISE, NOISE], "10 bytes have arrived, and no whole frame among them: check --baud, and that the firmware"),
+        ([NOISE, NOISE], "10 bytes have arrived, and no whole frame among them: check --baud, and that nothing is"),
         ([serial_line.encode_frame(9, LAST, b"a")], "1 answers had arrived before: see where it hangs"),
         ([lambda sent: sent], "the line returns what is sent"),
     ],
@@ -474,7 +501,7 @@ def test_a_board_that_restarts_while_it_computes_is_an_error():
 def test_the_firmware_says_busy_before_it_answers(firmware):
     sent = serial_line.encode_frame(1, FIRST | LAST, b"H") + 2 * serial_line.encode_frame(1, 0, b"")
     printed = subprocess.run([firmware], input=sent, capture_output=True, check=True).stdout
-    busy, *answers = [serial_line.decode_frame(one) for one in printed.split(b"\0")[:-1]]
+    busy, *answers = [serial_line.decode_frame(one) for one in printed.split(b"\0") if one]
     assert busy == (1, BUSY, b"")
     assert [answer[:2] for answer in answers] == 3 * [(1, LAST)]
     assert {parse_hello(answer[2][1:]).kinds for answer in answers} == {"ros"}

@@ -491,6 +491,19 @@ def test_a_long_word_in_a_table_does_not_widen_the_page_of_a_phone(browser, tmp_
     page.close()
 
 
+def test_a_table_on_a_phone_has_a_wide_caption_and_no_empty_cells(browser, tmp_path):
+    file = tmp_path / "blocks.html"
+    table = Table(["who", "what", "why"], [["a", "b", ""]], "A sentence that fills one line of a narrow screen")
+    file.write_text(render(Document("evalkit", "Blocks", "Of blocks.", [Section("Found", [table])])), encoding="utf-8")
+    page = browser.new_page(viewport={"width": 390, "height": 800})
+    page.goto(file.as_uri())
+    widths = [page.locator(tag).bounding_box()["width"] for tag in ("caption", "table")]
+    shown = [one.is_visible() for one in page.locator("td").all()]
+    page.close()
+    assert widths[0] == pytest.approx(widths[1], abs=1.0)
+    assert shown == [True, False]
+
+
 @pytest.mark.parametrize("width", [1400, 400])
 def test_nothing_is_wider_than_the_window(open_page, width):
     page = open_page(width=width)

@@ -20,7 +20,7 @@ from evalkit.core.errors import BadData, BadParameter, NotInstalled, brief
 from evalkit.execution import environment
 from evalkit.io.input_files import read_text
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.address import address_of, spec_at
+from evalkit.plugins.address import address_of, mapper_at, spec_at
 from evalkit.plugins.parameters import split_settings
 from evalkit.plugins.specs import DatasetSpec
 from evalkit.terminal import options, progress
@@ -149,7 +149,7 @@ def validate(
     """Validate an implementation against a reference, level by level.
 
     The levels are rules, registrations, lockstep, trajectories, maps, and time and memory. Exit code 1 if the claim
-    does not hold. A data set has rules alone, a mapper lockstep alone. --only determinism takes any number of back
+    does not hold. A data set has rules alone, a mapper rules and lockstep. --only determinism takes any number of back
     ends, none for every installed one.
     """
     from evalkit.commands.validate import plan, printing, run  # noqa: PLC0415 - imports scipy and matplotlib
@@ -212,15 +212,15 @@ def _find_group(only: Collection[str], has_rules: bool) -> Only:
 
 def _report(request: ValidationRequest, execution: _Execution, frames: int) -> AcceptanceReport:
     """The report of a data set, a mapper, or the levels of a back end that need a reference."""
-    from evalkit.commands.validate import run  # noqa: PLC0415 - as above
+    from evalkit.commands.validate import mapper_run, run  # noqa: PLC0415 - as above
 
     name, group, subject = request.backend, request.only, _subject(request.backend)
     if subject == "data set":
         _refuse_only(group, ("", "rules"), name, subject)
         return run.report_dataset(name, request.given, frames)
     if subject == "mapper":
-        _refuse_only(group, ("", "lockstep"), name, subject)
-        return run.report_mapper(request, execution.folder, execution.workers, execution.display)
+        _refuse_only(group, ("", "rules", "lockstep"), name, subject)
+        return mapper_run.report_mapper(request, execution.folder, execution.workers, execution.display)
     return _compare(request, execution.folder, execution.workers, execution.display)
 
 
@@ -229,6 +229,8 @@ def _compare(request: ValidationRequest, folder: Path, workers: int, display: Pr
     from evalkit.commands.validate import plan, run  # noqa: PLC0415 - as above
 
     planned = plan.make_plan(request)
+    if any(registry.find_backend(method).device for method in planned.methods):
+        workers = 1  # a device has one session
     _keep_seed(folder, request.seed)
     for name, why in planned.unavailable.items():
         err.print(f"not available here: {name}: {why}")
@@ -252,6 +254,9 @@ def _subject(name: str) -> Subject:
         with suppress(NotInstalled):  # its error is raised where the back end is loaded
             spec_at(address, DatasetSpec, registry.dataset)
             return "data set"
+        with suppress(NotInstalled):
+            mapper_at(name)
+            return "mapper"
     elif name not in registry.names("backends"):
         if name in registry.names("mappers"):
             return "mapper"
@@ -271,7 +276,7 @@ def _single_name(names: list[str], only: str) -> str:
 
 def _refuse_only(only: str, allowed: tuple[str, ...], name: str, subject: str) -> None:
     if only not in allowed:
-        raise typer.BadParameter(f"--only {only}: '{name}' is a {subject}, expected --only {allowed[1]}")
+        raise typer.BadParameter(f"--only {only}: '{name}' is a {subject}, expected --only {' or '.join(allowed[1:])}")
 
 
 def _default_sequences(quick: bool, simulated: bool) -> list[str]:

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from evalkit.commands.validate import level_answers, level_costs, level_maps, level_trajectories, probes
+from evalkit.commands.validate import level_answers, level_costs, level_maps, level_trajectories
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, ResultsByPlace, choose_margin, format_margin
 from evalkit.commands.validate.determinism import measure_determinism
@@ -24,13 +24,8 @@ from evalkit.commands.validate.level_tasks import (
     timing_tasks,
 )
 from evalkit.commands.validate.plan import (
-    AUTO,
     ValidationPlan,
-    ValidationRequest,
     compiled_files,
-    installed_only,
-    make_experiment,
-    seeded_sequences,
 )
 from evalkit.commands.validate.probes import EXACT
 from evalkit.commands.validate.rules import dataset_rules, runner
@@ -39,12 +34,12 @@ from evalkit.config.experiment import Experiment
 from evalkit.execution import environment, sandbox
 from evalkit.execution.executors import LocalExecutor, Progress
 from evalkit.execution.scheduler import Scheduler
-from evalkit.execution.task import AnyTask, Result, make_task
+from evalkit.execution.task import AnyTask, Result
 from evalkit.execution.task_runner import OnDone, run_tasks
 from evalkit.execution.task_store import TaskStore
 from evalkit.external import elf
 from evalkit.external.declaration import split_words
-from evalkit.plugins import defaults, registry
+from evalkit.plugins import registry
 from evalkit.plugins.address import backend_at
 from evalkit.plugins.parameter_parsing import from_text, parse_dataset
 from evalkit.plugins.parameters import Value
@@ -93,10 +88,10 @@ class ValidationRun:
         return self._report(margin, format_margin(compared, margin), levels)
 
     def _comparison_levels(self, results: ResultsByPlace, terms: ComparisonTerms) -> tuple[AcceptanceLevel, ...]:
-        pairs, scans = _of_kind("pairs", results), _of_kind("scans", results)
-        answers = {name: _of_kind(f"answers of {name}", results) for name in self.plan.peers}
+        pairs, scans = of_kind("pairs", results), of_kind("scans", results)
+        answers = {name: of_kind(f"answers of {name}", results) for name in self.plan.peers}
         peers = {name: own for name, own in answers.items() if own}
-        drawn = _of_kind("questions", results)
+        drawn = of_kind("questions", results)
         levels = [level_answers.registrations_level(pairs, peers, terms, drawn)] if pairs else []
         return (*levels, *([level_answers.lockstep_level(scans, terms)] if scans else []))
 
@@ -111,16 +106,16 @@ class ValidationRun:
         terms = self._terms(margin)
         limits = {
             place: (one[margin]["margin"]["metres"], one[margin]["margin"]["radians"])
-            for place, one in _of_kind("scans", results).items()
+            for place, one in of_kind("scans", results).items()
             if sandbox.ENDED not in one
         }
         levels = (
             rules,
             *self._comparison_levels(results, terms),
-            level_trajectories.trajectories_level(records, limits, _of_kind("copies", perturbed), terms),
-            level_maps.maps_level(records, limits, _of_kind("mapper", results), plan.mappers, terms),
+            level_trajectories.trajectories_level(records, limits, of_kind("copies", perturbed), terms),
+            level_maps.maps_level(records, limits, of_kind("mapper", results), plan.mappers, terms),
             level_costs.costs_level(
-                _of_kind("time", times), _of_kind("time of a pair", times), plan.methods, plan.registrations, records,
+                of_kind("time", times), of_kind("time of a pair", times), plan.methods, plan.registrations, records,
                 terms, compiled_files(plan.backend),
             ),
         )  # fmt: skip
@@ -172,7 +167,7 @@ def report_rules(
     values = from_text(backend, backend_at(backend).parameters, given)
     checked = runner.check(backend, values, limit_s=limit_s, only=rules, seed=seed, report_slow=report_slow)
     level = level_answers.rules_level(checked.results, waivers=waivers)
-    alone = _report_alone(checked.label, level, {"backend": values, "seed": seed})
+    alone = report_alone(checked.label, level, {"backend": values, "seed": seed})
     return replace(alone, waivers=waivers or {}, binaries=describe_binaries(backend))
 
 
@@ -181,48 +176,7 @@ def report_dataset(dataset: str, given: Mapping[str, str], frames: int) -> Accep
     values = from_text(dataset, dataset_rules.spec_of(dataset).parameters, given)
     checked = dataset_rules.check(dataset, frames, values)
     level = level_answers.rules_level(checked.results, "data set")
-    return _report_alone(checked.label, level, {"dataset": values, "frames": frames})
-
-
-def report_mapper(request: ValidationRequest, folder: Path, workers: int, display: ProgressDisplay) -> AcceptanceReport:
-    """Level 2 of a mapper: compared with another one, cell by cell after every scan."""
-    reference = request.reference or defaults.find_default_mapper()
-    given = from_text(request.backend, registry.mapper(request.backend).parameters, request.given)
-    known = {parameter.name for parameter in registry.mapper(reference).parameters}
-    texts = {name: text for name, text in request.given.items() if name in known} | dict(request.given_reference)
-    given_reference = from_text(reference, registry.mapper(reference).parameters, texts)
-    planned = make_experiment(request, [{"use": defaults.find_reference_backend()}])
-    unavailable = {sequence.label: sequence.missing for sequence in planned.sequences if sequence.missing}
-    margin = EXACT if request.margin == AUTO else request.margin
-    modules = [registry.plug_in_of("mappers", name).module for name in (request.backend, reference)]
-    tasks = [
-        sandbox.make_sandboxed_task(
-            make_task(
-                f"mapper, {place.label}", probes.compare_maps,
-                a={"name": reference, "given": given_reference}, b={"name": request.backend, "given": given},
-                on=place.data, scans=request.effort.scans, margin=margin,
-            ).depending_on(*modules, registry.plug_in_of("datasets", place.sequence.dataset).module),
-            request.effort.limit_s, request.effort.memory_mib,
-        )
-        for place in seeded_sequences(installed_only(planned))
-    ]  # fmt: skip
-    with display.tasks(len(tasks), workers) as done:
-        results = run_tasks(TaskStore(folder / "tasks"), tasks, workers, done)
-    label = reference if reference != request.backend else f"{reference} (reference)"
-    terms = ComparisonTerms(request.backend, label, margin, request.noise_share)
-    checks = [level_answers.mapper_check(place, one, terms) for place, one in _of_kind("mapper", results).items()]
-    question = f"Given the same scans as {label}, which cell differs first?"
-    level = AcceptanceLevel(2, "lockstep", question, tuple(checks))
-    settings = {"backend": given, "reference": given_reference, "on": list(request.on), "seeds": request.seeds}
-    alone = _report_alone(request.backend, level, settings)
-    why = "given with --reference" if request.reference else "the default mapper"
-    if differs := registry.mapper(request.backend).differs:
-        why += f"; {request.backend} is meant to differ from the default mapper: {differs}"
-    margins = {one["cells"]["margin"]["log_odds"] for one in results.values() if sandbox.ENDED not in one}
-    margin_text = f"within {max(margins):.2g} log-odds" if margins else "within no margin: no scan was drawn"
-    return replace(
-        alone, reference=label, why_reference=why, unavailable=unavailable, margin=margin, margin_text=margin_text
-    )
+    return report_alone(checked.label, level, {"dataset": values, "frames": frames})
 
 
 def report_determinism(
@@ -243,7 +197,7 @@ def report_determinism(
     level = AcceptanceLevel(6, "determinism", question, tuple(checks))
     subject = ", ".join(backends) or "every installed back end"
     settings = {"on": list(on), "threads": threads, "repetitions": repetitions, "backend": dict(given)}
-    return _report_alone(subject, level, settings)
+    return report_alone(subject, level, settings)
 
 
 def _determinism_check(
@@ -277,7 +231,7 @@ def describe_binaries(backend: str) -> dict[str, str]:
     return described
 
 
-def _report_alone(subject: str, level: AcceptanceLevel, settings: Mapping[str, Any]) -> AcceptanceReport:
+def report_alone(subject: str, level: AcceptanceLevel, settings: Mapping[str, Any]) -> AcceptanceReport:
     """The report of one level that needs no reference."""
     return AcceptanceReport(subject, "", "", (), {}, "equal", "", "", (level,), settings, environment.describe(jobs=1))
 
@@ -287,11 +241,11 @@ def _comparisons(results: ResultsByPlace) -> dict[str, Result]:
     return {
         f"{kind}, {place}": one
         for kind in ("pairs", "questions", "scans")
-        for place, one in _of_kind(kind, results).items()
+        for place, one in of_kind(kind, results).items()
     }
 
 
-def _of_kind(kind: str, results: ResultsByPlace) -> dict[str, Result]:
+def of_kind(kind: str, results: ResultsByPlace) -> dict[str, Result]:
     """The results of one kind of task by place."""
     prefix = f"{kind}, "
     return {name.removeprefix(prefix): result for name, result in results.items() if name.startswith(prefix)}

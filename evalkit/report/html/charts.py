@@ -17,8 +17,8 @@ from evalkit.core.se2 import Floats
 from evalkit.report.html.chart_style import LIMIT, format_log_axis, line_style, render_figure
 from evalkit.report.html.method_colours import DASHES, HUES, Stroke
 
-WIDE = (7.6, 4.4)  # inches
-SQUARE = (6.2, 5.4)
+WIDE = (6.0, 3.7)  # inches: letters of 10 pt are 8 px high on a phone, and 9 px where three figures are side by side
+SQUARE = (5.0, 4.4)
 AxisKind = Literal["linear", "log"]
 
 

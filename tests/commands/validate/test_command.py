@@ -1,6 +1,7 @@
 """``evalkit validate``: injected faults fail at the expected level; the compiled core and an example library pass."""
 
 import json
+import re
 import shutil
 import subprocess
 from contextlib import contextmanager
@@ -13,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
-from evalkit.commands.validate import level_answers, plan, probes, run
+from evalkit.commands.validate import level_answers, mapper_run, plan, probes, run
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, Question
 from evalkit.commands.validate.equivalence.margins import FLOAT32
@@ -28,6 +29,7 @@ from evalkit.plugins import defaults, registry
 from evalkit_baselines.embedded.compiled import compiled_missing
 
 HERE = Path(__file__).parents[2]
+PAGES = HERE.parent / "docs" / "pages"
 EXAMPLES = INCLUDE / "examples"
 SCHEMA = json.loads((Path(plan.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
 MARGINS = [EXACT, FLOAT32]
@@ -227,9 +229,33 @@ def test_without_reference_a_twin_is_compared_with_the_back_end_that_its_spec_na
 @pytest.mark.skipif(bool(compiled_missing()), reason="the core is not built")
 def test_the_difference_that_a_mapper_is_meant_to_have_is_said(tmp_path):
     request = replace(make_plan("paper").request, backend="embedded-polygon", effort=replace(TINY, scans=2))
-    found = run.report_mapper(request, tmp_path, 1, run.ProgressDisplay(hide_tasks, hide_runs))
+    found = mapper_run.report_mapper(request, tmp_path, 1, run.ProgressDisplay(hide_tasks, hide_runs))
     assert (found.reference, found.passed) == ("log-odds", False)
+    outcomes = {level.name: level.outcome("equal") for level in found.levels}
+    assert outcomes == {"rules": "passed", "lockstep": "failed"}
     assert "embedded-polygon is meant to differ from the default mapper: it frees" in found.why_reference
+
+
+HIT_MAP = re.search(r'python title="hit_map.py"\n(.*?)```', (PAGES / "more.md").read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    ("only", "code", "said"),
+    [
+        ("rules", 0, "hit_map:SPEC passes every level that was run (rules)"),
+        ("lockstep", 1, "hit_map:SPEC fails at level 2 (lockstep, room"),
+        ("registrations", 2, "'hit_map:SPEC' is a mapper, expected --only rules or lockstep"),
+    ],
+)
+def test_a_mapper_of_an_own_module_is_validated_before_it_is_registered(tmp_path, monkeypatch, only, code, said):
+    assert HIT_MAP
+    (tmp_path / "hit_map.py").write_text(HIT_MAP[1], encoding="utf-8")
+    words = ("validate", "hit_map:SPEC", "--only", only, "--quick", "--on", "room laps=0.05", "--scans", "3")
+    monkeypatch.chdir(tmp_path)
+    words = ["validate", "hit_map:SPEC", "--only", only, "--quick", "--on", "room laps=0.05", "--scans", "3"]
+    ran = CliRunner().invoke(app, words)
+    assert ran.exit_code == code, ran.output
+    assert said in re.sub(r"[\s│]+", " ", ran.output)
 
 
 def test_the_mapper_of_a_back_end_comes_from_its_module():

@@ -313,8 +313,10 @@ static void answer_message(void)
     link_answer(&line, out.bytes, out.count);
 }
 
+/* Write an answer, after a zero that ends what the firmware may have printed on the line. */
 static void write_answer(void)
 {
+    port_write(0u);
     for (size_t k = 0; k < line.answer_bytes; k++) {
         port_write(line.answer[k]);
     }

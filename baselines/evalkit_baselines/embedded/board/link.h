@@ -1,7 +1,8 @@
 /* link.h - messages over a serial line that may lose or damage bytes: frames, checksums, and each message once.
  *
  * A frame is COBS(sequence, flags, data, CRC-32) and a zero byte; COBS leaves no zero in it, so that after any damage
- * the next zero begins a good frame. The host sends a message as frames of at most LINK_DATA bytes, the last one with
+ * the next zero begins a good frame. A zero before a frame ends what else was written to the line; empty frames are ignored.
+ * The host sends a message as frames of at most LINK_DATA bytes, the last one with
  * LINK_LAST, and waits after each for a frame of the board with the same sequence: empty, or the answer to the message. What
  * is damaged is ignored; without an answer the host sends the frame again, and a frame that was already taken is answered
  * again without being taken twice. LINK_FIRST begins a session: the host sends it with the first frame. LINK_BUSY says that

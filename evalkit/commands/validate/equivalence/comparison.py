@@ -32,7 +32,7 @@ from evalkit.core.errors import BadData, DataMissing, NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.odometry import frontend
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.address import address_of, label_of, spec_at, stop_loading
+from evalkit.plugins.address import address_of, label_of, mapper_at, spec_at, stop_loading
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, RegistrationSpec
@@ -258,7 +258,7 @@ def _load_sequence(on: str | DatasetSpec, given: GivenParameters) -> tuple[str, 
 
 
 def _load_mapper(name: str, mapper: str | MapperSpec) -> tuple[str, MapperSpec]:
-    label, spec = (mapper, registry.mapper(mapper)) if isinstance(mapper, str) else (name, mapper)
+    label, spec = mapper if isinstance(mapper, str) else name, mapper_at(mapper)
     if why := spec.missing():
         raise NotInstalled(label, "cannot be compared here", why)
     return label, spec

@@ -1,6 +1,7 @@
-"""Rules that every back end and data set must keep; start here to add one.
+"""Rules that every back end, data set and mapper must keep; start here to add one.
 
 A rule is a function ``check_...(fixture)`` in the module of its kind of plug-in (``registration_rules``,
-``odometry_rules``, ``slam_rules``, ``dataset_rules``), named in ``RULES`` at its end. ``range_rules`` and
-``state_rules`` hold further rules of registrations, ``resource_rules`` those of registrations and odometries.
+``odometry_rules``, ``slam_rules``, ``dataset_rules``, ``mapper_rules``), named in ``RULES`` at its end.
+``range_rules`` and ``state_rules`` hold further rules of registrations, ``resource_rules`` those of registrations and
+odometries.
 """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
 from functools import cached_property
 from itertools import islice, pairwise
 
@@ -14,8 +13,7 @@ from evalkit.commands.validate.rules.rule import (
     RuleBroken,
     RuleNotApplicable,
     RuleReport,
-    RuleResult,
-    check_rule,
+    check_rules_once,
     rule_table,
 )
 from evalkit.core.errors import DataMissing, EvalkitError, brief
@@ -78,12 +76,7 @@ def check(dataset: str | DatasetSpec, frames: int, parameters: Mapping[str, obje
     if why := spec.missing(**{name: value for name, value in complete.items() if name != "seed"}):
         raise DataMissing(label, "cannot be checked here", why)
     fixture = DatasetFixture(spec, complete, frames)
-    results: list[RuleResult] = []
-    for rule in RULES.values():
-        result = check_rule(rule, fixture)
-        known = any(one.raised and one.observed == result.observed for one in results)
-        results.append(replace(result, outcome="not judged") if result.raised and known else result)
-    return RuleReport(label, tuple(results))
+    return RuleReport(label, check_rules_once(RULES, fixture))
 
 
 def spec_of(dataset: str | DatasetSpec) -> DatasetSpec:

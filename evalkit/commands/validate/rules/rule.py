@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import traceback
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -120,6 +120,16 @@ def check_rule(rule: Rule, fixture: object) -> RuleResult:
         outcome, observed, raised = "failed", _describe_exception(error), True
         also_breaks = _find_process_rule(error)
     return RuleResult(rule.name, rule.sentence, outcome, observed, raised, also_breaks)
+
+
+def check_rules_once(rules: Mapping[str, Rule], fixture: object) -> tuple[RuleResult, ...]:
+    """Check rules in this process; where one exception ends several, it breaks the first, the others are not judged."""
+    results: list[RuleResult] = []
+    for rule in rules.values():
+        result = check_rule(rule, fixture)
+        known = any(one.raised and one.observed == result.observed for one in results)
+        results.append(replace(result, outcome="not judged") if result.raised and known else result)
+    return tuple(results)
 
 
 def is_refusal(error: Exception) -> bool:

@@ -18,6 +18,9 @@ from evalkit.core.world import World, closed_outline
 CORNERS = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.5, 1.0], [0.5, 4.0], [-4.0, 4.0]])
 """An L-shaped room (m): no motion brings it onto itself."""
 
+INNER_CORNER = CORNERS[3]
+"""The corner that points into the room; what lies beyond it in both x and y is outside."""
+
 ROOM = World(closed_outline(CORNERS))
 
 REACH_M = 4.0
