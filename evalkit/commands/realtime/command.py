@@ -115,7 +115,7 @@ def _as_json(backend: str, on: str, result: RealtimeResult) -> dict[str, Any]:
     Without ground truth that is unknown, None, unless a device or the first one is lost.
     """
     first = result["devices"][0]
-    devices = [device | {"broken": _is_broken(device, first)} for device in result["devices"]]
+    devices: list[dict[str, Any]] = [device | {"broken": _is_broken(device, first)} for device in result["devices"]]
     return {
         "backend": backend,
         "sequence": on,
@@ -189,7 +189,10 @@ def _print(content: dict[str, Any], on: str) -> None:
     for line in format_rows(head, _make_rows(content), table_width(out), cost=""):
         out.print(line)
     without_seed = shlex.join(word for word in shlex.split(on) if not word.startswith("seed="))  # a tuning has its own
-    words = shlex.join(["evalkit", "tune", content["backend"], "--on", without_seed])
+    where = ["--on", without_seed]
+    if not registry.dataset(shlex.split(on)[0]).seeded:  # a recording cannot be drawn again: it judges
+        where = ["--on", defaults.find_simulated_dataset(), "--held-out", without_seed]
+    words = shlex.join(["evalkit", "tune", content["backend"], *where])
     out.print(f"\nnext: {words} (cheaper or better parameters)", soft_wrap=True)
 
 

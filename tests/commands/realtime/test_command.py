@@ -68,6 +68,18 @@ def test_the_next_command_names_the_world_without_its_seed_and_tune_takes_it(cap
         make_tuning_tables([backend], ["room seed=1"], [], 2, {})
 
 
+def test_the_next_command_of_a_recording_trains_on_a_world_and_judges_on_the_recording(tmp_path, capsys):
+    bag = tmp_path / "drive.bag"
+    bag.touch()
+    command._print(command._as_json("embedded", "rosbag", result_of([10.0, 6.0, 8.0])), f"rosbag path={bag}")
+    line = capsys.readouterr().out.splitlines()[-1]
+    said = line.removeprefix("next: evalkit tune ").removesuffix(" (cheaper or better parameters)")
+    backend, _, on, option, held_out = shlex.split(said)
+    assert option == "--held-out"
+    made = tuning_from_tables(make_tuning_tables([backend], [on], [held_out], 2, {}), "evalkit tune", "x", "y")
+    assert [one.parameters["path"] for one in made.held_out] == [str(bag)]
+
+
 def test_a_wait_far_above_the_cpu_time_is_named_with_its_scan(capsys):
     shown = show(result_of([10.0, 6.0, 8.0], waits_ms=[1.0, 400.0, 50.0]), capsys)
     assert "by its CPU time, a device up to 10 times slower answers every scan in time" in shown

@@ -186,8 +186,8 @@ def _measure_lever(own: Floats, base: Floats) -> Floats | None:
         lever, errors = _fit_lever(rows[kept], apart[kept])
         left = np.linalg.norm(apart - rows @ lever, axis=1)
         kept = left <= MAX_OUTLIER * np.percentile(left, 68) + 1e-9
-    far = np.hypot(*lever) > MIN_LEVER_M and np.hypot(*lever) > MIN_LEVER_ERRORS * np.hypot(*errors)
-    return lever if far else None
+    length, error = math.hypot(*lever), math.hypot(*errors)
+    return lever if length > MIN_LEVER_M and length > MIN_LEVER_ERRORS * error else None
 
 
 def _fit_lever(rows: Floats, apart: Floats) -> tuple[Floats, Floats]:
