@@ -190,11 +190,13 @@ class LostTrack:
     """A run lost the track ``at_s`` seconds after its first answer, and why in words.
 
     ``recovered_at_s``: from when on it was right again until its end; None if it was not, as far as is known.
+    ``since_s``: where the wrong motion begins that ends at ``at_s``; not stored, None where it is not known.
     """
 
     at_s: float
     reason: str
     recovered_at_s: float | None = None
+    since_s: float | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.at_s) or not self.reason:

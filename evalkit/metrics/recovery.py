@@ -20,12 +20,22 @@ RIGHT_M, RIGHT_RAD, RIGHT_SHARE = 0.5, np.radians(10.0), 0.05
 """A pose is right again within these, or this share of the true path since the track was right."""
 
 
+def find_right_s(lost: LostTrack) -> float:
+    """Return until when (s) the track was right: ``WINDOW_S`` before a loss, or where the wrong motion begins.
+
+    A wrong motion may last longer: it is counted from the start of the track, or scans are seconds apart.
+    """
+    before_s = max(lost.at_s - WINDOW_S, 0.0)
+    return before_s if lost.since_s is None else min(before_s, lost.since_s)
+
+
 def add_recovery(evidence: Evidence, lost: LostTrack | None) -> LostTrack | None:
     """Return the loss with the time from which on the poses were right again until the end of the run.
 
     In a known map a pose is right near the truth, and a run is lost where it is farther than ``MAX_M`` from it.
-    Elsewhere the motion since ``WINDOW_S`` before the loss must agree with the true one. The last ``WINDOW_S`` at least
-    must be right. Without a true trajectory the measured relations decide, without both nothing is known.
+    Elsewhere the motion since the track was right (``find_right_s``) must agree with the true one. The last
+    ``WINDOW_S`` at least must be right. Without a true trajectory the measured relations decide, without both nothing
+    is known.
     """
     in_map = isinstance(evidence.matched, MatchedPoses) and evidence.matched.is_in_map
     if lost is not None and evidence.truth.trajectory is None and evidence.truth.relations is not None:
@@ -66,8 +76,8 @@ def _find_earlier(lost: LostTrack | None, metres: Floats, seconds: Floats) -> Lo
 def _find_again_by_relations(estimate: Trajectory, relations: Relations, lost: LostTrack) -> LostTrack:
     """Return the loss with the end of the first right relation that spans it and that no wrong one follows.
 
-    A relation spans the loss if it begins ``WINDOW_S`` or more before it and ends later. Wrong ones count if they span
-    it too or begin after that end: what begins in between says nothing about the time after.
+    A relation spans the loss if it begins while the track was right (``find_right_s``) and ends later. Wrong ones
+    count if they span it too or begin after that end: what begins in between says nothing about the time after.
     """
     motions, covered = compute_estimated_motions(estimate, relations)
     if not covered.any():
@@ -78,7 +88,7 @@ def _find_again_by_relations(estimate: Trajectory, relations: Relations, lost: L
     path = np.diff(np.interp(ends, estimate.stamps_ns, np.concatenate([[0.0], np.cumsum(steps)])), axis=1)[:, 0]
     begin_s, end_s = ((ends - estimate.stamps_ns[0]) * 1e-9).T
     right = (metres <= np.maximum(RIGHT_M, RIGHT_SHARE * path)) & (turn <= RIGHT_RAD)
-    spans = (begin_s <= lost.at_s - WINDOW_S) & (end_s > lost.at_s)
+    spans = (begin_s <= find_right_s(lost)) & (end_s > lost.at_s)
     within = (begin_s >= lost.at_s) & ~right
     after_s = max(end_s[spans & ~right].max(initial=lost.at_s), begin_s[within].max(initial=lost.at_s))
     found = end_s[spans & right & (end_s > after_s)]
@@ -90,7 +100,7 @@ def _find_again_by_relations(estimate: Trajectory, relations: Relations, lost: L
 
 def _is_motion_right(own: Floats, true: Floats, seconds: Floats, lost: LostTrack) -> Floats:
     """Return for each pose whether the motion to it from a pose before the loss is the true one."""
-    anchor = int(np.searchsorted(seconds, max(lost.at_s - WINDOW_S, 0.0)))
+    anchor = max(int(np.searchsorted(seconds, find_right_s(lost), side="right")) - 1, 0)
     steps = np.hypot(*np.diff(true[:, :2], axis=0).T)
     path = np.abs(np.concatenate([[0.0], np.cumsum(steps)]) - steps[:anchor].sum())
     wrong = se2.between(se2.between(true[anchor], true), se2.between(own[anchor], own))

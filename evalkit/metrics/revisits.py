@@ -19,6 +19,9 @@ from evalkit.metrics.relations import compute_estimated_motions, symmetric_error
 NEAR_M = 1.0
 COVERED_M = 100.0
 COVERED_SHARE = 0.25
+LEAST_COVERED = 2.0
+"""Path between two visits in units of their largest distance: one that is driven straight on is no return."""
+
 EVERY_M = 0.2
 MAX_REVISITS = 2000
 
@@ -34,12 +37,13 @@ def find_revisits(reference: Trajectory, near_m: float = NEAR_M, covered_m: floa
     ``near_m``.
 
     ``covered_m``: least path length between the visits; default: 100 m as in Cartographer's automatic relations (Hess
-    et al., ICRA 2016), or a quarter of a path shorter than 400 m. Places are examined every 0.2 m of path. At most
-    2,000 pairs are kept, evenly spaced.
+    et al., ICRA 2016), or a quarter of a path shorter than 400 m, and at least twice ``near_m``. Places are examined
+    every 0.2 m of path. At most 2,000 pairs are kept, evenly spaced.
     """
     steps = np.linalg.norm(np.diff(reference.poses[:, :2], axis=0), axis=1)
     path = np.concatenate([[0.0], np.cumsum(steps)])[: len(reference)]
-    covered = min(COVERED_M, COVERED_SHARE * reference.path_m) if covered_m is None else covered_m
+    shortest = max(min(COVERED_M, COVERED_SHARE * reference.path_m), LEAST_COVERED * near_m)
+    covered = shortest if covered_m is None else covered_m
     places = np.unique(np.searchsorted(path, np.arange(0.0, reference.path_m, EVERY_M)))
     pairs = list(_find_visits(reference.poses[:, :2], path, places, covered, near_m))
     chosen = np.array(pairs, dtype=np.int64).reshape(-1, 2)

@@ -218,7 +218,7 @@ def _find_wrong_relations(estimate: Trajectory, relations: Relations) -> list[_D
         begin_s, end_s = (ends[one] - estimate.stamps_ns[0]) * 1e-9
         where = f"from {begin_s:.1f} s to {end_s:.1f} s"
         away = f"{metres[one]:.2f} m and {np.degrees(turn[one]):.0f} deg"
-        lost = LostTrack(float(end_s), f"{where}, {away} away from the measured relation")
+        lost = LostTrack(float(end_s), f"{where}, {away} away from the measured relation", since_s=float(begin_s))
         first = _nearest(estimate.stamps_ns, int(relations.first_ns[covered][one]))
         second = _nearest(estimate.stamps_ns, int(relations.second_ns[covered][one]))
         measured = relations.first_from_second[covered][one]
@@ -290,17 +290,19 @@ def _fit(target: Floats, source: Floats, target_from_source: Floats) -> float:
 
 
 def _describe(estimate: Trajectory, tracks: _Tracks, first: int, last: int, reference: str) -> LostTrack:
-    begin_s, end_s = ((tracks.stamps_ns[index] - estimate.stamps_ns[0]) * 1e-9 for index in (first, last))
-    if last == first + 1:
+    ends = tracks.stamps_ns[[first, last]]
+    begin_s, end_s = ((ends - estimate.stamps_ns[0]) * 1e-9).tolist()
+    if np.diff(np.searchsorted(estimate.stamps_ns, ends))[0] == 1:  # the reference may not know the scans in between
         own, true = (se2.between(poses[first], poses[last]) for poses in (tracks.estimate, tracks.reference))
         moves, turns = _format_motion(own)
         its_moves, its_turns = _format_motion(true)
         reason = f"moves {moves} and turns {turns} in one scan, against {its_moves} and {its_turns} by {reference}"
-        return LostTrack(float(end_s), reason)
+        return LostTrack(end_s, reason, since_s=begin_s)
     metres, turn = tracks.errors(np.array([first]), np.array([last]))[0]
     path = tracks.path_m[last] - tracks.path_m[first]
     where = f"from {begin_s:.1f} s to {end_s:.1f} s, on a path of {path:.1f} m"
-    return LostTrack(float(end_s), f"{where}, {metres:.2f} m and {np.degrees(turn):.0f} deg away from {reference}")
+    away = f"{metres:.2f} m and {np.degrees(turn):.0f} deg away from {reference}"
+    return LostTrack(end_s, f"{where}, {away}", since_s=begin_s)
 
 
 def _format_motion(motion: Floats) -> tuple[str, str]:

@@ -52,6 +52,12 @@ def format_amount(metric: Metric, value: float, more: int = 0) -> str:
     return f"{text}\u00a0{unit}".rstrip()
 
 
+def format_spread(metric: Metric, value: float, low: float, high: float) -> str:
+    """Format a value and the bounds of its interval in the value's unit: "4.6 mm (3.3 to 6.4)"."""
+    (text, least, most), unit = _format_alike(metric, [value, low, high])
+    return f"{text}\u00a0{unit}".rstrip() + f" ({least} to {most})"
+
+
 def _format_alike(metric: Metric, values: Sequence[float], more: int = 0) -> tuple[list[str], str]:
     """Return values with the same decimals and their common unit: millimetres if all are below 1 m."""
     if metric.unit != "m":

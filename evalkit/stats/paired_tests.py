@@ -64,8 +64,8 @@ def vargha_delaney_a12(a: ArrayLike, b: ArrayLike) -> float:
     return float(np.mean(larger + 0.5 * (first[:, None] == second[None, :])))
 
 
-def smallest_detectable_difference(differences: ArrayLike) -> float:
-    """Return the mean difference that a paired design with these differences detects with 80 % power at 5 %.
+def smallest_detectable_difference(differences: ArrayLike, alpha: float = 0.05) -> float:
+    """Return the mean difference that a paired design with these differences detects with 80 % power at ``alpha``.
 
     By the two-sided paired t test, from the standard deviation and the number of the differences. Infinite for fewer
     than two differences.
@@ -74,7 +74,12 @@ def smallest_detectable_difference(differences: ArrayLike) -> float:
     if len(series) < 2 or not np.isfinite(series).all():
         return math.inf
     error = float(series.std(ddof=1)) / math.sqrt(len(series))
-    return error * detectable_standard_errors(len(series) - 1)
+    return error * detectable_standard_errors(len(series) - 1, alpha=alpha)
+
+
+def least_p(runs: int) -> float:
+    """Return the smallest p that Wilcoxon's signed-rank test can have: all of so many differences have one sign."""
+    return 2.0 ** (1 - runs)
 
 
 @cache

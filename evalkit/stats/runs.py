@@ -58,6 +58,15 @@ class PairedRuns:
             return size
         return self.scale * abs(math.expm1(math.copysign(min(size, 50.0), self.mean)))
 
+    @property
+    def p(self) -> float:
+        """The probability of an estimate at least as far from zero where there is no difference: of the t test."""
+        from scipy.special import stdtr
+
+        if self.error == 0.0:
+            return float(self.mean == 0.0)
+        return 2.0 * float(stdtr(self.interval.support - 1, -abs(self.mean) / self.error))
+
     def runs_needed(self) -> int | None:
         """Return how many runs of each method show a difference of this size with 80 % power; None above 200."""
         sd = self.error * math.sqrt(self.interval.support)

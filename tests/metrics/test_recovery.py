@@ -11,6 +11,7 @@ from evalkit.core.run_result import STEP, LostTrack, RunResult
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.metric import Evidence
 from evalkit.metrics.recovery import add_recovery
+from evalkit.metrics.track import find_lost_track
 from evalkit.metrics.trajectory import match_trajectories
 
 STAMPS = np.arange(600) * 100_000_000  # a minute
@@ -154,3 +155,30 @@ def test_a_truth_at_other_times_says_nothing_about_the_loss():
     assert add_recovery(Evidence(run, Truth("exact", known), matched), LOST) == LOST
     later = Relations(STAMPS[:1], STAMPS[-1:], np.zeros((1, 3)))
     assert add_recovery(Evidence(run, Truth("measured", relations=later), matched), LOST) == LOST
+
+
+def test_a_run_is_not_found_again_whose_wrong_motion_began_more_than_a_window_before_the_loss():
+    early = shifted(50, 600)  # away from 5 s on and never back, noticed at 20 s: the motion since 10 s is right
+    assert judge(early) == LostTrack(20.0, "planted", 20.1)
+    assert judge(early, LostTrack(20.0, "planted", since_s=4.0)) == LOST
+    assert judge(shifted(50, 320), LostTrack(20.0, "planted", since_s=4.0)) == LostTrack(20.0, "planted", 32.0)
+
+
+def test_a_relation_counts_only_if_it_begins_before_the_wrong_motion():
+    lost = LostTrack(20.0, "planted", since_s=4.0)
+    assert judge_by_relations(shifted(50, 600), [8], [35], lost) == LOST
+    assert judge_by_relations(shifted(50, 320), [4], [35], lost) == LostTrack(20.0, "planted", 35.0)
+
+
+def test_a_slip_between_scans_that_are_seconds_apart_is_not_found_again():
+    stamps = np.concatenate([STAMPS[:100], STAMPS[220:]])  # 12 s without a scan: longer than a window
+    true = Trajectory(stamps, np.concatenate([TRUE[:100], TRUE[220:] - [[2.4, 0.0, 0.0]]]))
+    steps = np.zeros(len(stamps), dtype=STEP)
+    steps["stamp_ns"], (steps["x"], steps["y"], steps["theta"]) = stamps, true.poses.T
+    steps["y"][100:] += 3.0
+    run = RunResult(steps, len(steps))
+    evidence = Evidence(run, Truth("exact", true), match_trajectories(run.estimate, true))
+    lost = find_lost_track(evidence, tuple)
+    assert lost is not None
+    assert lost.at_s == pytest.approx(22.0)
+    assert add_recovery(evidence, lost).recovered_at_s is None

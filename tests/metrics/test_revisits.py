@@ -54,6 +54,15 @@ def test_a_straight_line_has_no_revisits() -> None:
     assert scores(two, two)["revisit_mean_m"].reason == "the true path does not revisit a place"
 
 
+@pytest.mark.parametrize("metres", [0.06, 1.2, 3.0, 7.9])
+def test_a_short_drive_straight_on_has_no_revisits_and_one_out_and_back_has(metres) -> None:
+    x = np.linspace(0.0, metres, 100)
+    assert len(revisits.find_revisits(trajectory(x, 0.0 * x, 0.0))) == 0
+    back = np.concatenate([x, x[::-1]])
+    found = revisits.find_revisits(trajectory(back, 0.0 * back, 0.0))
+    assert (len(found) > 0) == (2.0 * metres > 2.0)
+
+
 def test_a_shifted_second_lap_has_the_shift_as_error() -> None:
     truth = laps(1.9)
     shifted = np.array(truth.poses)

@@ -340,3 +340,18 @@ def test_a_run_of_two_scans_may_be_lost():
     true = np.zeros((2, 3))
     lost = judge("truth", true, np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
     assert lost.at_s == pytest.approx(0.1)
+
+
+def test_a_wrong_motion_over_scans_without_true_poses_is_not_called_one_of_a_single_scan():
+    stamps, true = np.arange(121) * 100_000_000, walk()
+    estimate = true.copy()
+    estimate[50:70, 1] += np.linspace(0.0, 3.0, 20)  # over 20 scans, 0.16 m each
+    estimate[70:, 1] += 3.0
+    known = np.r_[0:50, 70:121]
+    steps = np.zeros(121, dtype=STEP)
+    steps["stamp_ns"], (steps["x"], steps["y"], steps["theta"]) = stamps, estimate.T
+    truth = Truth("exact", Trajectory(stamps[known], true[known]))
+    lost = find_lost_track(Evidence(RunResult(steps, 121), truth), lambda: frames(stamps, true, None))
+    assert lost is not None
+    assert lost.reason.startswith("from 4.9 s to 7.0 s, on a path of 1.0 m, 3.00 m and 0 deg away")
+    assert (lost.at_s, lost.since_s) == (pytest.approx(7.0), pytest.approx(4.9))

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from evalkit.core.run_result import LostTrack, RunConditions
@@ -14,6 +15,7 @@ from evalkit.report.html.cost_plot import draw_scatter
 from evalkit.report.html.dot_plot import draw_dots
 from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_page import render_report
+from evalkit.stats.runs import paired_runs
 
 
 @pytest.fixture
@@ -165,6 +167,23 @@ def test_the_one_method_that_holds_where_others_fail_leads_there(build, three, h
     assert title(alone).startswith("Only a is ranked: ")
 
 
+def test_the_dot_of_a_lost_track_is_a_cross_also_where_settings_were_chosen(build, three):
+    gone = [
+        replace(run, scores=replace(run.scores, lost=LostTrack(9.0, "a jump")))
+        if (run.method, run.sequence, run.seed) == ("b", "hall", 0) else run for run in three
+    ]  # fmt: skip
+    for runs, words, shape in (
+        (three, "settings chosen here: not counted", "tuned"),
+        (gone, "lost the track in 1 of 2, at 9 s; settings chosen here: not counted", "lost"),
+    ):
+        made = build(runs)
+        tuned = replace(made, methods={**made.methods, "b": replace(made.methods["b"], tuned_on=("hall",))})
+        drawn = str(draw_dots(analyse(tuned), assign_strokes("abc", ()))).replace("\u00a0", " ")
+        (dot,) = re.findall(r"<title>b on hall: [^<]*</title>.*?</svg></svg>", drawn)
+        assert f", {words}</title>" in dot
+        assert f'class="dot {shape}"' in dot
+
+
 def test_without_a_finished_run_there_is_no_answer(build, record):
     failed = [record(name, "room", {}, status="failed", reason="it broke", answered=0) for name in "ab"]
     comparison = build(failed)
@@ -202,6 +221,20 @@ def test_methods_that_too_few_runs_tell_from_the_leader_are_named_over_several_d
     more = [run for where in ("yard", "attic") for one in "abc" for run in runs(one, where, clear[one])]
     words = "Take a: best or tied on 4 of 4 data sets; no other method on any."  # however room and hall end
     assert title(build([*comparison.records, *more])) == words
+
+
+@pytest.mark.parametrize(("scatter", "p"), [(0.339, 0.0215), (0.25, 0.0066)])
+def test_a_lead_on_one_of_five_data_sets_must_be_one_among_five_tests(build, runs, scatter, p):
+    """On room b has 1.65 times the error of a, more or less in six runs; on the others both are tied."""
+    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+    room = [*runs("a", "room", [0.01] * 6), *runs("b", "room", 0.01 * np.exp(0.5 + scatter * signs))]
+    places = ("hall", "lab", "cave", "yard")
+    others = [run for where in places for one, way in (("a", 0.03), ("b", -0.03))
+              for run in runs(one, where, 0.01 * np.exp(way * signs))]  # fmt: skip
+    assert paired_runs([0.01] * 6, 0.01 * np.exp(0.5 + scatter * signs)).p == pytest.approx(p, abs=1e-4)
+    assert title(build(room)) == "Take a: best on room."  # at 97 %, as every verdict
+    best, apart = "Take a: best on room.", "a leads on room, but is not told apart from b by these runs."
+    assert title(build([*room, *others])) == (best if p < 0.05 / 5 else apart)
 
 
 def test_each_of_several_winners_has_its_own_number_of_data_sets(build, runs):

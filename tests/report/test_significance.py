@@ -15,8 +15,11 @@ from evalkit.report.analysis.analysis import analyse
 from evalkit.report.analysis.pairwise import compute_difference, separation
 from evalkit.report.analysis.record_bootstrap import RecordBootstrap
 from evalkit.report.analysis.sequence import analyse_sequence
+from evalkit.report.html.appendix_tables import comparisons_table
+from evalkit.report.html.method_colours import assign_strokes
 from evalkit.report.html.report_page import render_report
 from evalkit.stats.bootstrap import Series, bootstrap_score
+from evalkit.stats.paired_tests import detectable_standard_errors
 from evalkit.stats.ranks import FriedmanTest, NotTested
 
 ATE = "ate_rmse_m"
@@ -167,6 +170,34 @@ def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(r
     assert duel.ratio == pytest.approx(2.0)
     assert duel.p == pytest.approx(2 * 2 / 2**10)
     assert duel.detectable == pytest.approx(1.0, abs=1e-6)
+
+
+def _scatter(record, build, methods, runs):
+    """The others have about the error of a: ratios of exp(0.1) and exp(-0.1) in turn, over runs of one sequence."""
+    return build([
+        record(who, "room", {ATE: 0.01 * np.exp(0.0 if who == "a" else 0.1 * (-1) ** seed)}, seed=seed)
+        for who in methods for seed in range(runs)
+    ])  # fmt: skip
+
+
+def test_a_detectable_ratio_holds_beside_the_other_rows(record, build):
+    """Of r rows, Holm's first one is at 5 %/r; over 12 runs the standard error is 0.1 sqrt(12/11) / sqrt(12)."""
+    error = 0.1 / np.sqrt(11.0)
+    for methods in ("ab", "abcd"):
+        found = analyse(_scatter(record, build, methods, 12)).significance.comparisons
+        rows = len(found)
+        errors = detectable_standard_errors(11, alpha=0.05 / rows)
+        own = [one for one in found if "a" in (one.method, one.reference)]
+        assert len(own) == len(methods) - 1
+        assert [one.detectable for one in own] == pytest.approx([np.exp(error * errors)] * len(own))
+
+
+def test_runs_that_no_difference_would_be_shown_by_detect_none(record, build):
+    """Six runs have p >= 2 / 2^6 = 0.031: enough for one row, not for two or more by Holm."""
+    alone, several = (analyse(_scatter(record, build, methods, 6)) for methods in ("ab", "abc"))
+    assert [np.isinf(one.detectable) for one in alone.significance.comparisons] == [False]
+    assert {np.isinf(one.detectable) for one in several.significance.comparisons} == {True}
+    assert {str(row[-1].text) for row in comparisons_table(several, assign_strokes("abc", ())).rows} == {"none"}
 
 
 def test_the_probability_of_a_larger_error_is_compared_within_each_sequence(record, build):

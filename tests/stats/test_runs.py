@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -31,6 +32,18 @@ def test_intervals_of_three_and_more_runs_hold_the_median_as_often_as_stated(kin
     held = [not interval.excludes(1.0) for row in rows if (interval := runs_interval(row)) is not None]
     assert len(held) == TRIALS
     assert 0.90 <= np.mean(held) <= 0.97
+
+
+@pytest.mark.parametrize(
+    ("bad", "runs", "stated"), [(0.30, 6, 0.91), (0.30, 8, 0.86), (0.30, 20, 0.55), (0.15, 8, 0.96), (0.15, 20, 0.82)]
+)
+def test_of_a_method_that_fails_now_and_then_intervals_hold_the_median_as_rarely_as_the_page_states(bad, runs, stated):
+    """Of the good runs, of spread 0.2, a share of 0.5 / (1 - bad) lies below the median of all."""
+    rng = np.random.default_rng(runs)
+    median = math.exp(0.2 * NormalDist().inv_cdf(0.5 / (1.0 - bad)))
+    rows = np.exp(rng.normal(0.0, 0.2, (2 * TRIALS, runs))) * np.where(rng.random((2 * TRIALS, runs)) < bad, 10.0, 1.0)
+    held = [not interval.excludes(median) for row in rows if (interval := runs_interval(row)) is not None]
+    assert np.mean(held) == pytest.approx(stated, abs=0.03)
 
 
 @pytest.mark.parametrize("kind", ["lognormal", "walk"])

@@ -13,6 +13,7 @@ from evalkit.commands.tune.result import TuningResult
 from evalkit.commands.tune.rows import build_held_out_blocks, format_number
 from evalkit.commands.tune.search_loop import MethodSearch
 from evalkit.commands.tune.space import get_parameter_name, is_continuous
+from evalkit.report.formatting import format_amount
 from evalkit.report.html.blocks import (
     Block,
     Bullets,
@@ -53,11 +54,10 @@ def build_document(result: TuningResult) -> Document:
 
 
 def _build_summary(result: TuningResult) -> Section:
-    unit = result.tuning.objective.metric.unit
     columns = (
         Column("Back end"),
         Column("Chosen parameters", tip="own parameters that differ from the default"),
-        Column("Search", unit, number=True, tip="geometric mean error: default → best point"),
+        Column("Search", number=True, tip="geometric mean error: default → best point"),
         Column("Fresh seeds", "x", number=True, tip="error of best point / default, with 95 % interval"),
         Column("Held out", "x", number=True, tip="error of tuned / default, median over all held-out runs"),
         Column("CPU per scan", "ms", number=True, tip="median in training: default → chosen"),
@@ -80,7 +80,7 @@ def _build_summary(result: TuningResult) -> Section:
 
 
 def _make_summary_row(result: TuningResult, one: MethodSearch) -> Sequence[Cell | str]:
-    label = one.tunable.label
+    label, metric = one.tunable.label, result.tuning.objective.metric
     if one.failed:
         why = next(iter(filter(None, one.default.lost)), "")
         nothing = [Cell("-", sort=math.inf)] * 4
@@ -94,7 +94,7 @@ def _make_summary_row(result: TuningResult, one: MethodSearch) -> Sequence[Cell 
     return (
         Cell(label, link=f"#{slug(f'points of {label}')}"),
         _describe_changes(one),
-        Cell(f"{format_number(one.default.error)} → {format_number(one.best.error)}", sort=one.best.error),
+        Cell(" → ".join(format_amount(metric, each.error) for each in (one.default, one.best)), sort=one.best.error),
         _make_ratio_cell(one),
         Cell("-", sort=1.0) if ratio is None else Cell(f"{ratio:.2f}", sort=ratio),
         Cell(f"{one.default.cpu_ms:.2f} → {one.chosen.cpu_ms:.2f}", sort=one.chosen.cpu_ms),

@@ -10,7 +10,9 @@ from evalkit.commands.tune.result import TuningResult
 from evalkit.core.run_status import NOT_EXECUTED, RunStatus
 from evalkit.report.analysis.ranking import Ranking
 from evalkit.report.analysis.scores import STATUS_LABELS
+from evalkit.report.formatting import format_amount, format_difference, format_spread
 from evalkit.report.html.blocks import Block, Cell, Column, Table, Text
+from evalkit.stats.runs import FEW_CONFIDENCE, FEW_RUNS, PAIRED_CONFIDENCE
 
 
 def build_held_out_blocks(result: TuningResult) -> list[Block]:
@@ -41,21 +43,21 @@ def format_number(value: float) -> str:
 def _make_heading(name: str, ranking: Ranking | None) -> Column:
     if ranking is None:
         return Column(name, number=True)
-    return Column(f"{name}: {ranking.metric.label}", ranking.metric.unit, number=True)
+    return Column(f"{name}: {ranking.metric.label}", number=True)
 
 
 def _make_score_cell(result: TuningResult, label: str, sequence: str, ranking: Ranking | None) -> Cell:
     score = None if ranking is None else ranking.of(label)
     own = [record for record in result.comparison.records if (record.method, record.sequence) == (label, sequence)]
-    if score is None or not score.values:
+    if ranking is None or score is None or not score.values:
         statuses = dict.fromkeys(STATUS_LABELS[record.result.status] for record in own if not record.result.is_complete)
         why = score.reason if score is not None else "; ".join(record.result.reason for record in own[:1])
         return Cell(", ".join(statuses) or "no value", sort=math.inf, tone="warn", tip=why)
     middle, between = score.median or 0.0, score.interval
     shown = (
-        format_number(middle)
+        format_amount(ranking.metric, middle)
         if between is None
-        else f"{format_number(middle)} ({format_number(between.low)} to {format_number(between.high)})"
+        else format_spread(ranking.metric, middle, between.low, between.high)
     )
     executed = [record.result.status for record in own if record.result.status not in NOT_EXECUTED]
     lost = sum(status != RunStatus.COMPLETE for status in executed)
@@ -70,7 +72,7 @@ def _build_tests(verdicts: Sequence[HeldOutVerdict]) -> Table:
         Column("Better / worse", number=True, tip="runs in which tuned has the smaller / larger error"),
         Column("Ratio", "x", number=True, tip="error of tuned divided by the default's, median over runs"),
         Column("p", number=True, tip="Wilcoxon's signed-rank test, Holm over the back ends"),
-        Column("Detectable", "x", number=True, tip="the ratio that these runs detect with 80 % power at 5 %"),
+        Column("Detectable", "x", number=True, tip="the ratio that these runs detect with 80 % power, in all rows"),
         Column("Lost", number=True, tip="runs lost: default → tuned"),
         Column("Verdict"),
     )  # fmt: skip
@@ -96,11 +98,17 @@ def _make_test_row(one: HeldOutVerdict) -> Sequence[Cell | str]:
     )
 
 
+PAIRED = (
+    f"paired, with the interval of {100 * PAIRED_CONFIDENCE:.0f} %, of {100 * FEW_CONFIDENCE:.0f} % below {FEW_RUNS} "
+    "pairs and on recordings"
+)
+
+
 def _build_differences(pairs: Sequence[tuple[str, HeldOutSequence]]) -> Table:
     columns = (
         Column("Back end"), Column("Sequence"), Column("Metric"), Column("Default", number=True),
-        Column("Tuned", number=True), Column("Tuned - default", number=True, tip="paired, with 95 % interval"),
-        Column("Detectable", number=True, tip="the difference that these runs detect with 80 % power at 5 %"),
+        Column("Tuned", number=True), Column("Tuned - default", number=True, tip=PAIRED),
+        Column("Detectable", number=True, tip="the difference that these runs detect with 80 % power"),
         Column("Significant"),
     )  # fmt: skip
     return Table(
@@ -110,18 +118,14 @@ def _build_differences(pairs: Sequence[tuple[str, HeldOutSequence]]) -> Table:
 
 def _make_difference_row(label: str, one: HeldOutSequence) -> Sequence[Cell | str]:
     metric = one.ranking.metric
-    unit = f" {metric.unit}" if metric.unit else ""
     head = (label, one.ranking.sequence, metric.label)
-    medians = [
-        Cell(f"{format_number(cell.median or 0.0)}{unit}", sort=cell.median) for cell in (one.default, one.tuned)
-    ]
+    medians = [Cell(format_amount(metric, cell.median or 0.0), sort=cell.median) for cell in (one.default, one.tuned)]
     if one.difference is None:
         return (*head, *medians, Cell("-"), Cell("-"), "one run, no interval")
-    interval, verdict = one.difference.interval, "no"
+    verdict = "no"
     if one.significant:
         verdict = "worse" if one.worse else "better"
-    result = f"{interval.value:+.3g} ({interval.low:+.3g} to {interval.high:+.3g}){unit}"
     detectable = one.difference.detectable or math.inf
-    return (*head, *medians, Cell(result, sort=interval.value),
-            Cell(f"{format_number(detectable)}{unit}", sort=detectable),
+    return (*head, *medians, Cell(format_difference(metric, one.difference), sort=one.difference.interval.value),
+            Cell(format_amount(metric, detectable, 1) if math.isfinite(detectable) else "none", sort=detectable),
             Cell(verdict, tone="bad" if one.worse else "good" if one.significant else ""))  # fmt: skip

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evalkit.report.analysis.contests import count_led_of_shared
-from evalkit.report.analysis.ranking import mark
+from evalkit.report.analysis.pairwise import is_shown_among
+from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.significance import Significance
 from evalkit.report.analysis.standings import MAX_NAMED, Standing, Tally
 from evalkit.report.formatting import join_words
@@ -80,17 +81,28 @@ def _find_ahead(tally: Tally, winner: str) -> tuple[str, ...]:
 def _find_undecided(tally: Tally, winners: Sequence[str], significance: Significance) -> tuple[str, ...]:
     """Return the methods that would lead as often as the winners if they were tied wherever these runs do not decide.
 
-    Without those that the paired tests call worse than a winner.
+    Without those that the paired tests call worse than a winner. A difference on one of several data sets decides only
+    if it is shown among all on which both are ranked (``is_shown_among``), whether these count or not.
     """
     led = {one.method: one.led for one in tally.standings}
     found = []
     for method in (one.method for one in tally.standings if one.method not in winners):
         shared = [one for one in tally.contests if set(winners) & set(one.leaders) and not one.by_maps]
-        undecided = sum(mark(one.ranking, method) == "undecided" for one in shared)
+        ranked = [{score.method for score in one.ranked} for one in tally.judged]
+        together = sum(method in names and bool(names & set(winners)) for names in ranked)
+        undecided = sum(_is_undecided(one.ranking, method, together) for one in shared)
         told_apart = set(winners) & set(significance.find_better(method))
         if undecided and led[method] + undecided >= led[winners[0]] and not told_apart:
             found.append(method)
     return tuple(found)
+
+
+def _is_undecided(ranking: Ranking, method: str, data_sets: int) -> bool:
+    """Return whether too few runs tell that a method is worse than the best, of so many data sets that may show it."""
+    standing, score = mark(ranking, method), ranking.of(method)
+    if standing != "worse" or score is None:
+        return standing == "undecided"
+    return not is_shown_among(score, ranking.ranked[0], data_sets)
 
 
 def _find_after(tally: Tally, winners: Sequence[str], significance: Significance) -> Standing | None:

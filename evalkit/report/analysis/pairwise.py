@@ -31,6 +31,9 @@ MARGIN_POINTS = 1.0
 """Shares of wrong positions by map fit that are less than so many percentage points apart: the probabilities were not
 measured better."""
 
+SHOWN_BY_CHANCE = 0.05
+"""Share of comparisons over all data sets that may show a difference between equal methods."""
+
 Separation = Literal["clear", "one run", "within the noise floor", "not shown", "within the margin"]
 """Whether two methods differ clearly, or why not. One run each never shows a difference."""
 
@@ -99,6 +102,15 @@ def separation(metric: Metric, one: MethodScore, other: MethodScore) -> Separati
     if not difference.interval.excludes(0.0) or difference.interval.value * (medians[0] - medians[1]) <= 0.0:
         return "not shown"
     return "within the margin" if size < margin(metric, medians[1]) else "clear"
+
+
+def is_shown_among(one: MethodScore, other: MethodScore, data_sets: int) -> bool:
+    """Return whether a clear difference is one where so many data sets may show one by chance (Bonferroni).
+
+    Of ``data_sets`` with equal methods, one shows a difference by chance so many times as often as a single one.
+    """
+    difference = paired_runs(*_pair_runs(one, other), one.perturbed)
+    return difference is not None and difference.p <= SHOWN_BY_CHANCE / data_sets
 
 
 def is_tied(metric: Metric, apart: Separation, one: MethodScore, other: MethodScore) -> bool:

@@ -22,6 +22,7 @@ from evalkit.results.run_record import RunRecord
 from evalkit.stats.intervals import Interval, wilson_interval
 from evalkit.stats.paired_tests import (
     SignedRankTest,
+    least_p,
     signed_rank_tests,
     smallest_detectable_difference,
     vargha_delaney_a12,
@@ -62,7 +63,7 @@ class PairedComparison:
 
     ``ratio``: median of its error divided by the reference's, None if one of them failed in the median run. ``larger``:
     probability that its error is the larger one on the same sequence (A12), the mean over the sequences by their runs.
-    ``detectable``: the ratio that so many runs can detect.
+    ``detectable``: the ratio that so many runs detect with a power of 80 %, whatever the other rows show.
     """
 
     method: str
@@ -215,7 +216,7 @@ def _compare_pairs(errors: Mapping[str, ErrorsByRun], named: Sequence[tuple[str,
     pairs = {names: both for names, both in pairs.items() if len(both[0])}
     tests = signed_rank_tests({" ".join(names): both for names, both in pairs.items()})
     return tuple(
-        _compare_pair(*names, *both, _larger(errors[names[0]], errors[names[1]]), tests[" ".join(names)])
+        _compare_pair(*names, *both, _larger(errors[names[0]], errors[names[1]]), tests[" ".join(names)], len(pairs))
         for names, both in pairs.items()
     )
 
@@ -247,14 +248,15 @@ def _logarithms(errors: ArrayLike) -> Floats:
 
 
 def _compare_pair(
-    method: str, reference: str, own: Floats, other: Floats, larger: float, test: SignedRankTest
-) -> PairedComparison:  # fmt: skip
+    method: str, reference: str, own: Floats, other: Floats, larger: float, test: SignedRankTest, rows: int
+) -> PairedComparison:
     both = np.isfinite(own) & np.isfinite(other)
     differences = own[both] - other[both]
     signed = np.where(own == other, 0.0, np.where(own > other, math.inf, -math.inf))
     signed[both] = differences
     middle = float(np.median(np.clip(signed, -1e9, 1e9)))
-    detectable = smallest_detectable_difference(differences)
+    alpha = SIGNIFICANCE_LEVEL / rows  # the least of Holm's levels
+    detectable = smallest_detectable_difference(differences, alpha) if least_p(len(own)) <= alpha else math.inf
     return PairedComparison(
         method,
         reference,
@@ -270,7 +272,7 @@ def _compare_pair(
 
 
 def _verdict(middle: float, test: SignedRankTest, runs: int) -> str:
-    if 2.0 ** (1 - runs) > SIGNIFICANCE_LEVEL:  # the smallest p that so many runs can have
+    if least_p(runs) > SIGNIFICANCE_LEVEL:
         return "too few runs"
     if test.p_holm > SIGNIFICANCE_LEVEL or abs(middle) < math.log1p(MARGIN_SHARE):
         return "no difference shown"

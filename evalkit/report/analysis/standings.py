@@ -11,9 +11,10 @@ from evalkit.metrics.metric import Metric
 from evalkit.metrics.runtime import COST
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.contests import Contest, Relative, compare, find_contests, select_counted
-from evalkit.report.analysis.ranking import mark
+from evalkit.report.analysis.ranking import Ranking, mark
 from evalkit.report.analysis.scores import MethodScore
 from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.statements.outcome import LED
 from evalkit.report.analysis.statements.verdict import SequenceVerdict
 
 MAX_NAMED = 3
@@ -41,13 +42,15 @@ class Standing:
 class Tally:
     """The data sets that count, and how the methods stand over them, best first.
 
-    ``winners``: the methods that lead most often. ``common``: the method that all are compared with.
+    ``winners``: the methods that lead most often. ``common``: the method that all are compared with. ``judged``: the
+    rankings of all data sets with a verdict, whether they count or tell no method apart.
     """
 
     contests: tuple[Contest, ...]
     standings: tuple[Standing, ...]
     winners: tuple[str, ...]
     common: str
+    judged: tuple[Ranking, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +68,11 @@ def compute_tally(
 ) -> Tally:
     """Compute how the methods stand over the data sets that count."""
     contests = find_contests(comparison, sequences, verdicts)
+    led = zip(sequences, verdicts, strict=True)
+    judged = tuple(one.deciding for one, verdict in led if one.deciding is not None and verdict.outcome in LED)
     common = find_common(comparison, contests)
     standings = compute_standings(comparison, sequences, contests, common)
-    return Tally(contests, standings, find_winners(standings, contests), common)
+    return Tally(contests, standings, find_winners(standings, contests), common, judged)
 
 
 def find_common(comparison: Comparison, contests: Sequence[Contest]) -> str:

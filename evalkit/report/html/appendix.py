@@ -60,7 +60,8 @@ TESTS = (
     "is better. Larger: probability that a run's error exceeds that of a run of the reference on the same sequence "
     "(A12 of Vargha and Delaney, its mean over the sequences weighted by their pairs; 50 % is no difference). p: "
     "Wilcoxon's signed-rank test, adjusted for all rows by Holm. Detectable: the ratio that so many runs detect in "
-    "four cases of five. Seeds of one sequence are similar, so p is too small rather than too large. “No difference "
+    "four cases of five, whatever the other rows show; “none” if they cannot. Seeds of one sequence are similar, and "
+    "the best-ranked method is chosen from the same runs, so p is too small rather than too large. “No difference "
     "shown” means that there is no difference, or too few runs to show one."
 )
 FILES = Markup(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from urllib.parse import quote
 
@@ -60,8 +61,14 @@ def _comparison_row(comparison: Comparison, strokes: Strokes, one: PairedCompari
         *(Cell(str(count), count) for count in (one.runs, one.better, one.worse)),
         DASH if one.ratio is None else Cell(f"{one.ratio:.2f}", one.ratio),
         Cell(f"{100 * one.larger:.0f} %", one.larger), Cell(f"{one.p:.2g}", one.p),
-        Cell("over 10" if one.detectable > 10 else f"{one.detectable:.2f}", one.detectable),
+        Cell(_format_detectable(one.detectable), one.detectable),
     ]  # fmt: skip
+
+
+def _format_detectable(ratio: float) -> str:
+    if math.isinf(ratio):
+        return "none"
+    return "over 10" if ratio > 10.0 else f"{ratio:.2f}"
 
 
 def agreement_table(validation: MetricValidation, metrics: Sequence[Metric]) -> Table:

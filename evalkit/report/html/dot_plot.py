@@ -170,14 +170,17 @@ def _dot(panel: _Panel, method: str) -> Markup:
 
 def _mark(panel: _Panel, score: MethodScore) -> tuple[str, str]:
     """Return what a score is on a data set, in words and as the class of its dot."""
+    tuned = "settings chosen here: not counted"
+    if score.lost is not None:
+        return f"lost the track {format_losses(score)}{f'; {tuned}' if score.tuned else ''}", "lost"
     if score.tuned:
-        return "settings chosen here: not counted", "tuned"
+        return tuned, "tuned"
     if len(panel.ranking.ranked) == 1 and panel.contest is not None and score.method in panel.contest.leaders:
         return "the only one ranked", "tied"
     words = {
         "best": ("best", "tied"), "tied": ("tied with the best", "tied"), "worse": ("worse than the best", ""),
         "undecided": (OUTVOTED if score.method in panel.ranking.outvoted else TOO_FEW, "unranked"),
-        "lost": (f"lost the track {format_losses(score)}", "lost"), "not comparable": ("not comparable", "unranked"),
+        "not comparable": ("not comparable", "unranked"),
     }  # fmt: skip
     return words[mark(panel.ranking, score.method)]
 

@@ -10,7 +10,7 @@ from evalkit.commands.tune import page, results_json, search_loop
 from evalkit.commands.tune.config import tuning_from_tables
 from evalkit.commands.tune.objective import mark_pareto_front
 from evalkit.commands.tune.result import TuningResult
-from evalkit.report.html.blocks import render
+from evalkit.report.html.blocks import Cell, Table, render
 
 ATE = "ate_rmse_m"
 SEEDS = range(10)
@@ -107,3 +107,18 @@ def test_a_point_that_loses_runs_is_not_on_the_pareto_front():
 
 def test_a_title_with_a_script_is_escaped(build, record):
     assert "<script>alert(1)" not in render(page.build_document(build_tuning(build, record, 0.05)))
+
+
+def test_errors_have_the_units_of_every_other_page(build, record):
+    summary, held_out = page.build_document(build_tuning(build, record, 0.05)).sections[:2]
+    tables = [block for block in held_out.blocks if isinstance(block, Table)]
+    cells = [cell.text if isinstance(cell, Cell) else cell for table in tables for row in table.rows for cell in row]
+    assert "105\u00a0mm" in cells
+    assert any(text.startswith("55\u00a0mm (") for text in cells)
+    ratio = np.exp(np.mean([np.log((0.05 + 0.001 * seed) / (0.10 + 0.001 * seed)) for seed in SEEDS]))
+    lower = 104.5 * (1.0 - ratio)
+    assert any(text.startswith(f"\u2212{lower:.1f}\u00a0mm (97\u00a0% interval") for text in cells)
+    assert "100\u00a0mm → 1.0\u00a0mm" in [
+        cell.text for block in summary.blocks if isinstance(block, Table) for row in block.rows for cell in row
+        if isinstance(cell, Cell)
+    ]  # fmt: skip

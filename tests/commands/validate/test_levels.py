@@ -438,6 +438,18 @@ def test_poses_beyond_a_margin_that_only_their_mean_keeps_are_said(worst, said):
     assert format_margin({"room": {"exact": make_poses_comparison(*worst)}}, "exact") == said
 
 
+def test_answers_that_rounding_decides_are_said_with_their_number():
+    intervals = [{"unit": "m", "worst": 5.7e-3, "margin": 1e-4}, {"unit": "rad", "worst": 1e-7, "margin": 1e-5}]
+    compared = {
+        "equivalent": False, "level": "answers", "margin": {"metres": 1e-4, "radians": 1e-5}, "intervals": intervals,
+        "beyond_rounding": 0, "unanswered": 0, "excepted": 2, "questions": 132,
+    }  # fmt: skip
+    assert format_margin({"room": {"float32": compared}}, "float32") == (
+        "within the single-precision rounding margin (0.0001 m and 1e-05 rad; rounding decides 2 of 132 answers, at most "
+        "0.0057 m apart)"
+    )
+
+
 def test_without_results_no_margin_is_chosen():
     assert choose_margin({"room": KILLED}, ["exact", "float32"]) == "exact"
     assert format_margin({"room": KILLED}, "exact") == "within no margin: no question was answered"
