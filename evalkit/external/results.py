@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -30,6 +31,11 @@ PARAMETERS = (
     Parameter("tolerance_s", 0.02, "s", "otherwise take the nearest pose within this time of the scan",
               low=0.0),
 )  # fmt: skip
+
+MIN_PATH_M, MAX_OFF = 1.0, 2.0
+"""Paths are compared where the wheel odometry drives this far, and have a unit within this factor."""
+
+BEYOND_ROBOTS_M_S = 60.0
 
 
 def scheme(rest: str) -> BackendSpec:
@@ -104,14 +110,39 @@ class PosesFromFile:
     def __init__(self, address: str, *, poses_of: str, max_gap_s: float, tolerance_s: float) -> None:
         self._file = PoseFile(address, poses_of, max_gap_s, tolerance_s)
         self._world_from_start: Pose | None = None
+        self._answers: list[tuple[int, Pose, Pose | None]] = []
 
     def update(self, frame: Frame) -> OdometryEstimate:
         """Look the pose up; raises NoAnswer where the file has no pose near the scan's first beam."""
         world_from_base = self._file.find(frame.scan.stamp_ns, frame.base_from_sensor)
+        self._answers.append((frame.scan.stamp_ns, world_from_base, frame.odom_from_base))
         if self._world_from_start is None:
             self._world_from_start = world_from_base
             return OdometryEstimate(Pose(), cost=COMPUTED_ELSEWHERE)
         return OdometryEstimate(self._world_from_start.inverse() @ world_from_base, cost=COMPUTED_ELSEWHERE)
+
+    def remarks(self) -> tuple[str, ...]:
+        """Say where the file is not in metres, by the path of the wheel odometry or else by the speed."""
+        if len(self._answers) < 2:
+            return ()
+        path_m = _measure_path(pose for _, pose, _ in self._answers)
+        seconds = (self._answers[-1][0] - self._answers[0][0]) * 1e-9
+        wheels_m = _measure_path(pose for _, _, pose in self._answers if pose is not None)
+        whole = all(pose is not None for _, _, pose in self._answers) and wheels_m > MIN_PATH_M
+        if not whole:
+            speed = f"its poses move at {path_m / seconds:.0f} m/s, faster than any robot"
+            return (f"{speed}: mm or cm taken for m?",) if path_m > BEYOND_ROBOTS_M_S * seconds else ()
+        for unit, share in (("mm", 1000), ("cm", 100)):
+            if 1.0 / MAX_OFF < path_m / (share * wheels_m) < MAX_OFF:
+                what = f"its path is {path_m:.0f} m, that of the wheel odometry {wheels_m:.1f} m: lengths in {unit}"
+                return (f"{what}? Divide x and y by {share}",)
+        return ()
+
+
+def _measure_path(poses: Iterable[Pose]) -> float:
+    """Return the length (m) of a path."""
+    rows = np.array([(pose.x, pose.y) for pose in poses]).reshape(-1, 2)
+    return float(np.hypot(*np.diff(rows, axis=0).T).sum())
 
 
 class CorrectedPosesFromFiles:
@@ -127,6 +158,10 @@ class CorrectedPosesFromFiles:
         estimate = self._online.update(frame)
         self._answered.append((frame.scan.stamp_ns, frame.base_from_sensor))
         return estimate
+
+    def remarks(self) -> tuple[str, ...]:
+        """Say where the first file is not in metres."""
+        return self._online.remarks()
 
     def trajectory(self) -> Trajectory:
         """Return the corrected poses; raises BackendFailed where the second file has none for an answered scan."""

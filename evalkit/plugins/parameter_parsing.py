@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from types import MappingProxyType
 
 from evalkit.core.errors import BadParameter
@@ -33,6 +34,11 @@ def parse_dataset(text: str, shared: Mapping[str, str] = MappingProxyType({})) -
         name, *words = shlex.split(text) or [""]
     except ValueError as error:
         raise BadParameter("data set", "on", text, f"a data set's name and NAME=VALUE ({error})") from error
+    if name and name not in registry.names("datasets") and Path(name).exists():
+        expected = (
+            f"a data set; of a file its reader, 'READER path={name}', which evalkit inspect {name} names (use = ...)"
+        )
+        raise BadParameter("data set", "on", name, expected)
     spec = registry.dataset(name)
     own = split_settings(name, words, "NAME=VALUE after the name of the data set")
     given = from_text(name, spec.parameters, {**shared, **own})

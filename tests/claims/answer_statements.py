@@ -401,7 +401,7 @@ def cheapest(
         yield from same("both count", [int(shared or counted), int(of or counted)], [both, counted])
 
 
-@kind(IN_PILLS, r"(?P<where>[^:]+): (?P<text>problem: .+|.+: check it)$")
+@kind(IN_PILLS, r"(?P<where>[^:]+): (?P<text>(?:problem|warning): .+)$")
 def doubt_pill(facts: Facts, where: str, text: str) -> Iterator[str]:
     yield from same("doubt", text in facts.content["sequences"][where]["warnings"], True)
 

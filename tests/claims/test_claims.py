@@ -145,7 +145,7 @@ def _cases(record, build):
     both = build([*winner.records, *(one for name in "ab" for one in _seeds(record, name, [0.1, 0.2], room="hall"))])
     both = replace(both, sequences={**both.sequences, **cards})
     yield replace(both, methods={name: replace(card, tuned_on=("hall",)) for name, card in both.methods.items()})
-    doubtful = {"room": replace(winner.sequences["room"], warnings=("heading 0 deg, but the scans show 9: check it",))}
+    doubtful = {"room": replace(winner.sequences["room"], warnings=("warning: heading 0.5 deg, but the scans show 9",))}
     yield replace(winner, sequences=doubtful)
     yield replace(winner, methods={**winner.methods, "a": replace(winner.methods["a"], tuned_on=("room",))})
     runs = [

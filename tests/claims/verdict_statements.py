@@ -12,7 +12,7 @@ from statements import IN_VERDICTS, LOSS, kind, same
 END = r"\.(?= [A-Z]|$)"
 
 
-@kind(IN_VERDICTS, r"Doubt about the data: (?P<text>problem: .+?|.+?: check it)\.")
+@kind(IN_VERDICTS, rf"Doubt about the data: (?P<text>(?:problem|warning): .+?){END}")
 def doubt(facts: Facts, where: str, text: str) -> Iterator[str]:
     yield from same("doubt", text in facts.content["sequences"][where]["warnings"], True)
 

@@ -198,3 +198,25 @@ def test_corrected_poses_that_do_not_cover_the_answers_fail_with_the_place(tmp_p
     with pytest.raises(BadData, match="name corrected poses for a method only"):
         read_trajectory(f"{online}?final={online}")
     assert parse_address("run.mcap?topic=/odom&final=run.mcap?topic=/slam").final == "run.mcap?topic=/slam"
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.0, ""), (1.3, ""), (1000.0, "lengths in mm? Divide x and y by 1000"),
+                                              (100.0, "lengths in cm? Divide x and y by 100")])  # fmt: skip
+@pytest.mark.parametrize("wheels", [True, False])
+def test_poses_that_are_not_in_metres_are_remarked(poses, factor, said, wheels):
+    """The robot drives 3.9 m at 1 m/s; without wheel odometry only a speed tells, and no unit."""
+    true = np.stack([0.1 * np.arange(40), np.zeros(40), np.zeros(40)], axis=1)
+    odometry = make_odometry(poses(STAMPS, true * np.array([factor, factor, 1.0])))
+    for stamp, row in zip(STAMPS.tolist(), true, strict=True):
+        odometry.update(Frame(at(stamp).scan, Pose(), Pose.of(row) if wheels else None))
+    remarks = odometry.remarks()
+    if not said:
+        assert remarks == ()
+    elif wheels:
+        assert remarks == (f"its path is {3.9 * factor:.0f} m, that of the wheel odometry 3.9 m: {said}",)
+    else:
+        assert remarks == (f"its poses move at {factor:.0f} m/s, faster than any robot: mm or cm taken for m?",)
+
+
+def test_a_file_in_which_fewer_than_two_poses_were_asked_for_has_no_remark(poses):
+    assert make_odometry(poses(STAMPS, np.zeros((40, 3)))).remarks() == ()

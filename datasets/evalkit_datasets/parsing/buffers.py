@@ -24,12 +24,21 @@ class PoseBuffer:
 
     def __init__(self) -> None:
         self._stamps, self._rows = array("q"), array("d")
+        self.unstamped = 0
 
     def __len__(self) -> int:
         return len(self._stamps)
 
-    def append(self, stamp_ns: int, row: ArrayLike) -> None:
-        """Append a pose x, y, theta (3,)."""
+    def append(self, stamp_ns: int, row: ArrayLike, recorded_ns: int = 0) -> None:
+        """Append a pose x, y, theta (3,).
+
+        Where no pose has a stamp, each is given its time of recording; a single one at 0 is the start of a simulation.
+        """
+        if not stamp_ns and self.unstamped == len(self):
+            self.unstamped += 1
+            stamp_ns = recorded_ns
+        elif self.unstamped == len(self) == 1:
+            self.unstamped, self._stamps[0] = 0, 0
         self._stamps.append(stamp_ns)
         self._rows.extend(np.asarray(row, dtype=np.float64).tolist())
 

@@ -116,8 +116,8 @@ def read_bag(
         laser = _select_laser_topic(path, topics, topic, options)
         scans = _read_scans(reader, laser, contents, options)
         foreign = find_foreign_topics(laser, *_list_topics(topics, options), odometry)
-        for connection, message, _ in iter_messages(reader, (ODOMETRY,), foreign):
-            add_odometry(contents, connection.topic, message)
+        for connection, message, recorded_ns in iter_messages(reader, (ODOMETRY,), foreign):
+            add_odometry(contents, connection.topic, message, recorded_ns)
         taken = scans.stamps_ns[which]
         contents.tree.near_ns = int(taken[0]) if len(taken) else 0
         contents.tree.odometry_parents = frozenset({ODOMETRY_FRAME, *(parent for _, parent, _ in contents.odometry)})
@@ -219,14 +219,14 @@ def read_sweep(contents: Contents, message: Any, kind: str, recorded_ns: int, op
     return sweep
 
 
-def add_odometry(contents: Contents, topic: str, message: Any) -> bool:
+def add_odometry(contents: Contents, topic: str, message: Any, recorded_ns: int) -> bool:
     """Add the pose of an odometry message to ``contents``, or count it as damaged; return whether it was added."""
     matrix = _parse_matrix(contents, message.pose.pose.position, message.pose.pose.orientation)
     if matrix is None:
         return False
     key = topic, normalise_frame(message.header.frame_id), normalise_frame(message.child_frame_id)
     contents.odometry.setdefault(key, PoseBuffer()).append(
-        parse_stamp_ns(message.header), planar_pose_from_matrix(matrix).row
+        parse_stamp_ns(message.header), planar_pose_from_matrix(matrix).row, recorded_ns
     )
     return True
 

@@ -25,6 +25,9 @@ MAX_SWEEP_S = 3600.0
 MAX_RANGE_M = 100.0
 """Ranges from here on are no returns where the message states no limit."""
 
+MIN_RANGE_MAX_M = 0.5
+"""No lidar has a smaller maximum."""
+
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy types by the numbers of sensor_msgs/PointField."""
 
@@ -255,7 +258,10 @@ def _parse_fields(options: SweepOptions, message: Any, recorded_ns: int) -> Swee
     stamp = recorded_ns if header is None else parse_stamp_ns(header) or recorded_ns
     frame = "" if header is None else normalise_frame(header.frame_id)
     low, high = (float(getattr(message, name, 0.0)) for name in ("range_min", "range_max"))
-    scaled = [value * LENGTH_UNITS[fields.range_unit] for value in (low, high)]
+    scale = LENGTH_UNITS[fields.range_unit]
+    if high * scale < MIN_RANGE_MAX_M <= high:  # the ranges alone are in another unit
+        scale = 1.0
+    scaled = [value * scale for value in (low, high)]
     limits = scaled if np.isfinite(scaled).all() and 0.0 <= scaled[0] < scaled[1] else [0.0, MAX_RANGE_M]
     increment = _time_increment_s(message)
     if increment * len(ranges) > MAX_SWEEP_S:

@@ -150,6 +150,9 @@ class RosBag:
             "scans out of order": whole.backwards,
             "scans with a repeated stamp dropped": whole.repeated,
             "scans without a stamp, given the time of recording": contents.unstamped,
+            "odometry poses without a stamp, given the time of recording": sum(
+                one.unstamped for one in contents.odometry.values()
+            ),
             "damaged messages dropped": contents.damaged,
             **(contents.damage.count() if contents.damage else {}),
         }

@@ -110,9 +110,12 @@ def _parse_factors(text: str) -> list[float]:
 
 
 def _as_json(backend: str, on: str, result: RealtimeResult) -> dict[str, Any]:
-    """The result as JSON values; a device is ``broken`` compared with the first one, which takes no time."""
-    reference = result["devices"][0]["at_hand"]["ate_rmse_m"]
-    devices = [device | {"broken": _is_broken(device, reference)} for device in result["devices"]]
+    """The result as JSON values; a device is ``broken`` compared with the first one, which takes no time.
+
+    Without ground truth that is unknown, None, unless a device or the first one is lost.
+    """
+    first = result["devices"][0]
+    devices: list[dict[str, Any]] = [device | {"broken": _is_broken(device, first)} for device in result["devices"]]
     return {
         "backend": backend,
         "sequence": on,
@@ -123,7 +126,7 @@ def _as_json(backend: str, on: str, result: RealtimeResult) -> dict[str, Any]:
         "waits": _find_waits(result),
         "growth": dict(zip(map(str, result["gaps"].tolist()), result["growth"].tolist(), strict=True)),
         "linear": result["linear"],
-        "breaks_at": find_breaking_factor([one["factor"] for one in devices], [one["broken"] for one in devices]),
+        "breaks_at": find_breaking_factor([one["factor"] for one in devices], [bool(one["broken"]) for one in devices]),
         "devices": devices,
     }
 
@@ -144,9 +147,11 @@ def _find_waits(result: RealtimeResult) -> dict[str, float] | None:
     return {"scans": count, "scan": longest + 1, "longest_ms": float(waits[longest] * 1e-6)} if count else None
 
 
-def _is_broken(device: dict[str, Any], reference: float | None) -> bool:
-    ate = device["at_hand"]["ate_rmse_m"]
-    return reference is None or RULE.is_broken(None if device["lost"] else ate, reference)
+def _is_broken(device: dict[str, Any], first: dict[str, Any]) -> bool | None:
+    reference = first["at_hand"]["ate_rmse_m"]
+    if first["lost"] or device["lost"]:
+        return True
+    return None if reference is None else RULE.is_broken(device["at_hand"]["ate_rmse_m"], reference)
 
 
 def _print(content: dict[str, Any], on: str) -> None:
@@ -165,6 +170,8 @@ def _print(content: dict[str, Any], on: str) -> None:
     else:
         limit = f"by its CPU time, a device up to {content['headroom']:.3g} times slower answers every scan in time"
     breaks = "not broken at any factor" if content["breaks_at"] is None else f"broken from {content['breaks_at']:g} on"
+    if content["breaks_at"] is None and any(device["broken"] is None for device in content["devices"]):
+        breaks = "without a true trajectory, its errors are unknown"
     for text in (
         f"{backend} on {content['sequence']}: {limit}; {breaks}.",
         f"{content['median_cost_ms']:.2f} ms of CPU time per scan on this machine (median). Broken: {RULE}.",
@@ -182,7 +189,10 @@ def _print(content: dict[str, Any], on: str) -> None:
     for line in format_rows(head, _make_rows(content), table_width(out), cost=""):
         out.print(line)
     without_seed = shlex.join(word for word in shlex.split(on) if not word.startswith("seed="))  # a tuning has its own
-    words = shlex.join(["evalkit", "tune", content["backend"], "--on", without_seed])
+    where = ["--on", without_seed]
+    if not registry.dataset(shlex.split(on)[0]).seeded:  # a recording cannot be drawn again: it judges
+        where = ["--on", defaults.find_simulated_dataset(), "--held-out", without_seed]
+    words = shlex.join(["evalkit", "tune", content["backend"], *where])
     out.print(f"\nnext: {words} (cheaper or better parameters)", soft_wrap=True)
 
 
@@ -198,8 +208,15 @@ def _make_rows(content: dict[str, Any]) -> list[RankedRow]:
         name = f"{device['factor']:g} x slower" if device["factor"] else "no drops"
         rows[same] = RankedRow(
             f"up to {name}" if same in rows else name,
-            "lost" if error is None else f"{1000.0 * error:.0f} mm", f"{100 * device['dropped']:.1f} % dropped{late}",
+            _format_error(device), f"{100 * device['dropped']:.1f} % dropped{late}",
             f"{device['age_ms'][1]:.3g} ms", f"broken {device['lost']}".strip() if device["broken"] else "",
             error or 0.0,
         )  # fmt: skip
     return list(rows.values())
+
+
+def _format_error(device: dict[str, Any]) -> str:
+    error = device["at_hand"]["ate_rmse_m"]
+    if error is None:
+        return "unknown" if device["broken"] is None else "lost"
+    return f"{1000.0 * error:.0f} mm"

@@ -68,6 +68,18 @@ def test_the_next_command_names_the_world_without_its_seed_and_tune_takes_it(cap
         make_tuning_tables([backend], ["room seed=1"], [], 2, {})
 
 
+def test_the_next_command_of_a_recording_trains_on_a_world_and_judges_on_the_recording(tmp_path, capsys):
+    bag = tmp_path / "drive.bag"
+    bag.touch()
+    command._print(command._as_json("embedded", "rosbag", result_of([10.0, 6.0, 8.0])), f"rosbag path={bag}")
+    line = capsys.readouterr().out.splitlines()[-1]
+    said = line.removeprefix("next: evalkit tune ").removesuffix(" (cheaper or better parameters)")
+    backend, _, on, option, held_out = shlex.split(said)
+    assert option == "--held-out"
+    made = tuning_from_tables(make_tuning_tables([backend], [on], [held_out], 2, {}), "evalkit tune", "x", "y")
+    assert [one.parameters["path"] for one in made.held_out] == [str(bag)]
+
+
 def test_a_wait_far_above_the_cpu_time_is_named_with_its_scan(capsys):
     shown = show(result_of([10.0, 6.0, 8.0], waits_ms=[1.0, 400.0, 50.0]), capsys)
     assert "by its CPU time, a device up to 10 times slower answers every scan in time" in shown
@@ -109,3 +121,24 @@ def test_an_invalid_data_set_is_refused_before_any_measurement(tmp_path, on, mes
     assert isinstance(error, BadParameter)
     assert message in str(error)
     assert not list(tmp_path.iterdir())
+
+
+def test_without_a_true_trajectory_no_device_is_called_broken_or_lost(capsys):
+    result = result_of([10.0, 6.0, 8.0])
+    for device in result["devices"]:
+        device["at_hand"] = {"ate_rmse_m": None}
+    content = command._as_json("mine", "room", result)
+    assert [content["breaks_at"], *(device["broken"] for device in content["devices"])] == [None, None, None]
+    shown = show(result, capsys)
+    assert "; without a true trajectory, its errors are unknown." in shown
+    assert "up to 1 x slower unknown" in shown
+    assert "lost" not in shown.split("age (95 %)")[1]
+    result["devices"][1]["lost"] = "fewer than two answers"
+    assert command._as_json("mine", "room", result)["breaks_at"] == 1.0  # that is known without a truth
+
+
+def test_a_path_instead_of_a_data_set_says_how_a_file_is_given(tmp_path):
+    bag = tmp_path / "drive.bag"
+    bag.touch()
+    with pytest.raises(BadParameter, match=r"of a file its reader, 'READER path=.*drive\.bag', which evalkit inspect"):
+        make_tuning_tables(["embedded"], [str(bag)], [], 2, {})

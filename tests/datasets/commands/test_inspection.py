@@ -626,6 +626,24 @@ def test_errors_of_invalid_files_are_those_of_the_readers(tmp_path):
         inspect_recording(tmp_path / "empty")
 
 
+@pytest.mark.parametrize(
+    ("begin", "end", "said"),
+    [
+        ("2023-11-14T22:13:{at:02d}+00:00,", "", r"texts such as '2023-11-14T22:13:00\+00:00'; write numbers alone"),
+        ('{at},"[', ']"', r"texts such as '\"\[2\.0'; write numbers alone"),
+        ("", "one beam", r"text of 3 columns of numbers: too few for a scan a line; write one line per scan"),
+    ],
+)
+def test_a_text_log_with_times_or_ranges_that_are_no_numbers_names_them(tmp_path, begin, end, said):
+    ranges = ",".join(["2.0"] * 60)
+    lines = [f"{begin.format(at=at)}{ranges}{end}" for at in range(60)]
+    if end == "one beam":
+        lines = [f"{at // 20},{at % 20},2.0" for at in range(600)]
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(BadData, match=said):
+        inspect_recording(tmp_path / "run.csv")
+
+
 def test_the_command_prints_json_and_writes_a_page(tmp_path):
     app = typer.Typer()
     app.command()(inspect)

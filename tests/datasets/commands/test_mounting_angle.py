@@ -102,7 +102,8 @@ def test_the_heading_is_applied_where_nothing_states_it(tmp_path):
     assert choice.warns  # on the page, too: nothing in the recording shows them
     (warning,) = _choose_mounting(found, lidar, ReaderTrial(mounting=Pose(0.0, 0.0, math.pi / 2.0)))
     assert (warning.value, warning.warns) == (None, True)
-    assert "lidar heading 90 deg, as recorded, but the scans show -30 deg" in warning.reason
+    assert "warning: lidar heading 90 deg, as recorded, but the scans show -30 deg" in warning.reason
+    assert "; if they are right, give --set 'base_from_sensor=0 0 -0.5" in warning.reason
     absent = str(tmp_path / "nothing.tum")  # the bag is not opened: what it says of the mounting is unknown
     chosen = choose_parameters("rosbag", {"path": str(bag), "ground_truth": absent})
     assert not [one.reason for one in chosen if one.name == "base_from_sensor"]

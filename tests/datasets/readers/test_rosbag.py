@@ -66,7 +66,7 @@ class Bag:
             self.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)),
         )
 
-    def odom(self, stamp, x, y=0.0, yaw=0.0, topic="/odom", child="base_link"):
+    def odom(self, stamp, x, y=0.0, yaw=0.0, topic="/odom", child="base_link", recorded=None):
         nothing = np.zeros(36)
         pose = self.make("geometry_msgs/msg/Pose", *self.pose(x, y, yaw))
         twist = self.make(
@@ -79,7 +79,7 @@ class Bag:
             self.make("geometry_msgs/msg/PoseWithCovariance", pose, nothing),
             self.make("geometry_msgs/msg/TwistWithCovariance", twist, nothing),
         )  # fmt: skip
-        return self.add(topic, "nav_msgs/msg/Odometry", message, stamp)
+        return self.add(topic, "nav_msgs/msg/Odometry", message, recorded or stamp)
 
     def tf(self, stamp, parent, child, x=0.0, y=0.0, quaternion=(0.0, 0.0, 0.0, 1.0), static=True, space=""):
         transform = self.make(

@@ -181,7 +181,7 @@ def directions(path, **given):
 
 def test_a_lidar_upside_down_without_a_transform_is_a_problem_on_arcs_and_the_advice_mends_it(tmp_path):
     path = write_drive(tmp_path, turn=0.07)
-    assert directions(path) == [("problem", True)]
+    assert directions(path) == [("warning", True)]
     assert directions(path, fields=f"{FIELDS} clockwise") == []
     (turn,) = inspect_recording(path, given={"fields": f"{FIELDS} clockwise"}).turns.values()
     assert turn.scale == pytest.approx(1.0, abs=0.1)
@@ -216,12 +216,29 @@ def test_wrong_units_of_ranges_and_times_are_noticed_and_said_before_a_compariso
     found = [finding for finding in recording.findings if finding.level == "problem"]
     assert [said in finding.what for finding in found] == ([True] if said else [])
     assert all(finding.advice for finding in found)
-    told = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "problem" in one.reason]
-    assert told == [f"problem: {one.about}: {one.what}; {one.advice}" for one in found]
+    chosen = choose_parameters("rosbag", {"path": str(path)})
+    told = [one.reason for one in chosen if one.name == "fields" or "problem" in one.reason]
     if scale > 1.0:  # the advice mends it
+        mended = found[0].advice.replace("give", "mended by")
+        assert told == [f"warning: {one.about}: {one.what}; {mended}" for one in found]
         fields = found[0].advice.split("'")[1].removeprefix("fields=")
         scan = next(RosBag(str(path), fields=fields).frames()).scan
         np.testing.assert_allclose(scan.ranges, np.linspace(2.0, 4.0, 200), atol=1e-4)
+    else:
+        assert told == [f"problem: {one.about}: {one.what}; {one.advice}" for one in found]
+
+
+def test_ranges_in_millimetres_beside_limits_in_metres_are_mended(tmp_path):
+    bag = Bag("mcap")
+    for k in range(12):
+        given = {"angle_increment": 0.01, "time_increment": 0.0005}  # limits: 0.125 to 12 m
+        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), **given)
+    path = bag.write(tmp_path)
+    mend = {"fields": f"{FIELDS} range_unit=mm"}
+    assert suggested(path) == (mend, 0)
+    scan = next(RosBag(str(path), **mend).frames()).scan
+    np.testing.assert_allclose([scan.range_min_m, scan.range_max_m], [0.125, 12.0])
+    assert scan.hits.all()
 
 
 def suggested(path):
@@ -757,17 +774,20 @@ def test_of_robots_with_the_same_frames_the_odometry_in_the_namespace_of_the_lid
     assert [one.value for one in chosen if one.name == "odometry"] == ["/robot1/odom"]
 
 
-def test_a_clock_that_was_set_back_is_a_problem_that_a_comparison_repeats(tmp_path):
+def test_of_a_recording_whose_clock_was_set_back_the_longer_part_is_taken(tmp_path):
     bag = Bag("mcap")
     for at in range(100):
         stamp = T0 + at * PERIOD - (2 * 10**9 + PERIOD // 2 if at >= 50 else 0)
         bag.scan(stamp, [2.0 + 0.01 * at, 3.0, 4.0, 5.0, 6.0], recorded=T0 + at * PERIOD)
     path = bag.write(tmp_path)
     (said,) = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "go back" in one.reason]
-    assert "problem: clock set back: the stamps of /scan go back by 1.95 s at 4.9 s (once)" in said
+    assert "warning: clock set back: the stamps of /scan go back by 1.95 s at 4.9 s (once)" in said
+    assert said.endswith("scans of different places mix; mended by --set limit=30")
+    assert suggest_config(inspect_recording(path)).parameters["limit"] == 30
     mended = choose_parameters("rosbag", {"path": str(path), "limit": 30})
     assert not [one for one in mended if "go back" in one.reason]
-    assert said.endswith("--set limit=30 or --set start=70")
+    (found,) = [one for one in inspect_recording(path).findings if "go back" in one.what]
+    assert (found.level, found.advice.split(": ")[1]) == ("problem", "--set limit=30 or --set start=70")
     assert RosBag(str(path), limit=30).stamps_ns[-1] == T0 + 29 * PERIOD
     assert RosBag(str(path), start=70).stamps_ns[0] == T0 + 49 * PERIOD + PERIOD // 2
 
@@ -782,16 +802,16 @@ def test_a_scan_that_comes_late_is_no_clock_that_was_set_back(tmp_path):
 
 
 @pytest.mark.parametrize("apart_s", [3600, -1_600_000_000])
-def test_an_odometry_with_another_clock_is_not_taken(tmp_path, apart_s):
+def test_an_odometry_with_another_clock_is_taken_with_the_shift_of_its_times(tmp_path, apart_s):
     bag = Bag("mcap").tf(T0, "base_link", "laser")
     for at in range(50):
         stamp = T0 + at * PERIOD
         bag.scan(stamp + apart_s * 10**9, [2.0, 3.0, 4.0, 5.0, 6.0], recorded=stamp).odom(stamp, 0.1 * at)
     path = bag.write(tmp_path)
     chosen = choose_parameters("rosbag", {"path": str(path)})
-    assert [one.value for one in chosen if one.name == "odometry"] == ["none"]
+    assert [one.value for one in chosen if one.name in ("odometry", "stamp_shift_s")] == [-apart_s, None]
     side = "before" if apart_s > 0 else "after"
-    (said,) = [one.reason for one in chosen if "two clocks" in one.reason and one.reason.startswith("problem")]
+    (said,) = [one.reason for one in chosen if "two clocks" in one.reason and one.reason.startswith("warning")]
     assert f"it begins {abs(apart_s)} s {side} the scans" in said
     mended = choose_parameters("rosbag", {"path": str(path), "stamp_shift_s": -apart_s})
     assert not [one for one in mended if one.value == "none" or "two clocks" in one.reason]
@@ -821,8 +841,8 @@ def test_clocks_whose_times_overlap_are_told_apart_by_the_times_of_recording(tmp
         return
     side = f"{abs(ahead_s):.2f} s {'ahead of' if ahead_s > 0 else 'behind'} those of the scans: two clocks"
     topic = "tf" if tf else "/odom"
-    mend = f"give --set stamp_shift_s={ahead_s:.2f}, or record with one clock"
-    assert said == [f"problem: odometry {topic}: by the times of recording, its stamps are {side}; {mend}"]
+    mend = f"mended by --set stamp_shift_s={ahead_s}"
+    assert said == [f"warning: odometry {topic}: by the times of recording, its stamps are {side}; {mend}"]
     mended = choose_parameters("rosbag", {"path": str(path), "stamp_shift_s": ahead_s})
     assert not [one for one in mended if one.name == "problem" and "clocks" in one.reason]
     last = list(RosBag(str(path), stamp_shift_s=ahead_s).frames())[-1]
@@ -833,12 +853,12 @@ def test_clocks_whose_times_overlap_are_told_apart_by_the_times_of_recording(tmp
 def test_turns_tell_the_time_of_scans_better_than_the_times_of_recording(tmp_path, late_s, ahead_s):
     """Scans that are recorded late have right stamps."""
     path = turn_to_and_fro(tmp_path, -ahead_s, recorded_s=late_s - ahead_s, time_increment=0.0)
-    said = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if "stamp_shift_s" in one.reason]
+    chosen = choose_parameters("rosbag", {"path": str(path)})
     if not ahead_s:
-        assert said == []
+        assert not [one for one in chosen if "stamp_shift_s" in one.reason]
         return
-    shift_s = float(re.search(r"--set stamp_shift_s=(\S*),", said[0])[1])
-    assert (len(said), shift_s) == (1, pytest.approx(-ahead_s, abs=0.02))
+    (shift_s,) = [one.value for one in chosen if one.name == "stamp_shift_s"]
+    assert shift_s == pytest.approx(-ahead_s, abs=0.02)
 
 
 @pytest.mark.parametrize(("first", "said"), [(0, 0), (4, 0), (6, 1)])
@@ -907,7 +927,7 @@ def test_a_time_increment_that_cannot_be_right_is_a_problem_and_no_wrong_stamp(t
         return [one.reason for one in found if "time_increment" in one.reason or "stamps of" in one.reason]
 
     what = "a scan takes 71.8 s by its time_increment, but the next begins after 0.2 s"
-    assert tell() == [f"problem: /scan: {what}; if the lidar turns once a scan, give --set sweep_s=0.2"]
+    assert tell() == [f"warning: /scan: {what}; mended by --set sweep_s=0.2"]
     assert tell(sweep_s=0.2) == []
 
 
@@ -980,3 +1000,41 @@ def test_a_lidar_without_a_mounting_is_said_to_be_taken_as_the_base(tmp_path):
             bag.scan(T0 + at * PERIOD, [2.0, 3.0, 4.0, 5.0, 6.0])
         chosen = choose_parameters("rosbag", {"path": str(bag.write(folder))})
         assert any(one.reason.startswith(told) for one in chosen) is (folder is bare)
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_an_odometry_without_any_stamp_has_the_times_of_recording_as_the_scans_have(tmp_path, stamped):
+    """A clock of a simulation begins at 0: its first stamp is one."""
+    bag = Bag("mcap").tf(T0, "base_link", "laser")
+    for at in range(50):
+        stamp = at * PERIOD if stamped else 0
+        bag.odom(stamp, 0.1 * at, recorded=T0 + at * PERIOD)
+        bag.scan(stamp or stamped, [2.0, 3.0, 4.0, 5.0, 6.0], recorded=T0 + at * PERIOD)
+    path = bag.write(tmp_path)
+    recording = RosBag(str(path))
+    assert list(recording.frames())[-1].odom_from_base.x == pytest.approx(4.9)
+    assert (
+        recording.notes().get("odometry poses without a stamp, given the time of recording", 0) == (0, 50)[not stamped]
+    )
+    assert not [one for one in inspect_recording(path).findings if one.level == "problem"]
+
+
+def test_scans_with_one_stamp_are_not_said_to_be_placed_apart(tmp_path):
+    bag = Bag("mcap")
+    for at in range(20):
+        bag.scan(T0, [2.0, 3.0, 4.0, 5.0, 6.0], recorded=T0 + at * PERIOD)
+    path = bag.write(tmp_path)
+    (said,) = [one for one in inspect_recording(path).findings if "stamp of another scan" in one.what]
+    assert said.advice == "the reader keeps the first of equal stamps; record the time of each scan"
+    assert len(RosBag(str(path))) == 1
+
+
+def test_a_lidar_whose_frame_no_transform_names_is_told_which_frames_there_are(tmp_path):
+    bag = Bag("mcap").tf(T0, "base_link", "lidar_link", 0.2)
+    for at in range(20):
+        bag.odom(T0 + at * PERIOD, 0.1 * at).scan(T0 + at * PERIOD, [2.0, 3.0, 4.0, 5.0, 6.0], frame="laser")
+    path = bag.write(tmp_path)
+    (said,) = [one for one in inspect_recording(path).findings if one.about == "lidar frame laser"]
+    assert said.what == "no transform leads to it; those in the recording have the frames base_link, lidar_link"
+    reasons = [one.reason for one in choose_parameters("rosbag", {"path": str(path)}) if one.name == "base_from_sensor"]
+    assert ["of 'laser', but those of base_link, lidar_link" in reason for reason in reasons] == [True]

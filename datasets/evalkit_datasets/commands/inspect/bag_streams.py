@@ -147,7 +147,7 @@ def _take_message(own: _TopicContent, topic: str, message: Any, recorded_ns: int
             own.stamps_ns.append(sweep.stamp_ns)
             own.recorded_ns.append(recorded_ns)
         return
-    if rosbag_parser.add_odometry(own.contents, topic, message):
+    if rosbag_parser.add_odometry(own.contents, topic, message, recorded_ns):
         own.recorded_ns.append(recorded_ns)
         own.twists.extend((float(message.twist.twist.linear.x), float(message.twist.twist.angular.z)))
 

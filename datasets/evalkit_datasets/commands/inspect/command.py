@@ -129,10 +129,11 @@ def _print_inspection(recording: Inspection, advice: SuggestedConfig | None) -> 
     if advice is None:
         return
     for reason in advice.reasons:
-        print_hanging(out, f"chosen: {reason}", "green")
+        style = next((STYLES[level] for level in STYLES if reason.startswith(f"{level}: ")), None)
+        print_hanging(out, f"chosen: {reason}" if style is None else reason, style or "green")
     for defect in advice.defects:
         print_hanging(out, f"known defect: {defect}")
-    opened = f"opened: {advice.scans} scans{', with ground truth' if advice.truth else ''}"
+    opened = f"opened: {format_count(advice.scans, 'scan')}{', with ground truth' if advice.truth else ''}"
     print_hanging(out, f"does not run: {advice.problem}" if advice.problem else opened)
     block = f"\n{advice.table}\n{advice.command}"  # lines stay whole, to be copied
     out.print(block, soft_wrap=True)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from evalkit_datasets.commands.inspect.finding import InspectionFinding, Level, format_count, note, problem, warning
-from evalkit_datasets.commands.inspect.frame_tree import FrameTree
+from evalkit_datasets.commands.inspect.frame_tree import FrameTree, list_frames
 from evalkit_datasets.commands.inspect.lidar_findings import check_lidars
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
 from evalkit_datasets.commands.inspect.log_streams import OLD_LASERS
@@ -108,6 +108,7 @@ def _check_frames(tree: FrameTree, streams: RecordingStreams) -> Iterator[Inspec
     if not tree.names and streams.lasers:
         yield warning("tf", "no transforms in it: the lidar's pose on the base is unknown",
                       "give base_from_sensor = 'x y theta' (m, m, rad)")  # fmt: skip
+    yield from _check_frames_of_lidars(tree, streams)
     for child, parents in tree.contested.items():
         yield warning("tf", f"frame '{child}' has several parents: {', '.join(parents)}")
     siblings = [child for parent, child in streams.tree.moving if parent == "odom"]
@@ -121,3 +122,11 @@ def _check_frames(tree: FrameTree, streams: RecordingStreams) -> Iterator[Inspec
         elif abs(mounting.theta_deg) > 1.0:
             what = f"rotated by {mounting.theta_deg:.0f} deg on '{mounting.base}'"
             yield note(f"lidar frame {mounting.sensor}", what)
+
+
+def _check_frames_of_lidars(tree: FrameTree, streams: RecordingStreams) -> Iterator[InspectionFinding]:
+    for frame in dict.fromkeys(laser.frame for laser in streams.lasers if tree.names):
+        if frame not in tree.names:
+            what = f"no transform leads to it; those in the recording have the frames {list_frames(tree)}"
+            advice = "if it is one of them, give its pose: base_from_sensor = 'x y theta' (m, m, rad)"
+            yield warning(f"lidar frame {frame}", what, advice)

@@ -10,6 +10,9 @@ from evalkit_datasets.commands.inspect.streams import LaserStream
 from evalkit_datasets.parsing.transforms import TransformTree, own_name, with_prefix_of
 from evalkit_datasets.readers.rosbag import BASE_FRAMES
 
+MAX_LISTED = 8
+"""Frames named in a message."""
+
 
 @dataclass(frozen=True, slots=True)
 class FrameLink:
@@ -69,6 +72,11 @@ def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream], bases: 
     contested = {child: tuple(dict.fromkeys(own)) for child, own in parents.items() if len(set(own)) > 1}
     mountings = [mounting for laser in lasers if (mounting := _find_mounting(tree, laser, bases)) is not None]
     return FrameTree(names, tuple(name for name in names if name not in parents), links, contested, tuple(mountings))
+
+
+def list_frames(tree: FrameTree) -> str:
+    """Return the names of the first frames for a message."""
+    return ", ".join(tree.names[:MAX_LISTED]) + (", ..." if len(tree.names) > MAX_LISTED else "")
 
 
 def mirror_if_upside_down(laser: LaserStream, tree: FrameTree) -> LaserStream:

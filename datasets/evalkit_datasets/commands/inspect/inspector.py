@@ -14,7 +14,7 @@ from evalkit_datasets.commands.inspect.finding import InspectionFinding
 from evalkit_datasets.commands.inspect.frame_tree import FrameTree, build_frame_tree, mirror_if_upside_down
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
 from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats, measure_odometry
-from evalkit_datasets.commands.inspect.odometry_unit import find_length_unit, scale_lengths
+from evalkit_datasets.commands.inspect.odometry_unit import compare_lengths, find_length_unit, scale_lengths
 from evalkit_datasets.commands.inspect.range_stats import measure_ranges
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, RecordingStreams, Topic
 from evalkit_datasets.commands.inspect.timing import MIN_CLOCK_STEP_S, ClockOffset, measure_clock_offset, measure_timing
@@ -102,6 +102,7 @@ def _measure_odometry(
     found = replace(found, unit=find_length_unit(wheels, laser, found.driving_m_s))
     if laser is None:
         return found, None
+    found = replace(found, lengths=None if found.unit is not None else compare_lengths(wheels, laser))
     turns = compare_turns(wheels, laser)
     apart_s = 0.0 if clock is None or found.clock is None else found.clock.median_s - clock.median_s
     if abs(apart_s) < MIN_CLOCK_STEP_S or (turns is not None and turns.agrees_in_time):

@@ -38,6 +38,9 @@ MAX_BEYOND = 0.5
 MIN_RATE_HZ, MAX_RATE_HZ, MIN_RATED = 0.02, 500.0, 10
 """Scans per second beyond which the unit of time is doubted, of at least so many scans."""
 
+MAX_HITS_BESIDE = 0.05
+"""Ranges beyond the maximum beside a larger share of hits may be a code for no return."""
+
 SURE_MILLIMETRES = 2000.0
 """Median range read as m from which it is in mm: in cm it would be 20 m, that of no room or hall."""
 
@@ -83,7 +86,11 @@ def check_lidars(lidars: Sequence[LidarStats], reader: str) -> Iterator[Inspecti
 def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
     found, about = lidar.timing, lidar.topic
     if not found.usable:
-        advice = "the reader places the scans one second apart in the order of the file: times and speeds are unknown"
+        advice = "the reader keeps the first of equal stamps; record the time of each scan"
+        if lidar.kind == LOG_LINES:
+            advice = (
+                "the reader places the scans one second apart in the order of the file: times and speeds are unknown"
+            )
         yield problem(about, f"{found.repeated} of {found.count} scans have the stamp of another scan", advice)
     elif found.repeated or found.backwards:
         what = f"stamps decrease {found.backwards} times, {found.repeated} are repeated"
@@ -124,11 +131,14 @@ def _check_steps_back(found: StreamTiming, about: str) -> Iterator[InspectionFin
     count = "once" if found.steps_back == 1 else f"{found.steps_back} times"
     where = f"{step.length_s:.2f} s at {step.at_s:.1f} s ({count})"
     back = f"the stamps of {about} go back by {where} while the recording goes on"
-    before = [f"--set limit={step.before}"] if step.before > 0 else []
-    behind = [f"--set start={step.behind}"] if step.behind < found.count - found.repeated else []
-    part = f"take the part before it or behind it: {' or '.join([*before, *behind])}"
-    advice = part if found.steps_back == 1 and [*before, *behind] else "mend the clock, and record again"
-    yield problem(SET_BACK, f"{back}: in the order of their stamps, scans of different places mix", advice)
+    before, behind = step.before, found.count - found.repeated - step.behind
+    parts = [f"--set limit={step.before}"] * (before > 0) + [f"--set start={step.behind}"] * (behind > 0)
+    part, mend = f"take the part before it or behind it: {' or '.join(parts)}", None
+    if found.steps_back > 1 or not parts:
+        part = "mend the clock, and record again"
+    else:
+        mend = ("limit", step.before) if before >= behind else ("start", step.behind)
+    yield problem(SET_BACK, f"{back}: in the order of their stamps, scans of different places mix", part, mend)
 
 
 def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[InspectionFinding]:
@@ -163,7 +173,8 @@ def _check_units(lidar: LidarStats, reader: str) -> Iterator[InspectionFinding]:
     if middle > MAX_MEDIAN_M or beyond > MAX_BEYOND:
         far = f"{100 * beyond:.0f} % of the ranges lie beyond the maximum of {lidar.range_max_m or 0.0:g} m"
         what = f"the median range is {middle:.0f} m" if beyond <= MAX_BEYOND else far
-        mend = ("fields", "range_unit=mm") if middle > SURE_MILLIMETRES else None
+        read_m = lidar.returns.beyond_m if lidar.returns.hits < MAX_HITS_BESIDE else middle
+        mend = ("fields", "range_unit=mm") if read_m > SURE_MILLIMETRES else None
         what = f"{what}: millimetres or centimetres taken for metres?"
         yield problem(lidar.topic, what, remedies.get("too long", ""), mend)
     elif 0.0 < middle < MIN_MEDIAN_M:

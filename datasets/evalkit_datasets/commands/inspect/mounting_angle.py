@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.core import se2
+from evalkit.core.arrays import Ints
 from evalkit.core.se2 import Floats
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, interpolate_odometry
 from evalkit_datasets.commands.inspect.timing import seconds_since_first
@@ -48,26 +49,51 @@ def estimate_mounting_angle(wheels: OdometryStream, laser: LaserStream) -> Mount
     While a differential drive moves straight, its base moves along x. The motion of the lidar between two scans is
     estimated from the scans alone; the angle between both directions is the heading of the lidar.
     """
-    times, order, poses = interpolate_odometry(wheels, laser)
-    if len(times) < MIN_PAIRS:
-        return None
-    headings = []
-    for one, other in _select_pairs(seconds_since_first(times), poses):
-        moved = se2.between(poses[one : one + 1], poses[other : other + 1])[0]
-        seen = estimate_motion(laser.ranges[order[one]], laser.ranges[order[other]], laser.angles)
-        if seen is None or not SPEED_RATIOS[0] < np.hypot(*seen[:2]) / np.hypot(*moved[:2]) < SPEED_RATIOS[1]:
-            continue
-        headings.append(math.atan2(moved[1], moved[0]) - math.atan2(seen[1], seen[0]))
+    moved, seen, _ = pair_motions(wheels, laser)
+    ratios = np.hypot(*seen[:, :2].T) / np.hypot(*moved[:, :2].T)
+    fits = (ratios > SPEED_RATIOS[0]) & (ratios < SPEED_RATIOS[1])
+    headings = (np.arctan2(moved[:, 1], moved[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0]))[fits]
     if len(headings) < MIN_PAIRS:
         return None
     around = math.atan2(float(np.mean(np.sin(headings))), float(np.mean(np.cos(headings))))
-    apart = np.degrees(se2.wrap(np.array(headings) - around))
+    apart = np.degrees(se2.wrap(headings - around))
     middle = float(np.median(apart))
     spread = 1.4826 * float(np.median(np.abs(apart - middle)))
     if spread > MAX_SPREAD_DEG:
         return None
     heading = math.degrees(float(se2.wrap(around + math.radians(middle))))
     return MountingAngle(heading, spread, 1.2533 * spread / math.sqrt(len(headings)), len(headings))
+
+
+def pair_motions(wheels: OdometryStream, laser: LaserStream) -> tuple[Floats, Floats, Ints]:
+    """Return motions (K, 3) of the base by an odometry and of the lidar by its scans, on straight drives.
+
+    With the indices (K, 2) of the two scans in the sample.
+    """
+    times, order, poses = interpolate_odometry(wheels, laser)
+    rows: list[tuple[Floats, Floats, Ints]] = []
+    for pair in _select_pairs(seconds_since_first(times), poses) if len(times) else ():
+        one, other = order[list(pair)].tolist()
+        seen = estimate_motion(laser.ranges[one], laser.ranges[other], laser.angles)
+        if seen is not None:
+            moved = se2.between(poses[pair[0] : pair[0] + 1], poses[pair[1] : pair[1] + 1])[0]
+            rows.append((moved, seen, np.array([one, other])))
+    if not rows:
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2), dtype=np.int64)
+    moved_all, seen_all, scans = (np.array(column) for column in zip(*rows, strict=True))
+    return moved_all, seen_all, scans
+
+
+def measure_visible_share(one: Floats, other: Floats, angles: Floats, way: float) -> float:
+    """Return how much of a motion in a direction (rad, in the frame of the lidar) its ranges (B,) show, 0 to 1.
+
+    Along a bare corridor that is nothing; across it, nearly all.
+    """
+    found = _find_flow(one, other, angles)
+    if found is None:
+        return 0.0
+    rows = found[0][:, :2]
+    return float(np.linalg.norm(rows @ [math.cos(way), math.sin(way)]) / np.linalg.norm(rows))
 
 
 def estimate_motion(one: Floats, other: Floats, angles: Floats) -> Floats | None:
@@ -78,18 +104,10 @@ def estimate_motion(one: Floats, other: Floats, angles: Floats) -> Floats | None
     The range flow of Jaimez et al. (Planar odometry from a radial laser scanner, ICRA 2016, eq. 5): linear in the
     motion, solved by least squares with Cauchy weights.
     """
-    if not len(one) == len(other) == len(angles) or len(one) < MIN_BEAMS:
+    found = _find_flow(one, other, angles)
+    if found is None:
         return None
-    step = float(np.median(np.diff(angles)))
-    (first, before), (second, after) = _fit_lines(one, step), _fit_lines(other, step)
-    with np.errstate(invalid="ignore"):
-        known = np.isfinite(first + second) & (np.abs(second - first) < 2.0 * STEP_M[1])
-    if known.sum() < MIN_BEAMS:
-        return None
-    middle, slope = 0.5 * (first + second)[known], 0.5 * (before + after)[known]
-    cos, sin, steep = np.cos(angles[known]), np.sin(angles[known]), slope / middle
-    rows = np.stack([-(cos + steep * sin), -(sin - steep * cos), slope], axis=1)
-    change = (second - first)[known]
+    rows, change = found
     weights = np.ones(len(change))
     solution: Floats = np.zeros(3)
     for _ in range(8):
@@ -102,6 +120,22 @@ def estimate_motion(one: Floats, other: Floats, angles: Floats) -> Floats | None
         scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-4)
         weights = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2)
     return solution
+
+
+def _find_flow(one: Floats, other: Floats, angles: Floats) -> tuple[Floats, Floats] | None:
+    """Return how ranges follow from the motion (K, 3), and how they changed (K,); None for too few ranges."""
+    if not len(one) == len(other) == len(angles) or len(one) < MIN_BEAMS:
+        return None
+    step = float(np.median(np.diff(angles)))
+    (first, before), (second, after) = _fit_lines(one, step), _fit_lines(other, step)
+    with np.errstate(invalid="ignore"):
+        known = np.isfinite(first + second) & (np.abs(second - first) < 2.0 * STEP_M[1])
+    if known.sum() < MIN_BEAMS:
+        return None
+    middle, slope = 0.5 * (first + second)[known], 0.5 * (before + after)[known]
+    cos, sin, steep = np.cos(angles[known]), np.sin(angles[known]), slope / middle
+    rows = np.stack([-(cos + steep * sin), -(sin - steep * cos), slope], axis=1)
+    return rows, (second - first)[known]
 
 
 def _fit_lines(ranges: Floats, step: float) -> tuple[Floats, Floats]:

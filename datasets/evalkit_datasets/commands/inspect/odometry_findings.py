@@ -71,6 +71,7 @@ def check_odometry(
             if one.unit is None
             else _check_unit(one.unit, about, streams.reader)
         )
+        yield from _check_lengths(one, about, streams.reader)
         yield from _check_twist(one, about)
         yield from _check_turning(turns.get(f"{one.topic} {one.child}"), about, streams.reader)
 
@@ -159,6 +160,16 @@ def _check_unit(found: LengthUnit, about: str, reader: str) -> Iterator[Inspecti
     what = f"{what} ({found.driving_m_s:.0f} m/s, median)"
     mend = ("odometry_unit", found.unit) if found.unit else None
     yield problem(about, what, advice.format(unit=found.unit or "mm"), mend)
+
+
+def _check_lengths(one: OdometryStats, about: str, reader: str) -> Iterator[InspectionFinding]:
+    """Report lengths in an unknown unit, or of a wrong wheel diameter."""
+    if one.lengths is None or not one.lengths.differs:
+        return
+    seen = f"the scans move {one.lengths.scale:.2f} times as far as it does on {one.lengths.pairs} straight drives"
+    advice = "check wheel_diameter_m in [ticks], or multiply its lengths" if reader == "columns" else "record it in m"
+    what = f"{seen}: lengths in another unit, or a wrong wheel diameter"
+    yield problem(about, what, f"{advice}, or use odometry = 'none'")
 
 
 def _describe_jumps(one: OdometryStats, count: int, taken_out: bool) -> str:

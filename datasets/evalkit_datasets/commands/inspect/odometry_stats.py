@@ -10,7 +10,7 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats, Stamps
-from evalkit_datasets.commands.inspect.odometry_unit import LengthUnit
+from evalkit_datasets.commands.inspect.odometry_unit import LengthComparison, LengthUnit
 from evalkit_datasets.commands.inspect.streams import OdometryStream
 from evalkit_datasets.commands.inspect.timing import (
     ClockOffset,
@@ -108,6 +108,7 @@ class OdometryStats:
     fastest_deg_s: float = 0.0
     driving_m_s: float = 0.0
     unit: LengthUnit | None = None
+    lengths: LengthComparison | None = None
     clock_shift_s: float = 0.0
 
     @property

@@ -6,7 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from evalkit_datasets.commands.inspect.mounting_angle import estimate_mounting_angle
+from evalkit.core import se2
+from evalkit_datasets.commands.inspect.mounting_angle import (
+    MIN_PAIRS,
+    estimate_mounting_angle,
+    measure_visible_share,
+    pair_motions,
+)
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream
 from evalkit_datasets.parsing.columns_layout import LENGTH_UNITS
 
@@ -15,6 +21,15 @@ FAST_M_S = 10.0
 
 BEYOND_VEHICLES_M_S = 60.0
 """No vehicle with a 2D lidar drives faster (median)."""
+
+MIN_SCALE = 0.75
+"""Motions between two scans are seen up to a tenth too short."""
+
+MIN_VISIBLE = 0.4
+"""Motions of which the ranges show less, along the walls of a corridor, are seen too short."""
+
+MAX_APART = np.radians(8.0)
+"""Directions of motion that differ by more (median) are not those that the scans see."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +52,44 @@ def find_length_unit(wheels: OdometryStream, laser: LaserStream | None, driving_
         if laser is not None and estimate_mounting_angle(scale_lengths(wheels, unit), laser) is not None:
             return LengthUnit(unit, driving_m_s)
     return LengthUnit("", driving_m_s) if driving_m_s > BEYOND_VEHICLES_M_S else None
+
+
+@dataclass(frozen=True, slots=True)
+class LengthComparison:
+    """How far the scans move, divided by how far an odometry does, on ``pairs`` straight drives: the quartiles."""
+
+    pairs: int
+    low: float
+    scale: float
+    high: float
+
+    @property
+    def differs(self) -> bool:
+        """Whether three of four drives are shorter or longer than those of any working odometry."""
+        return self.high < MIN_SCALE or self.low > 1.0 / MIN_SCALE
+
+
+def compare_lengths(wheels: OdometryStream, laser: LaserStream) -> LengthComparison | None:
+    """Return how far the scans move on straight drives; None if few of these are visible, or directions disagree.
+
+    Along the walls of a corridor the scans show a part of the motion: such drives are left out.
+    """
+    moved, seen, scans = pair_motions(wheels, laser)
+    if len(moved) < MIN_PAIRS:
+        return None
+    ways = np.arctan2(moved[:, 1], moved[:, 0])
+    apart = np.arctan2(seen[:, 1], seen[:, 0]) - ways
+    around = np.arctan2(np.median(np.sin(apart)), np.median(np.cos(apart)))
+    if float(np.median(np.abs(se2.wrap(apart - around)))) > MAX_APART:
+        return None
+    ratios = [
+        float(np.hypot(*own[:2]) / np.hypot(*base[:2]))
+        for base, own, (one, other), way in zip(moved, seen, scans.tolist(), ways + around, strict=True)
+        if measure_visible_share(laser.ranges[one], laser.ranges[other], laser.angles, float(way)) > MIN_VISIBLE
+    ]
+    if len(ratios) < MIN_PAIRS:
+        return None
+    return LengthComparison(len(ratios), *map(float, np.percentile(ratios, [25, 50, 75])))
 
 
 def scale_lengths(wheels: OdometryStream, unit: str) -> OdometryStream:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
+from evalkit.core.errors import brief
 from evalkit.io.g2o import read_g2o
 from evalkit.io.text_lines import is_number, iter_lines, iter_plain_blocks
 from evalkit_datasets.parsing.columns_layout import DECIMAL_COMMA, has_decimal_comma, split_columns
@@ -20,6 +22,10 @@ READERS = (
     "give a bag (.bag, .mcap, .db3 or its folder), a CARMEN log, a text log or a folder of .pcd or .ply files; "
     "--reader NAME decides between readers, and evalkit list datasets names them, those of plug-ins too"
 )
+ONE_LINE = "write one line per scan, 'time range1 range2 ...', and propose its layout: evalkit inspect LOG.txt"
+MIN_WORDS, MAX_ODD = 20, 4
+"""Fewest columns of a line with a scan, and most texts between its numbers."""
+
 GRAPH = (b"VERTEX_SE2", b"VERTEX2", b"EDGE_SE2", b"EDGE2", b"VERTEX_SE3:QUAT", b"EDGE_SE3:QUAT")
 
 BY_SUFFIX = {
@@ -52,11 +58,7 @@ def describe_other_file(path: Path) -> tuple[str, str]:
         image = begin.startswith(PNG)
         return (f"it is {kind}, no recording", remedy) if image else ("binary data of an unknown format", READERS)
     if begin.lstrip()[:1] in (b"{", b"["):
-        what = "JSON, for which there is no reader"
-        return (
-            what,
-            "write one line per scan, 'time range1 range2 ...', and propose its layout: evalkit inspect LOG.txt",
-        )
+        return "JSON, for which there is no reader", ONE_LINE
     return _describe_text(path)
 
 
@@ -70,7 +72,12 @@ def _describe_text(path: Path) -> tuple[str, str]:
     rows = [split_columns(line) for line in islice(iter_lines(path, EXPECTED), LINES)]
     numeric = [words for words in rows if words and all(map(is_number, words))]
     layout = f"describe its columns in {path.name}.toml (tables [time] and [scan], see docs/pages/text-log.md)"
-    if len(numeric) > LINES // 4 and min(map(len, numeric)) >= MIN_TRAJECTORY_COLUMNS:
+    if odd := _find_odd_words(rows):
+        what = f"its lines hold numbers and texts such as {brief(odd[0])}"
+        return what, f"write numbers alone (a time in s or ms, ranges without brackets), or {layout}"
+    if len(numeric) > LINES // 4 and min(map(len, numeric)) < MIN_TRAJECTORY_COLUMNS:
+        return f"text of {min(map(len, numeric))} columns of numbers: too few for a scan a line", ONE_LINE
+    if len(numeric) > LINES // 4:
         what = f"text of {len(numeric[0])} columns of numbers without ranges that were recognised"
         return (
             what,
@@ -80,6 +87,17 @@ def _describe_text(path: Path) -> tuple[str, str]:
         "text in which no line begins with FLASER, ROBOTLASER1, RAWLASER1, LASER3 to LASER5, LASER_READING or ODOM",
         f"{layout}, or {READERS}",
     )
+
+
+def _find_odd_words(rows: Sequence[Sequence[bytes]]) -> list[str]:
+    """Return the words that are no numbers in lines with many numbers, if these are a quarter of the lines or more.
+
+    A line that begins with a name, as those of CARMEN, is none of them.
+    """
+    long = (words for words in rows if len(words) >= MIN_WORDS and not words[0][:1].isalpha())
+    odd = ([word for word in words if not is_number(word)] for words in long)
+    few = [words for words in odd if 0 < len(words) <= MAX_ODD]
+    return [word.decode(errors="replace") for words in few for word in words] if len(few) > len(rows) // 4 else []
 
 
 def _describe_graph(path: Path) -> tuple[str, str]:

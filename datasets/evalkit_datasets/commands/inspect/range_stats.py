@@ -97,6 +97,7 @@ class RangeStats:
     ``codes``: finite values that probably mean no return. ``step_m``: resolution of the ranges, 0 if it is none of the
     usual ones. ``repeated``: number of scans equal to the previous one. ``still``: share of the scans that did not
     change within a second; nan if unknown. ``body``: what the lidar sees of the robot, None if nothing.
+    ``beyond_m``: median of the ranges beyond the maximum, nan without any.
     """
 
     beams: tuple[int, ...]
@@ -117,6 +118,7 @@ class RangeStats:
     repeated: int
     still: float
     body: BodyInView | None
+    beyond_m: float
 
     @property
     def invalid(self) -> float:
@@ -156,6 +158,7 @@ def measure_ranges(laser: LaserStream) -> RangeStats:
         repeated=laser.scans.repeated,
         still=_measure_still(laser),
         body=find_body(laser, codes),
+        beyond_m=float(np.median(ranges_m[finite & (ranges_m > high)])) if (ranges_m[finite] > high).any() else np.nan,
     )
 
 

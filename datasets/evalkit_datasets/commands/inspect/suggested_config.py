@@ -15,16 +15,17 @@ from evalkit.core.pose import Pose
 from evalkit.core.se2 import wrap
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import Choice
-from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
+from evalkit_datasets.commands.inspect.frame_tree import list_frames, mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection, inspect_recording, measured_directions
 from evalkit_datasets.commands.inspect.lidar_findings import is_default_code
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
-from evalkit_datasets.commands.inspect.mended_inspection import inspect_mended
+from evalkit_datasets.commands.inspect.mended_inspection import inspect_mended, tell_mends
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
 from evalkit_datasets.commands.inspect.odometry_findings import is_apart
 from evalkit_datasets.commands.inspect.reader_trial import ReaderTrial, find_fields, try_reader
 from evalkit_datasets.commands.inspect.repeated_findings import PROBLEM, repeat_body, repeat_problems, repeat_sweep
 from evalkit_datasets.commands.inspect.truth_choices import find_truth_files
+from evalkit_datasets.commands.inspect.truth_doubts import find_truth_doubts
 from evalkit_datasets.parsing.robots import count_common_spaces
 from evalkit_datasets.parsing.transforms import own_name, with_prefix_of
 from evalkit_datasets.readers import reader_common
@@ -94,14 +95,17 @@ def suggest_config(recording: Inspection, given: Mapping[str, Value] | None = No
 def choose_parameters(reader: str, given: Mapping[str, Value]) -> tuple[Choice, ...]:
     """Return what was found in and beside the recording ``given["path"]``, without the parameters that are given.
 
+    A problem with a single mend is mended.
     For a catalogued recording, it also says by which data set it runs with its ground truth.
     """
-    recording = inspect_recording(Path(str(given["path"])), reader, given)
-    if not recording.lidars:
+    found = inspect_recording(Path(str(given["path"])), reader, given)
+    if not found.lidars:
         return ()
+    topic = _select_lidar(found, given).topic
+    recording, mends = inspect_mended(found, given, topic)
     dataset, drive, _ = _find_catalogued(recording.path)
     catalogued = [Choice("use", None, _describe_catalogued(dataset, drive))] if dataset else []
-    return (*_choose(recording, given)[0], *catalogued)
+    return (*tell_mends(found, topic, mends), *_choose(recording, {**given, **mends})[0], *catalogued)
 
 
 def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Choice, ...], ReaderTrial]:
@@ -120,6 +124,9 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
     tried = try_reader(recording.streams.reader, {"path": str(recording.path), **values, **given})
     choices += _tell_scans_without_odometry(recording, tried)
+    truth = str({**values, **given}.get("ground_truth", ""))
+    if truth and not tried.problem:
+        choices += find_truth_doubts(recording, lidar, truth)
     if "base_from_sensor" not in given and not tried.problem:  # then the recorded mounting is unknown
         choices += _choose_mounting(recording, lidar, tried)
     if tried.mounting != Pose() and "base_from_sensor" not in given:
@@ -205,7 +212,9 @@ def _choose_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTria
     seen = f"{angle.heading_deg:.0f} deg (standard error {angle.error_deg:.1f} deg) on {angle.pairs} straight drives"
     if not missing:
         stated = f"lidar heading {math.degrees(tried.mounting.theta):.0f} deg, as recorded"
-        yield Choice("base_from_sensor", None, f"{stated}, but the scans show {seen}: check it", warns=True)
+        mend = _state_mounting(recording, tried.mounting, angle.heading_deg)
+        why = f"warning: {stated}, but the scans show {seen}; if they are right, {mend}"
+        yield Choice("base_from_sensor", None, why, warns=True)
         return
     square = 90.0 * round(angle.heading_deg / 90.0)
     near = (
@@ -218,6 +227,14 @@ def _choose_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTria
     yield Choice("base_from_sensor", value, f"{why}{', taken as square' if near else ''}; {where}", warns=True)
 
 
+def _state_mounting(recording: Inspection, mounting: Pose, heading_deg: float) -> str:
+    """Return how another heading of a lidar is stated, at the place that is recorded."""
+    place = f"{mounting.x:.4g}", f"{mounting.y:.4g}"
+    if recording.streams.reader == "columns":
+        return f"write base_from_sensor = [{', '.join(place)}, {heading_deg:.1f}] in the layout"
+    return f"give --set 'base_from_sensor={' '.join(place)} {math.radians(heading_deg):.4f}'"
+
+
 def _describe_missing_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTrial) -> str:
     """Return that no transform in a bag states the mounting on the base that the reader takes, "" if one does."""
     mounting = next((one for one in recording.frames.mountings if one.sensor == lidar.frame), None)
@@ -226,6 +243,9 @@ def _describe_missing_mounting(recording: Inspection, lidar: LidarStats, tried: 
         return ""
     if mounting is not None and mounting.unlinked:
         return f"no transform from '{mounting.unlinked}' to '{lidar.frame}' (it is on '{mounting.base}')"
+    frames = recording.frames
+    if frames.names and lidar.frame not in frames.names:
+        return f"no transform states the mounting of '{lidar.frame}', but those of {list_frames(frames)}"
     return "no transform states the mounting"
 
 
