@@ -95,6 +95,15 @@ def test_the_error_can_be_pickled():
     )
 
 
+def test_an_empty_data_set_breaks_one_rule_and_those_on_frames_are_not_judged():
+    results = dataset_rules.check(datasets.spec(datasets.Empty), 50, {}).results
+    of_outcome = {what: [one.rule for one in results if one.outcome == what] for what in ("failed", "passed")}
+    assert of_outcome == {"failed": ["opens"], "passed": ["parameters", "notes"]}
+    unjudged = {one.rule: one.observed for one in results if one.outcome == "not judged"}
+    assert set(unjudged.values()) == {"there is no frame, see the rule opens"}
+    assert {"again", "stamps", "length", "angles", "odometry", "mounting", "truth"} <= unjudged.keys()
+
+
 @pytest.mark.parametrize(
     ("make", "rule", "said"),
     [

@@ -133,9 +133,9 @@ class TomlTable:
             raise self.error(str(UnknownName(kind, str(name), known, where)))
         return known[name]
 
-    def table(self, key: str, keys: str, required: bool = False) -> TomlTable:
+    def table(self, key: str, keys: str) -> TomlTable:
         """The table of a key, empty if there is none; ``keys`` describes its keys in errors."""
-        value = self.content.get(key, None if required else {})
+        value = self.content.get(key, {})
         if not isinstance(value, Mapping):
             raise BadExperiment(self.file, key, f"found {brief(value)}, expected a table [{key}]{keys}")
         return TomlTable(value, self.file, key, self._key(key).form or OPEN)

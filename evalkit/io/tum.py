@@ -34,7 +34,7 @@ class TumFile:
     notes: Mapping[str, int] = field(default_factory=dict)
 
 
-def read_tum(path: Path, parent: str = "world", child: str = "base") -> TumFile:
+def read_tum(path: Path) -> TumFile:
     """Return the planar part of a TUM file, sorted by time; of poses with equal stamps the first is kept.
 
     Comments (#), blank lines and commas are allowed. Raises DataMissing if there is no such file and BadData, with the
@@ -54,7 +54,7 @@ def read_tum(path: Path, parent: str = "world", child: str = "base") -> TumFile:
     poses = np.array([(x, y, yaw_from_quaternion(*rotation)) for x, y, _, *rotation in rows])
     order = order_stamps(np.array(stamps, dtype=np.int64))
     counts = {"poses out of order": order.backwards, "poses with a repeated stamp ignored": order.repeated}
-    trajectory = Trajectory(np.array(stamps)[order.keep], poses[order.keep], parent, child)
+    trajectory = Trajectory(np.array(stamps)[order.keep], poses[order.keep])
     return TumFile(trajectory, {name: count for name, count in counts.items() if count})
 
 

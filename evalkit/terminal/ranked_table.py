@@ -32,8 +32,13 @@ BARS = (18, 8)
 """Widest and narrowest bar, in columns; a table without room for the narrowest has none."""
 
 CPU, CORRECTED = "CPU/scan", "corrected"
-DROPPED = (2, 3, 4)
-"""Columns that a narrow table leaves out, in this order: against the baseline, corrected poses, CPU time."""
+"""Headings of columns."""
+
+_METHOD, _ERROR, _AGAINST, _CORRECTED, _COST, _NOTE = range(6)
+"""Places of the columns in a line; the bar is drawn behind the error."""
+
+DROPPED = (_AGAINST, _CORRECTED, _COST)
+"""Columns that a narrow table leaves out, in this order."""
 
 LINEAR_RATIO = 8.0
 """Bars are on a logarithmic scale if the largest value exceeds the smallest more than this."""
@@ -206,13 +211,15 @@ def _format_lines(head: str, rows: Sequence[RankedRow], width: int, cost: str) -
     shown = rows if len(rows) < MAX_LINES else rows[: MAX_LINES - 2]
     cells = [[row.method, row.error, row.against, row.corrected, row.cost, row.note] for row in shown]
     sizes = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    sizes[3:5] = (max(size, len(head)) if size else 0 for size, head in zip(sizes[3:5], (CORRECTED, cost), strict=True))
+    headings = {_CORRECTED: CORRECTED, _COST: cost}
+    for column, heading in headings.items():
+        sizes[column] = max(sizes[column], len(heading)) if sizes[column] else 0
     room = _room(sizes, width)
     bar = min(room - 2, BARS[0]) if room - 2 >= BARS[1] else 0
     _fit(cells, sizes, width)
     scale = _Scale([value for row in shown for value in (row.low, row.value, row.high) if value is not None], bar)
-    left = sum(size + 2 for size in (*sizes[:2], bar, sizes[2]) if size)
-    heads = [f"{text:>{size}}" for text, size in ((CORRECTED, sizes[3]), (cost, sizes[4])) if size]
+    left = sum(size + 2 for size in (sizes[_METHOD], sizes[_ERROR], bar, sizes[_AGAINST]) if size)
+    heads = [f"{heading:>{sizes[column]}}" for column, heading in headings.items() if sizes[column]]
     above = textwrap.wrap(head, max(width - 2, 1), break_on_hyphens=False) or [""]
     above += [""] if heads and len(head) + 2 > left else []
     for at, over in enumerate(above, start=1):
@@ -220,7 +227,7 @@ def _format_lines(head: str, rows: Sequence[RankedRow], width: int, cost: str) -
         yield Text("  ".join([f"{f'  {over}':<{left}}", *columns]).rstrip(), style="dim")
     for row, own in zip(shown, cells, strict=True):
         method, error, against, corrected, spent, note = (
-            text.ljust(size) if at in (0, 5) else text.rjust(size)
+            text.ljust(size) if at in (_METHOD, _NOTE) else text.rjust(size)
             for at, (text, size) in enumerate(zip(own, sizes, strict=True))
         )
         parts = (method, error, scale.draw(row) if bar else "", against, corrected, spent, note)
@@ -238,9 +245,9 @@ def _room(sizes: Sequence[int], width: int) -> int:
 
 def _fit(cells: list[list[str]], sizes: list[int], width: int) -> None:
     """Cut the names and empty columns of a table until it fits, if that is enough; ``sizes``: of its columns."""
-    least = min(sizes[0], LEAST_NAME)
-    if len({cut_middle(own[0], least) for own in cells}) < len({own[0] for own in cells}):
-        least = sizes[0]
+    least = min(sizes[_METHOD], LEAST_NAME)
+    if len({cut_middle(own[_METHOD], least) for own in cells}) < len({own[_METHOD] for own in cells}):
+        least = sizes[_METHOD]
     for column in DROPPED:
         if _room([least, *sizes[1:]], width) < 0:
             sizes[column] = 0
@@ -248,11 +255,11 @@ def _fit(cells: list[list[str]], sizes: list[int], width: int) -> None:
                 own[column] = ""
     if _room([least, *sizes[1:]], width) < 0:
         for own in cells:
-            own[5] = own[5].partition(", ")[0]
-        sizes[5] = max(len(own[5]) for own in cells)
-    sizes[0] = min(sizes[0], max(sizes[0] + _room(sizes, width), least))
+            own[_NOTE] = own[_NOTE].partition(", ")[0]
+        sizes[_NOTE] = max(len(own[_NOTE]) for own in cells)
+    sizes[_METHOD] = min(sizes[_METHOD], max(sizes[_METHOD] + _room(sizes, width), least))
     for own in cells:
-        own[0] = cut_middle(own[0], sizes[0])
+        own[_METHOD] = cut_middle(own[_METHOD], sizes[_METHOD])
 
 
 class _Scale:

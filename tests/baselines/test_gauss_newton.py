@@ -36,6 +36,19 @@ def test_a_quadratic_cost_is_minimised_to_rounding():
     assert match.inliers == len(POINTS)
 
 
+@pytest.mark.parametrize(("limit", "converged"), [(30, True), (3, False), (1, False)])
+def test_every_evaluation_is_an_iteration_up_to_the_limit(limit, converged):
+    evaluate, calls = to_fixed(Pose(0.3, -0.2, 0.4)), []
+
+    def counted(moved):
+        calls.append(moved)
+        return evaluate(moved)
+
+    match = descend(counted, Cloud(POINTS), Pose(), StopRule(max_iterations=limit, step_m=1e-9, weak=1e-6))
+    assert (match.iterations, match.converged) == (len(calls), converged)
+    assert len(calls) == limit if not converged else 3 < len(calls) < limit
+
+
 def test_a_direction_that_no_point_observes_stays_at_the_guess():
     across = np.tile([0.0, 1.0], (len(POINTS), 1))  # every point sees a wall along x
     guess = Pose(0.7, 0.1, 0.05)

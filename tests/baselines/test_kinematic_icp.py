@@ -1,5 +1,6 @@
 """Kinematic ICP: the step against a numerical optimum, arcs only, and recordings without wheel odometry."""
 
+import itertools
 import math
 
 import numpy as np
@@ -61,6 +62,17 @@ def test_an_error_along_an_arc_is_corrected_and_one_to_the_side_stays(heading):
     aside = registration(trust_m=0.0, max_iterations=1).register(target, Cloud(walls()), truth @ Pose(0.0, 0.02, 0.0))
     step = (truth @ Pose(0.0, 0.02, 0.0)).inverse() @ aside.target_from_source
     assert step.row == pytest.approx(arc(*_length_and_turn(step)), abs=1e-12)
+
+
+def test_it_stops_after_the_first_step_below_a_tenth_of_a_millimetre():
+    wrong = Pose.of(arc(-0.01, 0.005))
+    match = registration(trust_m=0.0).register(Cloud(walls()), Cloud(walls()), wrong)
+    poses = [wrong, *(one.target_from_source for one in match.history)]
+    steps = [_length_and_turn(one.inverse() @ other) for one, other in itertools.pairwise(poses)]
+    small = [math.hypot(*step) < 1e-4 for step in steps]
+    assert len(small) > 1
+    assert small == [False] * (len(small) - 1) + [True]
+    assert (match.converged, match.iterations) == (True, len(small))
 
 
 def _length_and_turn(step):

@@ -13,7 +13,7 @@ from evalkit.commands.tune.config import load_tuning
 from evalkit.config.experiment_file import load_experiment
 from evalkit.config.json_schema import make_schema
 from evalkit.config.mistakes import find_mistakes
-from evalkit.core.errors import BadExperiment
+from evalkit.core.errors import BadExperiment, UnknownName
 
 REPORTS = Path(__file__).parents[2] / "reports"
 KINDS = {"study": "study", "tune": "tuning", "paper": ""}
@@ -165,5 +165,5 @@ def test_the_schema_knows_installed_names_and_the_parameters_of_each(tmp_path):
         assert not checker.is_valid({**good, "method": [method]})
     assert not checker.is_valid({**good, "tittle": "x"})
     assert not checker.is_valid({"method": good["method"]})
-    with pytest.raises(Exception, match="did you mean 'study'"):
+    with pytest.raises(UnknownName, match="did you mean 'study'"):
         raise CliRunner().invoke(app, ["schema", "studdy"]).exception

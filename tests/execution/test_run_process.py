@@ -12,6 +12,7 @@ import pytest
 
 from evalkit.config.limits import Limits
 from evalkit.core.errors import StoreError
+from evalkit.core.run_result import NO_STEPS
 from evalkit.execution import run_process, subprocesses
 from evalkit.execution.one_run import Request
 from evalkit.metrics import runtime
@@ -248,6 +249,13 @@ def test_a_crash_in_the_warm_up_reports_the_number_of_scans(strangers, tmp_path)
     run = execute_run(tmp_path / "run", request("exit", at=2))
     assert run.reason.endswith("; in the warm-up with the first 5 scans")
     assert (run.status, len(run.steps), run.expected, run.warm_up_scans) == ("failed", 0, SCANS, 0)
+
+
+def test_a_run_without_an_answer_ended_while_its_data_were_read_in_the_warm_up_or_at_the_first_scan():
+    started = {"expected": 3}
+    assert run_process._describe_place({"expected": 0}, NO_STEPS) == ""
+    assert run_process._describe_place(started, NO_STEPS) == "in the warm-up with the first 3 scans"
+    assert run_process._describe_place(started | {"warm_up_scans": 3}, NO_STEPS) == "at the first scan"
 
 
 def test_decreasing_stamps_are_a_failure_that_names_the_scan(strangers, tmp_path):

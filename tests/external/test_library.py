@@ -1,5 +1,6 @@
 """Shared libraries as back ends: the examples work, broken libraries fail with a reason."""
 
+import gc
 import shutil
 import subprocess
 import sys
@@ -235,6 +236,21 @@ def test_a_library_linked_with_fast_math_leaves_small_numbers_to_the_others(tmp_
     code = f"{load}; print(float.fromhex('0x1p-1074') * float(len(sys.argv) - 1) > 0.0)"
     done = subprocess.run([sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True)
     assert done.stdout == "True\n"
+
+
+def test_an_instance_of_a_library_is_destroyed_once_when_nothing_refers_to_it(build_variant, tmp_path):
+    destroyed = tmp_path / "destroyed"
+    noted = f'FILE *file = fopen("{destroyed}", "a"); fputc(42, file); fclose(file); free(self);'
+    name = build_variant("void evalkit_destroy(void *self) { free(self); }",
+                         f"#include <stdio.h>\nvoid evalkit_destroy(void *self) {{ {noted} }}")  # fmt: skip
+    one, other = make_odometry(name), make_odometry(name)
+    assert not destroyed.exists()
+    del one
+    gc.collect()
+    assert destroyed.read_text() == "*"
+    del other
+    gc.collect()
+    assert destroyed.read_text() == "**"
 
 
 def test_a_library_that_crashes_ends_only_its_own_run(build_variant, tmp_path):

@@ -37,6 +37,16 @@ def test_lines_are_those_of_the_whole_text_however_it_is_compressed(tmp_path, en
     assert lines(tmp_path, packed) == content.split(b"\n")
 
 
+@pytest.mark.parametrize("left", [0, 1])
+def test_a_second_gzip_part_is_read_also_where_it_begins_at_the_end_of_a_block(tmp_path, left):
+    """``left``: bytes of it in the block of the first part, whose length the name of a file in its header gives."""
+    packed = gzip.compress(b"one\n")
+    named = packed[:3] + b"\x08" + packed[4:10]  # the flag of a file name
+    named += b"x" * (BLOCK_BYTES - len(packed) - 1 - left) + b"\0" + packed[10:]
+    assert len(named) == BLOCK_BYTES - left
+    assert lines(tmp_path, named + gzip.compress(b"two")) == [b"one", b"two"]
+
+
 def test_bytes_after_the_gzip_content_are_ignored(tmp_path):
     assert lines(tmp_path, gzip.compress(b"one\ntwo") + b"\0" * 100) == [b"one", b"two"]
 

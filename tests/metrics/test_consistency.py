@@ -152,7 +152,8 @@ def test_unknown_cells_enclose_an_area_and_three_cells_are_not_an_area() -> None
 def test_occupied_share_excludes_unknown_cells() -> None:
     occupied, free = band(1), np.zeros((60, 200), np.bool_)
     free[30:33] = True
-    assert scores(grid(occupied, free))["occupied_percent"].value == pytest.approx(25.0)
+    found = scores(grid(occupied, free))["occupied_percent"]
+    assert (found.value, found.support) == (pytest.approx(25.0), 800)  # 200 of 800 known cells
 
 
 def wall_scan(distance_m: float) -> tuple[Scan, Floats]:

@@ -2,6 +2,7 @@
 
 import pytest
 
+from evalkit.core.errors import BadExperiment
 from evalkit.plugins import registry
 from evalkit_paper.study_chapter import CHAPTER, MAP_CHAPTER, compare_poses
 
@@ -80,5 +81,5 @@ def test_the_map_chapter_judges_the_levels_of_its_factors():
 
 def test_a_missing_study_is_reported(tmp_path):
     settings = CHAPTER.settings("paper.toml: [study]", {"file": str(tmp_path / "none.toml")})
-    with pytest.raises(Exception, match=r"none\.toml: no such file"):
+    with pytest.raises(BadExperiment, match=r"none\.toml: no such file"):
         CHAPTER.tasks(settings)

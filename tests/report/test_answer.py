@@ -207,6 +207,18 @@ def test_a_leader_that_is_not_told_apart_is_not_called_the_best(build, runs):
     assert answer(comparison).winners == ("a",)
 
 
+def test_several_leaders_that_are_not_told_apart_are_joined_by_and(build, runs):
+    """a and b are tied; three runs do not show that c is worse. Only a recommendation says "a or b"."""
+    errors = {"a": (0.0100,) * 3, "b": (0.0101,) * 3, "c": (0.011, 0.020, 0.040), "d": (1.0,) * 3}
+    comparison = build([run for one in errors for run in runs(one, "room", errors[one])])
+    assert title(comparison) == "a and b lead on room, but are not told apart from c by these runs."
+
+
+def test_a_data_set_on_which_no_run_finished_is_not_counted_for_this_reason(build, record, three):
+    failed = [record(who, "yard", {}, status="failed", reason="ValueError: x", answered=0) for who in "ab"]
+    assert "Not counted: yard (no run finished)." in analyse(build([*three, *failed])).overview
+
+
 def test_methods_that_too_few_runs_tell_from_the_leader_are_named_over_several_data_sets(build, runs):
     """a is the best on room and hall, but two runs do not show that b is worse; on cave they tell no method apart."""
     errors = {"a": (0.010, 0.0101), "b": (0.011, 0.040), "c": (1.0, 1.1)}

@@ -269,6 +269,21 @@ def test_a_failed_run_has_the_worst_rank_and_is_never_left_out(record, build):
     assert duel.runs == 10
 
 
+def test_a_run_that_could_not_start_and_a_map_without_a_trajectory_are_no_losses(record, build):
+    """b has twice the error on the six sequences where it is installed; the map of c has no error on any."""
+    made = [record("a", f"s{number}", {ATE: 0.01 + 0.01 * number}) for number in range(10)]
+    made += [record("b", f"s{number}", {ATE: 0.02 + 0.02 * number}) for number in range(6)]
+    made += [
+        record("b", f"s{number}", {}, status="not-installed", reason="no b", answered=0) for number in range(6, 10)
+    ]
+    made += [record("c", f"s{number}", {}, answered=0, expected=0) for number in range(10)]
+    found = analyse(build(made)).significance
+    (duel,) = found.comparisons
+    assert (duel.method, duel.reference, duel.runs, duel.worse) == ("b", "a", 6, 6)
+    assert duel.ratio == pytest.approx(2.0)
+    assert {one.method: (one.runs, one.measured) for one in found.records} == {"a": (10, 10), "b": (6, 6), "c": (10, 0)}
+
+
 def test_methods_that_agree_to_rounding_are_tied(record, build):
     made = [
         record(who, f"s{number}", {ATE: (0.01 + 0.01 * number) * factor})

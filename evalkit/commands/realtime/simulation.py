@@ -241,12 +241,12 @@ class _OdometryRun:
 def _run(method: ProfiledMethod, frames: Sequence[Frame]) -> _OdometryRun:
     answers, costs = np.full((len(frames), 3), np.nan), np.zeros(len(frames), dtype=np.int64)
     work, waits = np.zeros((2, len(frames)), dtype=np.int64)
-    is_program = method.name.startswith("exec:")
+    is_own_process = registry.backend(method.name).runs_in == "evalkit"
     without_core_ns = read_waited_ns(os.getpid()) or 0
     for index, step in enumerate(run_odometry(method.make_odometry(), frames)):
         costs[index] = step.timing.cpu_ns or step.timing.device_ns
         before_ns, without_core_ns = without_core_ns, read_waited_ns(os.getpid()) or 0
-        if step.timing.cpu_ns and not is_program:  # else a device, with its own time, or a process with its own waits
+        if step.timing.cpu_ns and is_own_process:  # else a device, with its own time, or a process with its own waits
             waits[index] = max(step.timing.wall_ns - step.timing.cpu_ns - (without_core_ns - before_ns), 0)
         if step.estimate is not None:
             iterations = sum(stage.iterations for stage in step.estimate.stages.values())

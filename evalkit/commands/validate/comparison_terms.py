@@ -81,8 +81,8 @@ def _is_mostly_equal(comparison: Mapping[str, Any]) -> bool:
 def format_margin(results: ResultsByPlace, margin: str) -> str:
     """The margin in words, at the largest value over all results.
 
-    The poses of odometries are equal if their mean difference lies within it: where all results are equal and a single
-    difference is larger than the margin, the largest is stated, too.
+    The poses of odometries are equal if their mean difference lies within it, answers of registrations also where
+    rounding decides them: where all results are equal and a single difference is larger, the largest is stated, too.
     """
     completed = [result for result in results.values() if ENDED not in result and "families" not in result[margin]]
     if not completed:
@@ -93,8 +93,11 @@ def format_margin(results: ResultsByPlace, margin: str) -> str:
     compared = [result[margin] for result in completed]
     if not all(is_equal(comparison, margin) for comparison in compared):
         return within
-    beyond = [text for unit in ("m", "rad") if (text := _format_beyond(compared, unit))]
-    return f"{within} in the mean (single poses at most {' and '.join(beyond)} apart)" if beyond else within
+    beyond = " and ".join(text for unit in ("m", "rad") if (text := _format_beyond(compared, unit)))
+    if excepted := sum(comparison.get("excepted", 0) for comparison in compared):
+        asked = sum(comparison["questions"] for comparison in compared)
+        return f"{within.removesuffix(')')}; rounding decides {excepted} of {asked} answers, at most {beyond} apart)"
+    return f"{within} in the mean (single poses at most {beyond} apart)" if beyond else within
 
 
 def _format_beyond(compared: Sequence[Mapping[str, Any]], unit: str) -> str:

@@ -11,18 +11,13 @@ from typing import Any
 
 from evalkit.commands.validate.acceptance import AcceptanceLevel, Check, CheckOutcome
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, ResultsByPlace, is_equal
+from evalkit.commands.validate.difference_causes import name_causes, name_traces
 from evalkit.commands.validate.equivalence.lockstep import DISTURBED
 from evalkit.commands.validate.equivalence.margins import FLOAT32
 from evalkit.commands.validate.known_motion import known_motion_checks, peer_check
 from evalkit.commands.validate.rules.rule import RuleResult
 from evalkit.execution.sandbox import ENDED
 from evalkit.execution.task import Result
-
-UNNAMED = ("different steps from", "different poses", "not both report their", "another answer", "guess is returned")
-"""Phrases of a first difference whose cause is not known from the answers alone."""
-
-TRACE_ALONE = "the pose is equal, but not trace"
-"""Of a first difference that says where it shows, not what it is."""
 
 STATE_CAUSES = {
     "read-only": "a call writes to its arguments, which later questions share",
@@ -31,9 +26,6 @@ STATE_CAUSES = {
     "stateless": "an answer depends on earlier questions: memory that a call leaves to the next one",
 }
 """Rules whose breach alone may break many others, the plainest first, and what their breach means."""
-
-CROWDED = ("edges", "points", "sizes")
-"""Families of drawn questions of points that have several others near, at the scale of a room."""
 
 STAGES = {"s2s": "scan to scan", "s2m": "scan to map"}
 
@@ -110,7 +102,7 @@ def registrations_level(
     checks += [_equality(place, result, terms, "pair") for place, result in results.items()]
     for place, result in (drawn or {}).items():
         checks += _drawn_checks(place, result, terms)
-    checks = name_traces(_name_by_questions(checks, drawn or {}, terms), drawn or {}, terms)
+    checks = name_traces(name_causes(checks, drawn or {}, terms), drawn or {}, terms)
     checks += _field_checks({**results, **(drawn or {})}, terms)
     completed = {place: result for place, result in results.items() if ENDED not in result}
     if completed:
@@ -225,77 +217,6 @@ def _format_equal(family: Mapping[str, Any], terms: ComparisonTerms) -> str:
     if family["excepted"]:
         text += f"; {family['excepted']} beyond that, where rounding decides the answer"
     return text
-
-
-def _name_by_questions(checks: list[Check], drawn: ResultsByPlace, terms: ComparisonTerms) -> list[Check]:
-    """The checks, with what the drawn questions say about a first difference that has no name.
-
-    With well separated points every neighbour search and every outlier rule give the same pairs. Pairs that differ in
-    the first iteration from the identity exclude the start, the motion of the points and the step. Where the questions
-    leave several causes, only what they show is said.
-    """
-    families = [one[terms.margin]["families"] for one in drawn.values() if ENDED not in one]
-    if not families:
-        return checks
-    where = next(one[terms.margin]["where"] for one in drawn.values() if ENDED not in one)
-    if "clear" not in families[0]:  # odometries
-        return [replace(one, observed=f"{one.observed}; {where}") if where and one.outcome == "failed"
-                and where not in one.observed and one.deciding == "equal" else one for one in checks]  # fmt: skip
-    start = next(one[terms.margin]["start"] for one in drawn.values() if ENDED not in one)
-
-    def name_cause(check: Check) -> Check:
-        text = check.observed
-        if check.outcome == "failed" and any(phrase in text for phrase in UNNAMED):
-            cause = _describe_cause(text, families[0], start, where)
-            return replace(check, observed=f"{text}; {cause}" if cause else text)
-        return check
-
-    return [name_cause(check) for check in checks]
-
-
-def _describe_cause(text: str, families: Mapping[str, Mapping[str, Any]], start: str, where: str) -> str:
-    """The cause of a first difference in words, or what the questions show where they leave several; "" if nothing."""
-    clear, limits = families["clear"], families.get("limits", {"wrong": 0})
-    mispaired = any(one["mispaired"] for one in families.values())
-    if start or where:
-        return f"another start: {start}" if start else f"answers differ {where}"
-    if clear["wrong"]:
-        return _describe_clear(text, clear, mispaired)
-    if limits["wrong"]:
-        counted = "not both report their pairs" in text  # in an iteration before which the poses are equal
-        which = "the outlier rule or the search of neighbours differs: " if counted else ""
-        return f"{which}well separated points give equal answers, pairs near the limits do not"
-    if any(families[name]["wrong"] for name in CROWDED if name in families):
-        which = "the neighbours differ: " if mispaired else ""
-        return f"{which}well separated points give equal answers, crowded ones do not"
-    wrong = {name: one["what"] for name, one in families.items() if one["wrong"]}
-    family, what = next(iter(wrong.items()), ("", ""))
-    return f"of the drawn questions only {family} differ, first {what}" if len(wrong) == 1 and what not in text else ""
-
-
-def _describe_clear(text: str, clear: Mapping[str, Any], mispaired: bool) -> str:
-    """The same where even well separated points give other answers; ``mispaired``: other pairs from the identity."""
-    if clear["recounted"]:
-        which = "the points that are used or their neighbours differ: " if mispaired else ""
-        return f"{which}even well separated points give another number of pairs"
-    if clear["unanswered"] or clear["first"]["quantity"] not in ("pose", "answer") or ", pairs: " in text:
-        return ""  # pairs that differ before a step are not explained by it
-    which = "the step, or the motion of the points, differs: " if clear["counted"] else ""
-    return f"{which}well separated points give as many pairs, but other answers"
-
-
-def name_traces(checks: list[Check], drawn: ResultsByPlace, terms: ComparisonTerms) -> list[Check]:
-    """The checks, where the trace alone differs with the step that the drawn questions name."""
-    families = [
-        one for result in drawn.values() if ENDED not in result for one in result[terms.margin]["families"].values()
-    ]
-    firsts = [one["first"] for one in families if one["wrong"] and one["first"]]
-    steps = [one for one in firsts if one["quantity"] == "pose"]
-    cause = "".join(f"; {one['kind']}: {one['what']}" for one in steps[:1])
-    return [
-        replace(one, observed=one.observed + cause) if one.outcome == "failed" and TRACE_ALONE in one.observed else one
-        for one in checks
-    ]
 
 
 def _field_checks(results: ResultsByPlace, terms: ComparisonTerms) -> list[Check]:

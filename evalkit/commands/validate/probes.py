@@ -257,8 +257,8 @@ def _compare(
 ) -> dict[str, Any]:
     """The comparison under every margin; ``beyond_rounding``: answers beyond it for another reason than rounding.
 
-    ``apart``: all beyond it; ``excepted``: those that rounding decides. ``equal_fields``, ``excused_fields``: see
-    ``count_equal_fields``; ``first_fields``: see ``_find_first``.
+    ``apart``: all beyond it; ``excepted``: those that rounding decides; ``largest_m``: the largest distance of all but
+    these. ``equal_fields``, ``excused_fields``: see ``count_equal_fields``; ``first_fields``: see ``_find_first``.
 
     ``reference_of``: the reference of a stage, which is asked again with perturbed points where an answer differs under
     the float32 margin: what rounding decides is no difference.
@@ -276,11 +276,12 @@ def _compare(
             fields = count_fields([(one, result.margin) for one in compared], choice)
         apart = [one for one in answered if one.b is not None
                  and not result.margin.holds(one.a.target_from_source, one.b.target_from_source)]  # fmt: skip
-        excepted = sum(one not in beyond for one in apart)
+        excepted = [one for one in apart if one not in beyond]
+        largest_m = max((_distance_m(one) for one in answered if one not in excepted), default=0.0)
         equal_fields, excused_fields = count_equal_fields(((one, result.margin) for one in answered), fields)
         results[name] = result.as_json() | {
-            "beyond_rounding": len(beyond), "apart": len(apart), "excepted": excepted, "fields": dict(fields),
-            "equal_fields": equal_fields, "excused_fields": excused_fields,
+            "beyond_rounding": len(beyond), "apart": len(apart), "excepted": len(excepted), "largest_m": largest_m,
+            "fields": dict(fields), "equal_fields": equal_fields, "excused_fields": excused_fields,
             "first_fields": {field: _find_first(field, compared, result.margin) for field in fields if field != "pose"},
         }  # fmt: skip
     return results
@@ -319,6 +320,14 @@ def _beyond_rounding(answered: AnswerPair, margin: Margin) -> bool:
     divergence = first_divergence(answered, margin, explain=False)
     apart = not margin.holds(answered.a.target_from_source, answered.b.target_from_source)
     return divergence is not None and divergence.kind not in ROUNDING and apart
+
+
+def _distance_m(answered: AnswerPair) -> float:
+    """The distance of both answers; 0 without an answer of B."""
+    if answered.b is None:
+        return 0.0
+    x, y, _ = difference(answered.a.target_from_source, answered.b.target_from_source).tolist()
+    return float(np.hypot(x, y))
 
 
 def _answer_differences(answered: list[AnswerPair]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import pytest
 
 from evalkit.commands.basin import trials as attempts
 from evalkit.commands.basin.trials import TrialPlan
+from evalkit.core.errors import UnknownName
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.plugins.specs import RegistrationSpec
@@ -82,5 +83,5 @@ def test_the_icp_of_the_paper_converges_from_near_and_not_from_far():
 
 def test_a_back_end_can_be_given_as_module_and_spec():
     assert attempts.backend_at("evalkit_baselines.paper:TIGHT").kind == "registration"
-    with pytest.raises(Exception, match="papr"):
+    with pytest.raises(UnknownName, match="no backend named 'papr'"):
         attempts.backend_at("papr")

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from evalkit.cli import app
 from evalkit.commands.diff.benchmark import Benchmark, BenchmarkSeries, load_benchmarks, write_benchmark
-from evalkit.commands.diff.benchmark_changes import can_show_difference, compare_benchmarks
+from evalkit.commands.diff.benchmark_changes import can_show_difference, compare_benchmarks, describe_benchmark_diff
 from evalkit.core.errors import BadData
 
 RAN_ON = {"processor": "one", "governor": "performance"}
@@ -37,6 +37,20 @@ def test_a_written_benchmark_is_loaded_unchanged(tmp_path):
     written, single = json.loads(path.read_text())["series"]
     assert (written["median"], written["quartiles"]) == (2.0, [1.5, 2.5])
     assert single["quartiles"] == [0.5, 0.5]
+
+
+def test_a_table_of_changes_states_medians_ratio_and_verdict_and_leaves_out_what_did_not_change():
+    same, few, later = samples(1.0), (1.0, 1.1, 1.2), (9.0, 9.1, 9.2)
+    old = make_benchmark(same) | make_benchmark(few, name="start") | make_benchmark(same, name="end")
+    new = make_benchmark(samples(2.0)) | make_benchmark(later, name="start") | make_benchmark(same, name="end")
+    compared = compare_benchmarks(old, new, 0.1)
+    shown = describe_benchmark_diff(compared)
+    assert [(row[0], row[4], row[-1]) for row in shown.rows] == [
+        ("speed", "2.000", "❌ regression"),
+        ("start", "8.273", "too few samples (3 and 3)"),
+    ]
+    assert shown.conclusion.startswith("1 of 3 series became worse beyond 10 %")
+    assert [row[0] for row in describe_benchmark_diff(compared, everything=True).rows] == ["speed", "end", "start"]
 
 
 @pytest.mark.parametrize(

@@ -209,6 +209,12 @@ def test_kitti_files_read_by_evo_have_the_same_poses_and_as_many_of_ground_truth
     assert np.allclose(headings, TRUE[:, 2], atol=1e-10)
 
 
+def test_a_run_without_ground_truth_has_a_kitti_file_of_all_its_poses_alone():
+    run = replace(record_of("paper"), truth=Truth("none"))
+    ((name, content),) = poses.format_kitti(SimpleNamespace(runs=[run]))
+    assert (name, len(content.splitlines())) == ("paper-s0.kitti.txt", N)
+
+
 def test_the_edges_of_a_g2o_file_connect_the_first_vertex_with_every_other(finished_folder):
     path = next(path for path in run_export(finished_folder, "g2o") if path.name == "wheel-s0.g2o")
     rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
@@ -444,6 +450,19 @@ def test_the_caption_names_whom_bold_numbers_do_not_compare():
     }
     table = latex.PaperTable(columns, tuple((label, own, ()) for label, own in cells.items()), 3)
     assert table.caption().endswith("clearly different; not ranked: wheels (CPU, cpu_p95_ms)")  # no bold error
+
+
+def test_a_method_without_a_value_has_a_dash_in_the_column_and_beside_it_where_others_have_bounds():
+    columns = tuple(MetricColumn(name, name, "ms", "lower", 1) for name in ("cpu_median_ms", "cpu_p95_ms"))
+    bounded = SummaryRow("hall", "icp", "cpu_median_ms", 2.0, 3, SimpleNamespace(low=1.0, high=3.0), False, 1, "")
+    plain = replace(bounded, metric="cpu_p95_ms", spread=None)
+    failed = replace(plain, method="kiss", median=None)
+    table = latex.PaperTable(columns, (("icp", (bounded, plain), ("1",)), ("kiss", (None, failed), ("--",))), 2)
+    assert [latex._latex_cell(table, at, cell) for at, cell in enumerate((bounded, plain))] == [
+        "2.0 & [1.0, 3.0]",
+        "2.0",
+    ]
+    assert [latex._latex_cell(table, at, cell) for at, cell in enumerate((None, failed))] == ["{--} & ", "{--}"]
 
 
 def test_every_latex_special_character_is_escaped():

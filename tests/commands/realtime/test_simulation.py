@@ -1,5 +1,7 @@
 """Back ends on slower virtual devices, with invented costs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -101,6 +103,17 @@ def test_time_without_a_core_is_no_wait(sequence, make_profile, monkeypatch):
     assert result.waits_ns.tolist() == [0] * 6
 
 
+@pytest.mark.parametrize(("runs_in", "wait_ns"), [("evalkit", 50), ("program", 0), ("device", 0)])
+def test_what_another_process_waits_is_not_known_here(sequence, make_profile, monkeypatch, runs_in, wait_ns):
+    """Whatever the scheme of its name: the spec of a back end says where it computes."""
+    spec = replace(registry.backend("wheel-odometry"), runs_in=runs_in)
+    monkeypatch.setattr(registry, "backend", lambda _: spec)
+    monkeypatch.setattr(simulation, "read_waited_ns", lambda _: 0)
+    make_profile.extend([(9, 9)] * 5 + [(60, 10)] * 6)
+    result = measure_costs(ProfiledMethod.load("wheel-odometry", {}), sequence.frames[:6], repetitions=1)
+    assert result.waits_ns.tolist() == [wait_ns] * 6
+
+
 def test_the_warm_up_is_not_counted_and_gaps_are_compared_with_the_same_scans(sequence, make_profile):
     # 5 to warm up, 12 with every scan, then every second one at three times the cost
     make_profile.extend([999] * 5 + [10] * 12 + [30] * 6)
@@ -138,7 +151,7 @@ class FailingOdometry:
 @pytest.mark.parametrize(("odometry", "why"), [(FailingOdometry, "RuntimeError: lost"), (AlternatingOdometry, "")])
 def test_a_failing_back_end_is_lost_and_skipped_scans_are_left_out(sequence, monkeypatch, odometry, why):
     monkeypatch.setattr(ProfiledMethod, "make_odometry", lambda self: odometry())
-    (device,) = simulate_devices(ProfiledMethod("shy", {}), sequence, even(sequence, 1e6), (1.0,), "drop")
+    (device,) = simulate_devices(ProfiledMethod("wheel-odometry", {}), sequence, even(sequence, 1e6), (1.0,), "drop")
     assert device.lost == why
     assert (device.at_hand["ate_rmse_m"] is None) == bool(why)
 

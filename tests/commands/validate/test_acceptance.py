@@ -12,10 +12,11 @@ import evalkit.commands.validate as package
 from evalkit.commands.validate import plan
 from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check, Claim, as_junit
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin
+from evalkit.commands.validate.difference_causes import TRACE_ALONE, name_traces
 from evalkit.commands.validate.first_screen import GOOD as GREEN_TEXT
 from evalkit.commands.validate.first_screen import first_figures
 from evalkit.commands.validate.known_motion import judge_gap
-from evalkit.commands.validate.level_answers import TRACE_ALONE, format_divergence, name_traces, rules_level, waive
+from evalkit.commands.validate.level_answers import format_divergence, rules_level, waive
 from evalkit.commands.validate.rules.rule import RuleResult
 
 SCHEMA = json.loads((Path(package.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
@@ -125,7 +126,7 @@ def test_a_check_with_too_few_data_gives_no_verdict_and_names_the_line_that_deci
 
 
 def test_the_stamp_of_the_page_agrees_with_its_word_and_a_small_difference_is_no_praise_where_others_failed():
-    measured = {"intervals": [{"unit": "m", "worst": 7.7e-16}], "margin": {"metres": 1e-9}}
+    measured = {"intervals": [{}], "largest_m": 7.7e-16, "margin": {"metres": 1e-9}}
     same, wrong = replace(SAME, data=measured), replace(SAME, outcome="failed")
     (stamp, bar), _ = first_figures(report(KEPT, level(1, "registrations", same)))
     assert b">equivalent to the reference; 2 checks<" in stamp.svg
@@ -135,6 +136,25 @@ def test_the_stamp_of_the_page_agrees_with_its_word_and_a_small_difference_is_no
     assert b">not all of 3 checks passed<" in stamp.svg
     assert GREEN not in bar.svg
     assert bar.caption.endswith(" Other checks failed.")
+
+
+def test_the_bar_of_the_page_leaves_out_answers_that_rounding_decides_and_takes_poses_in_the_mean():
+    rounded = {"intervals": [{}], "largest_m": 2e-5, "excepted": 3, "margin": {"metres": 2.6e-4}}
+    nearer = {"intervals": [{}], "largest_m": 6e-5, "margin": {"metres": 1e-4}}
+    checks = [replace(SAME, data=data) for data in (rounded, nearer)]
+    (_, bar), _ = first_figures(report(KEPT, level(1, "registrations", *checks)))
+    assert bar.title == "Difference on scans: measured 60 µm, allowed 100 µm"
+    assert "3 answers that rounding decides do not count" in bar.caption
+    assert GREEN in bar.svg
+    rows = [
+        {"unit": "m", "quantity": "x", "low": -3e-10, "high": 2e-10},
+        {"unit": "m", "quantity": "x-disturbed", "low": -1.0, "high": 1.0},
+        {"unit": "rad", "quantity": "theta", "low": -1.0, "high": 1.0},
+    ]
+    poses = replace(SAME, data={"intervals": rows, "margin": {"metres": 1e-9}})
+    (_, bar), _ = first_figures(report(KEPT, level(2, "lockstep", poses)))
+    assert bar.title == "Difference on scans: measured 300 pm, allowed 1 nm"
+    assert bar.caption.startswith("Largest mean difference of the poses")
 
 
 def test_a_waived_check_does_not_refute_and_keeps_its_reason():

@@ -9,6 +9,7 @@ import pytest
 from evalkit.commands.validate import charts, level_answers, level_costs, level_maps, level_trajectories, run_paths
 from evalkit.commands.validate.acceptance import AcceptanceLevel, Check
 from evalkit.commands.validate.comparison_terms import ComparisonTerms, choose_margin, format_margin
+from evalkit.commands.validate.difference_causes import name_causes
 from evalkit.commands.validate.known_motion import judge_gap, known_motion_checks, peer_check
 from evalkit.core.ground_truth import Truth
 from evalkit.core.loop_closure import LoopClosure
@@ -341,15 +342,15 @@ UNNAMED = Check("equal to paper", "room", "failed", "equal", "7 pairs against 6;
     ],
 )  # fmt: skip
 def test_a_difference_without_a_name_gets_it_from_the_drawn_questions(questions, cause):
-    named, other = level_answers._name_by_questions([UNNAMED, replace(UNNAMED, observed="units")], questions, TERMS)
+    named, other = name_causes([UNNAMED, replace(UNNAMED, observed="units")], questions, TERMS)
     assert named.observed == (f"{UNNAMED.observed}; {cause}" if cause else UNNAMED.observed)
     assert other.observed == "units"
-    assert level_answers._name_by_questions([UNNAMED], {"seed 1": KILLED}, TERMS) == [UNNAMED]
+    assert name_causes([UNNAMED], {"seed 1": KILLED}, TERMS) == [UNNAMED]
 
 
 def test_numbers_of_pairs_of_the_last_answer_alone_name_no_rule():
     last = replace(UNNAMED, observed="pair 1, answer: different: 7 pairs against 6; not both report their iterations")
-    (named,) = level_answers._name_by_questions([last], drawn(limits=1), TERMS)
+    (named,) = name_causes([last], drawn(limits=1), TERMS)
     assert named.observed.removeprefix(last.observed) == (
         "; well separated points give equal answers, pairs near the limits do not"
     )
@@ -359,7 +360,7 @@ def test_pairs_that_differ_before_a_step_are_not_explained_by_it():
     early = replace(
         UNNAMED, observed="pair 1, iteration 1, pairs: different: 7 pairs against 6; not both report their pairs"
     )
-    assert level_answers._name_by_questions([early], drawn("pose"), TERMS) == [early]
+    assert name_causes([early], drawn("pose"), TERMS) == [early]
 
 
 def test_drawn_questions_are_checked_by_family():
@@ -436,6 +437,18 @@ def make_poses_comparison(worst_m, worst_rad):
 )
 def test_poses_beyond_a_margin_that_only_their_mean_keeps_are_said(worst, said):
     assert format_margin({"room": {"exact": make_poses_comparison(*worst)}}, "exact") == said
+
+
+def test_answers_that_rounding_decides_are_said_with_their_number():
+    intervals = [{"unit": "m", "worst": 5.7e-3, "margin": 1e-4}, {"unit": "rad", "worst": 1e-7, "margin": 1e-5}]
+    compared = {
+        "equivalent": False, "level": "answers", "margin": {"metres": 1e-4, "radians": 1e-5}, "intervals": intervals,
+        "beyond_rounding": 0, "unanswered": 0, "excepted": 2, "questions": 132,
+    }  # fmt: skip
+    assert format_margin({"room": {"float32": compared}}, "float32") == (
+        "within the single-precision rounding margin (0.0001 m and 1e-05 rad; rounding decides 2 of 132 answers, at "
+        "most 0.0057 m apart)"
+    )
 
 
 def test_without_results_no_margin_is_chosen():

@@ -133,6 +133,15 @@ def test_poses_of_a_topic_equal_those_written_and_those_that_evo_reads(tmp_path,
     np.testing.assert_allclose(yaws, read.trajectory.poses[:, 2], atol=1e-12)
 
 
+@pytest.mark.parametrize("row", [(math.nan, 0.0, 0.0), (1.0, 0.0, math.nan)])
+def test_a_pose_that_is_none_is_left_out_and_counted(tmp_path, row):
+    bag = Bag(tmp_path, "ros1").poses("/result", "PoseStamped")
+    stamp = STAMPS[-1] + STEP
+    bag.add("/result", "geometry_msgs/msg/PoseStamped", bag.message("PoseStamped", stamp, row), stamp)
+    read = read_trajectory(f"{bag.write()}?topic=/result")
+    assert (read.trajectory.stamps_ns.tolist(), read.notes) == (STAMPS, {"invalid poses": 1})
+
+
 def test_the_last_path_holds_the_corrected_poses(tmp_path):
     bag = Bag(tmp_path, "ros1").path_message(STAMPS[1], [(9.0, 9.0, 0.0)] * 2).path_message(STAMPS[2], POSES)
     np.testing.assert_allclose(read_trajectory(f"{bag.write()}?topic=path").trajectory.poses, POSES, atol=1e-12)

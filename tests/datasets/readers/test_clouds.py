@@ -71,6 +71,14 @@ def test_a_cloud_cut_anywhere_or_with_lies_is_refused_with_what_to_give(tmp_path
             read_cloud_file(path)
 
 
+def test_lzf_copies_and_literal_bytes_follow_each_other_over_short_and_long_distances():
+    near = bytes([3]) + b"abcd" + bytes([1 << 5, 3]) + b"\0x" + bytes([2 << 5, 1]) + b"\0y"
+    assert unpack_lzf(near, 13) == b"abcd" + b"abc" + b"x" + b"cxcx" + b"y"  # 3 from four back, 4 from two back
+    text = bytes(range(256)) + b"0123456789"
+    parts = b"".join(bytes([len(part) - 1]) + part for part in (text[at : at + 32] for at in range(0, len(text), 32)))
+    assert unpack_lzf(parts + bytes([1 << 5 | 1, 1]) + b"\0z", 270) == text + text[8:11] + b"z"  # 256 + 1 + 1 back
+
+
 def test_lzf_copies_may_overlap_what_they_write():
     assert unpack_lzf(bytes([0, 65, 0xE0, 3, 0]), 13) == b"A" * 13  # one byte, then 7 + 3 + 2 from one back
     for bad in (b"\x20\x09", bytes([0, 65]), b"\xe0"):

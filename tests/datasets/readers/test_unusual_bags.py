@@ -515,6 +515,19 @@ def test_a_bag_of_which_the_index_alone_is_damaged_has_lost_nothing(tmp_path, ki
     assert told == "its index is damaged or missing: all records in it were read"
 
 
+def test_messages_out_of_order_are_read_in_the_order_of_their_times_also_without_the_index(tmp_path):
+    bag = Bag("mcap")
+    for k in (0, 2, 1, 3):
+        bag.scan(T0 + k * PERIOD, [1.0 + k, 2.0])
+    path = next(bag.write(tmp_path).glob("*.mcap"))
+    content = bytearray(path.read_bytes())
+    content[-8] ^= 0x10  # the end of the file
+    path.write_bytes(bytes(content))
+    sequence = RosBag(str(path))
+    assert [frame.scan.ranges[0] for frame in sequence.frames()] == [1.0, 2.0, 3.0, 4.0]
+    assert sequence.notes() == {"bags without an index, read to the last whole record": 1}
+
+
 def test_a_chunk_that_cannot_be_unpacked_is_counted_and_the_scans_of_the_others_are_read(tmp_path):
     whole = long_bag("ros1", "bz2", tmp_path)
     expected = [frame.scan.ranges[0] for frame in RosBag(str(whole)).frames()]

@@ -12,6 +12,7 @@ import numpy as np
 from evalkit.commands.validate.rules.rule import (
     RuleBroken,
     RuleNotApplicable,
+    RuleNotJudged,
     RuleReport,
     check_rules_once,
     rule_table,
@@ -52,8 +53,10 @@ class DatasetFixture:
 
     @cached_property
     def frames(self) -> list[Frame]:
-        """Its first frames."""
-        return self.read(self.sequence)
+        """Its first frames. Raises RuleNotJudged if there are none, which breaks the rule opens alone."""
+        if not (found := self.read(self.sequence)):
+            raise RuleNotJudged("there is no frame, see the rule opens")
+        return found
 
     def open(self, **changes: Value) -> Sequence:
         """A new sequence, with some parameters changed."""
@@ -86,9 +89,10 @@ def spec_of(dataset: str | DatasetSpec) -> DatasetSpec:
 
 def check_opens(fixture: DatasetFixture) -> str:
     """Its frames have returns."""
-    frames = fixture.frames
-    if not frames:
-        raise RuleBroken("there is no frame")
+    try:
+        frames = fixture.frames
+    except RuleNotJudged:
+        raise RuleBroken("there is no frame") from None
     strange = next((frame for frame in frames if not isinstance(frame, Frame)), None)
     if strange is not None:
         raise RuleBroken(f"frames() yields a {type(strange).__name__}, expected an evalkit.Frame")

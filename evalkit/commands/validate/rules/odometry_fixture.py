@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.validate.rules import resource_rules
+from evalkit.commands.validate.rules.endurance import LEAK_BYTES, ResourceUse, measure_resource_use
 from evalkit.commands.validate.rules.process_state import StateWatch
-from evalkit.commands.validate.rules.resource_rules import ResourceUse
 from evalkit.commands.validate.rules.rule import RuleBroken
 from evalkit.commands.validate.rules.scenes import drive
 from evalkit.core.pose import Pose
@@ -30,7 +29,7 @@ class OdometryFixture:
     ``elsewhere``, ``runs_in``: as for a ``RegistrationFixture``.
     """
 
-    kept_bytes = resource_rules.LEAK_BYTES
+    kept_bytes = LEAK_BYTES
 
     def __init__(
         self,
@@ -68,7 +67,7 @@ class OdometryFixture:
             stamps = iter(range(frame.scan.stamp_ns, 2**62, 100_000_000))
             return lambda: answer_row(odometry, replace(frame, scan=replace(frame.scan, stamp_ns=next(stamps))))
 
-        found = resource_rules.measure(self.make, calls, self.watch, self.kept_bytes)
+        found = measure_resource_use(self.make, calls, self.watch, self.kept_bytes)
         return replace(found, question="scan of a standing robot")
 
     def run(self, frames: Iterable[Frame]) -> Floats:

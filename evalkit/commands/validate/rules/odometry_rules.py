@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from evalkit.commands.validate.rules.odometry_fixture import OdometryFixture, answer_row, last_pose
+from evalkit.commands.validate.rules.odometry_state_rules import ODOMETRY_STATE_RULES
 from evalkit.commands.validate.rules.registration_rules import UNIT_TOLERANCE, check_turn
-from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES, in_another_thread
+from evalkit.commands.validate.rules.resource_rules import RESOURCE_RULES
 from evalkit.commands.validate.rules.rule import (
     RuleBroken,
     RuleNotApplicable,
@@ -28,10 +27,8 @@ from evalkit.commands.validate.rules.scenes import (
     format_pose,
     without_hits,
 )
-from evalkit.commands.validate.rules.state_rules import FORKS, LATER_S, count_other_copies, run_elsewhere
 from evalkit.core.errors import EvalkitError, format_exception
 from evalkit.core.pose import Pose
-from evalkit.core.se2 import Floats
 from evalkit.odometry.corrections import read_remarks
 
 ON_TRACK_M = 0.25
@@ -279,7 +276,7 @@ def check_stamps(fixture: OdometryFixture) -> str:
 
 
 def check_values(fixture: OdometryFixture) -> str:
-    """Scans with nan and inf among the ranges, with one beam and with 20,000 beams give an answer or an exception."""
+    """It tracks scans with nan and inf among the ranges; one beam or 20,000 give an answer or an exception."""
     simulated = drive(6)
     rng = np.random.default_rng(fixture.seed)
     for name, chosen in (("nan", np.nan), ("inf", np.inf)):
@@ -290,6 +287,7 @@ def check_values(fixture: OdometryFixture) -> str:
             for frame in simulated.frames
         )
         _on_track(fixture, replace(simulated, frames=holed), f"with 30 % of the ranges {name}", 0.5 * ON_TRACK_M + 0.4)
+    refused: list[str] = []
     for rows in (np.arange(1), np.repeat(np.arange(BEAMS), 56)):
         frames = tuple(
             replace(frame, scan=replace(frame.scan, ranges=frame.scan.ranges[rows], angles=frame.scan.angles[rows],
@@ -301,51 +299,8 @@ def check_values(fixture: OdometryFixture) -> str:
         except Exception as error:
             if not is_refusal(error):
                 raise
-            return f"{len(rows)} beams: {format_exception(error)}"
-    return "it answers scans with holes, with one beam and with 20,160 beams"
-
-
-def check_thread(fixture: OdometryFixture) -> str:
-    """A second thread gets the same answers."""
-    return _same_answers(fixture, in_another_thread(lambda: fixture.run(fixture.short.frames)), "in a second thread")
-
-
-def check_process(fixture: OdometryFixture) -> str:
-    """Another process, with other addresses and other values in fresh memory, gets the same answers."""
-    if not fixture.elsewhere:
-        raise RuleNotApplicable("it has no address by which another process finds it")
-    found = run_elsewhere(answers_elsewhere, fixture.elsewhere)
-    observed = _same_answers(fixture, np.array(found["answers"], dtype=np.float64), "in another process")
-    if found["copies"]:
-        raise RuleBroken(f"{found['copies']} of {FORKS} copies of a process, with other numbers, have other answers")
-    return observed
-
-
-def check_later(fixture: OdometryFixture) -> str:
-    """The answers are the same seconds later."""
-    once = fixture.first_answers
-    time.sleep(max(0.37, LATER_S - time.monotonic() + fixture.asked_s))
-    del once
-    return _same_answers(fixture, fixture.run(fixture.short.frames), f"{LATER_S:g} s later")
-
-
-def answers_elsewhere(*, address: dict[str, str], parameters: dict[str, Any], seed: int) -> dict[str, Any]:
-    """The answers to a short drive, in this process."""
-    from evalkit.commands.validate.rules import runner  # noqa: PLC0415 - which imports the rules
-
-    fixture = runner.load_fixture(address, parameters, seed)
-    answers = fixture.first_answers
-    copies = count_other_copies(lambda: np.array_equal(answers, fixture.run(fixture.short.frames), equal_nan=True))
-    return {"answers": answers, "copies": copies}
-
-
-def _same_answers(fixture: OdometryFixture, found: Floats, when: str) -> str:
-    expected = fixture.first_answers
-    if not np.array_equal(expected, found, equal_nan=True):
-        scan = int(np.argmax((expected != found).any(axis=1)))
-        answers = f"{found[scan].tolist()}, before {expected[scan].tolist()}"
-        raise RuleBroken(f"{when} scan {scan + 1} has another answer: {answers}")
-    return f"{len(expected)} answers are the same to the bit {when}"
+            refused.append(f"{len(rows)} beams: {format_exception(error)}")
+    return "; ".join(refused) or "it answers scans with holes, with one beam and with 20,160 beams"
 
 
 def end_pose(simulated: SimulatedDrive) -> Pose:
@@ -371,5 +326,5 @@ RULES = rule_table(
     check_starts, check_first, check_follows, check_moves, check_metres, check_radians, check_first_beam,
     check_mounting, check_without_odometry, check_odometry_gap, check_no_hits, check_no_hits_first, check_all_at_once,
     check_equal_stamps, check_stamps, check_values, check_fresh, check_deterministic, check_read_only, *RESOURCE_RULES,
-    check_thread, check_process, check_later,
+    *ODOMETRY_STATE_RULES,
 )  # fmt: skip

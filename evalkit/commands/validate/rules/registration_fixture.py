@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.validate.rules import resource_rules
+from evalkit.commands.validate.rules.endurance import ResourceUse, measure_resource_use
 from evalkit.commands.validate.rules.process_state import StateWatch
-from evalkit.commands.validate.rules.resource_rules import ResourceUse
 from evalkit.commands.validate.rules.scenes import CloudPair, drawn_pair
 from evalkit.commands.validate.rules.state_rules import Bits, answer_bits
 from evalkit.core.pose import Pose
@@ -107,7 +106,7 @@ class RegistrationFixture:
             self.worn = one
             return lambda: answer_bits(one, next(cycle))
 
-        return resource_rules.measure(self.make, calls, self.watch)
+        return measure_resource_use(self.make, calls, self.watch)
 
     def register(self, pair: CloudPair) -> Pose:
         """The answer to a pair."""

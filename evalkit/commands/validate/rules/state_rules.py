@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import ctypes
 import mmap
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import psutil
 
-from evalkit.commands.validate.rules.resource_rules import BATCHES, in_another_thread
+from evalkit.commands.validate.rules.elsewhere import FORKS, count_other_copies, in_another_thread, run_elsewhere
+from evalkit.commands.validate.rules.endurance import BATCHES
 from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, is_refusal, require_own_process
 from evalkit.commands.validate.rules.scenes import CloudPair, drawn_pair
 from evalkit.core.errors import format_exception
 from evalkit.core.match import Match
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
-from evalkit.execution import sandbox
-from evalkit.execution.task import Result
 from evalkit.plugins.protocols import Registration
 
 if TYPE_CHECKING:
@@ -36,11 +33,6 @@ MemoryPlace = Literal["middle", "end", "beginning"]
 
 LATER_S, PAUSES_S = 3.0, (0.0, 0.6, 0.6)
 """The first answers are asked for again after at least this time (s), and after pauses: in odd and even seconds."""
-
-FORKS = 8
-"""Copies of the other process, with other process numbers."""
-
-ELSEWHERE_S, ELSEWHERE_MIB = 60.0, 2048
 
 
 def answer_bits(registration: Registration, pair: CloudPair) -> Bits:
@@ -191,18 +183,6 @@ STATE_RULES = (
 )  # fmt: skip
 
 
-def run_elsewhere(function: Callable[..., Result], arguments: Mapping[str, Any]) -> Result:
-    """The result of a function in another process whose fresh memory has other values; RuleBroken if it ends early."""
-    os.environ["MALLOC_PERTURB_"] = "165"  # of the child: glibc fills memory with it when it is allocated and freed
-    try:
-        found = sandbox.run(function, dict(arguments), ELSEWHERE_S, ELSEWHERE_MIB)
-    finally:
-        del os.environ["MALLOC_PERTURB_"]
-    if sandbox.ENDED in found:
-        raise RuleBroken(f"in another process with other values in fresh memory: {found[sandbox.ENDED]}")
-    return found
-
-
 def answers_elsewhere(*, address: dict[str, str], parameters: dict[str, Any], seed: int) -> dict[str, Any]:
     """The answers to the questions of a seed, in this process."""
     from evalkit.commands.validate.rules import runner  # noqa: PLC0415 - which imports the rules
@@ -219,18 +199,6 @@ def _count_other_copies(fixture: RegistrationFixture) -> int:
             answer_bits(fixture.make(), one) == bits for one, bits in zip(fixture.questions, expected, strict=True)
         )
     )
-
-
-def count_other_copies(repeats: Callable[[], bool]) -> int:
-    """The number of copies of this process in which a call returns False; 0 where threads would be lost in a copy."""
-    if psutil.Process().num_threads() > 1:
-        return 0
-    other = 0
-    for _ in range(FORKS):
-        if (child := os.fork()) == 0:
-            os._exit(0 if repeats() else 1)
-        other += os.waitpid(child, 0)[1] != 0
-    return other
 
 
 def _plain(bits: Bits) -> list[object]:

@@ -117,6 +117,51 @@ def test_pairs_of_an_earlier_iteration_are_named_by_their_age():
     assert found == ("stale pairs", "stale pairs: those of the first iteration")
 
 
+SCATTERED, HITS = np.random.default_rng(2).uniform(-3.0, 3.0, (2, 20, 2))
+"""A target and moved points without any order, on both sides of zero: each rule gives other neighbours."""
+GUESS = np.array([-0.4, 0.5, 0.2])
+
+
+def find_neighbours(points, rule):
+    """The neighbours of points by a rule, from the distances to every target."""
+    apart = np.abs(points[:, None] - SCATTERED)
+    same = (points[:, None] < 0.0) == (SCATTERED < 0.0)
+    lengths = np.linalg.norm(apart, axis=2)
+    others = {
+        "nearest by the sum of x and y": apart.sum(axis=2),
+        "nearest by the larger of x and y": apart.max(axis=2),
+        "nearest by x alone": apart[..., 0],
+        "nearest by y alone": apart[..., 1],
+        "across x = 0 are not found": np.where(same[..., 0], lengths, np.inf),
+        "across y = 0 are not found": np.where(same[..., 1], lengths, np.inf),
+        "across zero are not found": np.where(same.all(axis=2), lengths, np.inf),
+    }
+    used = next((other for words, other in others.items() if rule.endswith(words)), lengths)
+    return np.argsort(used, axis=1)[:, int(rule.startswith("the second"))]
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "the second nearest neighbour is taken",
+        *(f"neighbours are nearest by {by}" for by in ("the sum of x and y", "the larger of x and y")),
+        *(f"neighbours are nearest by {axis} alone" for axis in "xy"),
+        *(f"neighbours across {line} are not found" for line in ("x = 0", "y = 0", "zero")),
+        "stale pairs: neighbours from the guess",
+        "stale pairs: neighbours from the identity",
+    ],
+)
+def test_other_neighbours_are_named_with_their_rule(rule):
+    source = se2.transform(se2.inverse(BEFORE), HITS)
+    stale = {"the guess": se2.transform(GUESS, source), "the identity": source}.get(rule.rpartition("from ")[2], HITS)
+    right, other = find_neighbours(HITS, ""), find_neighbours(stale, rule)
+    assert (right != other).any()
+    pairs = np.stack([np.arange(len(HITS)), right], axis=1)
+    rows = [se2.compose(best_step(HITS, SCATTERED[onto]), BEFORE) for onto in (right, other)]
+    observed = ObservedStep(SCATTERED, source, BEFORE, GUESS, pairs, *rows, len(HITS), pairs, pairs, 3.0)
+    assert explained(observed) == ("stale pairs" if "stale" in rule else "neighbours", rule)
+
+
 def test_dropped_points_near_the_sensor_are_named_with_their_range():
     order = np.argsort(np.linalg.norm(SOURCE, axis=1))
     kept = np.sort(order[2:])

@@ -49,6 +49,12 @@ class Sixteenths(LogOddsGrid):
         return replace(drawn, log_odds=np.rint(drawn.log_odds * 2048) / 2048)
 
 
+class Rounded(LogOddsGrid):
+    def grid(self):
+        drawn = super().grid()
+        return replace(drawn, log_odds=np.nextafter(drawn.log_odds, np.float32(9.0)))
+
+
 class LFreeSubtracted(LogOddsGrid):
     def _count_once(self, beams, passed, ended, hits, size):
         free, occupied = super()._count_once(beams, passed, ended, hits, size)
@@ -87,6 +93,15 @@ def test_a_mapper_is_equal_to_itself_and_fixed_point_is_within_half_a_step():
     assert mapper_equivalence("log-odds", "log-odds", ROOM, scans=5).first is None
     fixed = replace(paper.MAPPER, make=Sixteenths)
     assert mapper_equivalence("log-odds", fixed, ROOM, scans=5, margin=Margin(log_odds=2.0**-11)).equivalent
+
+
+def test_a_last_digit_is_equal_and_named_where_even_that_must_agree():
+    rounded = replace(paper.MAPPER, make=Rounded)
+    assert mapper_equivalence("log-odds", rounded, ROOM, scans=2).equivalent
+    found = mapper_equivalence("log-odds", rounded, ROOM, scans=2, margin=Margin(log_odds=1e-12))
+    assert found.first is not None
+    assert (found.first.kind, found.equivalent) == ("precision", False)
+    assert "within rounding to float32" in found.first.what
 
 
 def test_a_failure_of_the_first_mapper_raises_an_error_with_its_label():

@@ -17,12 +17,13 @@ import pytest
 
 from evalkit import cli
 from evalkit.commands.validate.rules import (
+    endurance,
     odometry_fixture,
     odometry_rules,
+    odometry_state_rules,
     process_state,
     range_rules,
     registration_rules,
-    resource_rules,
     runner,
     state_rules,
 )
@@ -76,12 +77,12 @@ def few_calls(monkeypatch, call_count):
 
     The times of calls are numbers of functions, with which a rule is broken on a busy machine as on an idle one.
     """
-    monkeypatch.setattr(resource_rules, "time", CountingClock(call_count))
+    monkeypatch.setattr(endurance, "time", CountingClock(call_count))
     monkeypatch.setattr(range_rules, "LARGE", 5000)
-    monkeypatch.setattr(resource_rules, "BUDGET_S", 0.15)
-    monkeypatch.setattr(resource_rules, "PROGRAM_BUDGET_S", 0.3)
-    monkeypatch.setattr(resource_rules, "INSTANCES", 40)
-    for rules in (state_rules, odometry_rules):
+    monkeypatch.setattr(endurance, "BUDGET_S", 0.15)
+    monkeypatch.setattr(endurance, "PROGRAM_BUDGET_S", 0.3)
+    monkeypatch.setattr(endurance, "INSTANCES", 40)
+    for rules in (state_rules, odometry_state_rules):
         monkeypatch.setattr(rules, "LATER_S", 0.2)
     monkeypatch.setattr(state_rules, "PAUSES_S", (0.0,))
     with call_count.counting():
@@ -371,19 +372,19 @@ def test_a_leak_is_detected_in_a_separate_process():
 
 
 def test_calls_of_a_slow_program_are_counted_by_elapsed_time_because_they_cost_this_process_none(monkeypatch):
-    monkeypatch.setattr(resource_rules, "PROGRAM_BUDGET_S", 0.1)
+    monkeypatch.setattr(endurance, "PROGRAM_BUDGET_S", 0.1)
     programs = []
 
     def start():
         programs.append(subprocess.Popen(["sleep", "60"]))
 
     try:
-        found = resource_rules.measure(start, lambda _: partial(time.sleep, 0.005), process_state.StateWatch())
+        found = endurance.measure_resource_use(start, lambda _: partial(time.sleep, 0.005), process_state.StateWatch())
     finally:
         for one in programs:
             one.kill()
             one.wait()
-    assert found.size * resource_rules.BATCHES == 40  # the fewest: 0.1 s are 20 calls of 5 ms; by CPU time thousands
+    assert found.size * endurance.BATCHES == 40  # the fewest: 0.1 s are 20 calls of 5 ms; by CPU time thousands
 
 
 def test_a_rule_that_takes_long_is_reported_while_it_runs(monkeypatch):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from evalkit.commands.validate.rules import odometry_rules, resource_rules, slam_rules
+from evalkit.commands.validate.rules import endurance, odometry_rules, slam_rules
 from evalkit.commands.validate.rules.rule import check_rule
 
 sys.path.append(str(Path(__file__).parents[3] / "misfits"))
@@ -17,8 +17,8 @@ OWN = [name for name in slam_rules.RULES if name not in odometry_rules.RULES]
 
 
 def test_a_sound_slam_breaks_no_rule_of_its_own_and_may_keep_a_pose_for_each_frame(monkeypatch):
-    monkeypatch.setattr(resource_rules, "BUDGET_S", 0.05)
-    monkeypatch.setattr(resource_rules, "INSTANCES", 20)
+    monkeypatch.setattr(endurance, "BUDGET_S", 0.05)
+    monkeypatch.setattr(endurance, "INSTANCES", 20)
     fixture = slam_rules.SlamFixture(faulty.SoundSlam, role="baseline")
     results = {name: check_rule(slam_rules.RULES[name], fixture) for name in [*OWN, "first", "memory", "deterministic"]}
     assert {name: one.observed for name, one in results.items() if one.outcome != "passed"} == {}
