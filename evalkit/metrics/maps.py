@@ -30,7 +30,7 @@ INLIER_M = 0.2
 NO_WALL = "the map has no wall"
 NO_TRUE_WALL = "the ground-truth map has no wall"
 _SLACK_M = 1e-6  # cells at exactly the tolerance are within it
-_EDGE = 1e-6  # cells: a centre at this distance below an edge counts as on the edge
+_EDGE = 1e-6  # cells: a centre at this distance from an edge counts as on the edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +48,20 @@ class WallDistances:
     lattice: OccupancyGrid
 
     @cached_property
-    def cells(self) -> tuple[Ints, Ints]:
-        """The numbers (N,), (M,) of the lattice's cells in which the mapped and the true cells lie."""
-        return _index_cells(self.mapped, self.lattice), _index_cells(self.true, self.lattice)
+    def sides(self) -> list[tuple[Ints, Ints]]:
+        """The numbers (N,), (M,) of the lattice's cells in which the mapped and the true cells lie.
+
+        Four times if centres lie on edges, as those of lattices half a cell apart do: for both sides along x and y, so
+        that none is preferred.
+        """
+
+        def find(*side: float) -> tuple[Ints, Ints]:
+            return _index_cells(self.mapped, self.lattice, side), _index_cells(self.true, self.lattice, side)
+
+        upper, lower = find(_EDGE, _EDGE), find(-_EDGE, -_EDGE)
+        if all((one == other).all() for one, other in zip(upper, lower, strict=True)):
+            return [upper]
+        return [upper, lower, find(_EDGE, -_EDGE), find(-_EDGE, _EDGE)]
 
 
 def compare_walls(mapped: OccupancyGrid, true: OccupancyGrid) -> WallDistances:
@@ -87,18 +98,23 @@ def chamfer(walls: WallDistances) -> float:
 
 
 def iou(walls: WallDistances) -> float:
-    """Return the cells with a wall in both maps, divided by the cells with a wall in either, on the coarser lattice."""
-    either = _count_cells(np.concatenate(walls.cells))
-    return (sum(map(_count_cells, walls.cells)) - either) / either
+    """Return the cells with a wall in both maps, divided by the cells with a wall in either, on the coarser lattice.
+
+    Mean over the sides of edges on which centres lie.
+    """
+    either = [_count_cells(np.concatenate(cells)) for cells in walls.sides]
+    both = [sum(map(_count_cells, cells)) - count for cells, count in zip(walls.sides, either, strict=True)]
+    return float(np.mean(np.divide(both, either)))
 
 
 def iou_within(walls: WallDistances) -> float:
     """Return the share of cells with a wall in either map that lie within the tolerance of a wall in the other map.
 
-    On the coarser lattice.
+    On the coarser lattice; mean over the sides of edges on which centres lie.
     """
-    cells, near = np.concatenate(walls.cells), np.concatenate([walls.to_true, walls.to_mapped])
-    return _count_cells(cells[near <= TOLERANCE_M + _SLACK_M]) / _count_cells(cells)
+    near = np.concatenate([walls.to_true, walls.to_mapped]) <= TOLERANCE_M + _SLACK_M
+    cells = [np.concatenate(own) for own in walls.sides]
+    return float(np.mean([_count_cells(each[near]) / _count_cells(each) for each in cells]))
 
 
 def accuracy(walls: WallDistances, inlier_m: float = INLIER_M) -> float:
@@ -107,9 +123,13 @@ def accuracy(walls: WallDistances, inlier_m: float = INLIER_M) -> float:
     return float(np.sqrt(np.mean(inliers**2))) if len(inliers) else float("nan")
 
 
-def _index_cells(points: Floats, lattice: OccupancyGrid) -> Ints:
-    """Return the number (N,) of the cell of a lattice in which each point (N, 2) lies."""
-    cells = np.floor((points - [lattice.origin_x, lattice.origin_y]) / lattice.resolution_m + 1e-6).astype(np.int64)
+def _index_cells(points: Floats, lattice: OccupancyGrid, side: tuple[float, ...]) -> Ints:
+    """Return the number (N,) of the cell of a lattice in which each point (N, 2) lies.
+
+    ``side``: what is added along x and y, in cells, and decides for points on an edge.
+    """
+    places = (points - [lattice.origin_x, lattice.origin_y]) / lattice.resolution_m
+    cells = np.floor(places + side).astype(np.int64)
     return np.asarray(cells[:, 0] * (1 << 32) + cells[:, 1])
 
 

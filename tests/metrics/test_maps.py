@@ -95,6 +95,31 @@ def test_iou_is_computed_at_the_coarser_resolution() -> None:
     assert scores(coarse, fine)["map_iou"].value == 1.0
 
 
+def mirrored(one: OccupancyGrid) -> OccupancyGrid:
+    """Return a map with the signs of x and y changed."""
+    height, width = one.shape
+    x, y = -one.origin_x - width * one.resolution_m, -one.origin_y - height * one.resolution_m
+    return grid(one.occupied()[::-1, ::-1], one.resolution_m, x, y)
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.025, 0.0), (0.0, 0.025), (0.025, 0.025), (0.05, -0.1)])
+def test_iou_of_a_mirrored_world_is_the_same_on_lattices_half_a_cell_apart(x: float, y: float) -> None:
+    rng = np.random.default_rng(8)
+    mapped, true = grid(rng.random((30, 40)) < 0.3), grid(rng.random((25, 35)) < 0.3, 0.05, x, y)
+    here, there = scores(mapped, true), scores(mirrored(mapped), mirrored(true))
+    turned = scores(grid(mapped.occupied().T), grid(true.occupied().T, 0.05, y, x))
+    for name in ("map_iou", "map_iou_10cm"):
+        assert there[name].value == pytest.approx(here[name].value), name
+        assert turned[name].value == pytest.approx(here[name].value), name
+
+
+def test_iou_is_the_mean_over_both_sides_of_the_edges_on_which_centres_lie() -> None:
+    half = grid(wall(20), 0.05, 0.025)  # its wall lies in half of column 20 and in half of column 21
+    assert scores(grid(wall(20)), half)["map_iou"].value == scores(grid(wall(21)), half)["map_iou"].value == 0.5
+    assert scores(grid(wall(20) | wall(21)), half)["map_iou"].value == 0.5
+    assert scores(grid(wall(22)), half)["map_iou"].value == 0.0
+
+
 def test_iou_with_a_tolerance_accepts_two_cells_and_counts_each_cell_once() -> None:
     two, three = (scores(grid(wall(20 + cells)), grid(wall(20)))["map_iou_10cm"].value for cells in (2, 3))
     assert (two, three) == (1.0, 0.0)

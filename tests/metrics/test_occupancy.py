@@ -10,7 +10,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics import occupancy
 from evalkit.metrics.metric import NO_POSES, Evidence, MissingMap
-from evalkit.metrics.occupancy import find_true_states, log_loss, wall_width_m
+from evalkit.metrics.occupancy import METRICS, find_true_states, log_loss, wall_width_m
 
 
 def grid(rows, resolution_m=0.1, x=0.0, y=0.0, observed=None):
@@ -40,6 +40,13 @@ def test_a_centre_on_an_edge_counts_for_both_cells_and_walls_win_over_free_space
     occupied, free = find_true_states(grid([[1, 1]]), true)
     assert occupied.tolist() == [[True, True]]
     assert not free.any()
+
+
+def test_a_perfect_wall_between_two_cells_makes_both_occupied_in_the_log_loss():
+    true = grid([[-5, 5, -5]], resolution_m=0.1, x=-0.05)  # centres 0, 0.1 and 0.2: all on edges
+    value, cells = log_loss(grid([[4, 4]]), true)
+    assert (value, cells) == (pytest.approx(np.log1p(np.exp(-4.0))), 2)
+    assert "in it or on its edge" in next(one for one in METRICS if one.name == "map_log_loss").definition
 
 
 @pytest.mark.parametrize("upright", [False, True])

@@ -52,3 +52,11 @@ def test_the_best_metrics_correlate_with_the_true_error():
     for name in ("split_distance_m", "cleared_percent", "mme_nat"):
         assert validation.agreement_of(name).overall.low > 0.7
     assert validation.agreement_of("occupied_percent").overall.value < 0.0
+
+
+def test_the_strongest_metric_of_a_fault_comes_first(content):
+    for fault in content["faults"]:
+        factors = [one["factor"] for one in fault["strongest"]]
+        assert factors == sorted(factors, reverse=True), fault["fault"]
+        ious = {one["without"] for one in fault["strongest"] if one["metric"] == "map_iou"}
+        assert ious <= {0.2220891176733261}, fault["fault"]  # mean over the sides of edges: no side is preferred

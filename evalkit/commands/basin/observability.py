@@ -19,7 +19,9 @@ class Observability:
     Coordinates are x (m), y (m) and ``lever_m`` times the turn (rad), along the world's axes, about the sensor.
     ``directions`` (3, 3): unit vectors as columns. ``shares`` (3,): the eigenvalues of the point-to-line Hessian for
     each point: 0 if no wall stands across, at most 1. ``sigma_m`` (3,): the smallest standard deviation an unbiased
-    answer can have (Cramer and Rao), inf if unobservable. ``is_open`` (3,): not determined within the tolerance.
+    answer can have (Cramer and Rao) if all points have the noise across their walls, inf if unobservable; an error of
+    the range counts less there where a beam meets its wall at an angle. ``is_open`` (3,): not determined within the
+    tolerance.
     """
 
     lever_m: float

@@ -158,15 +158,16 @@ def _scene(result: BasinResult, scene: BasinScene) -> Section:
 def _directions(scene: BasinScene) -> str:
     known = scene.known
     best = max(value for value in known.sigma_m if math.isfinite(value))
+    bound = "(the bound of Cramer and Rao if all noise were across the walls; along slanted beams less of it is)"
     if names := known.names():
         return (
             f"Degenerate: the {' and the '.join(names)} is unobservable here; guesses and answers are not evaluated "
-            f"along it. The other directions can be determined to {100 * best:.2g} cm at best."
+            f"along it. The other directions can be determined to {100 * best:.2g} cm {bound}."
         )
     weakest = known.shares.min()
     return (
         f"No direction is degenerate: each point gives the weakest {weakest:.2f} of its information, enough for "
-        f"{100 * best:.2g} cm at best (Cramer and Rao)."
+        f"{100 * best:.2g} cm {bound}."
     )
 
 

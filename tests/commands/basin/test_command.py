@@ -33,6 +33,7 @@ def test_a_back_end_that_keeps_its_guess_succeeds_where_the_guess_is_good_enough
     assert found.exit_code == 0, found.output
     kept, absent = content["rows"]
     assert content["scenes"]["long-corridor"]["open_directions"] == ["shift along 0 deg"]
+    assert "the bound of Cramer and Rao if all noise were across the walls" in page
     assert kept["failures_reported_as_converged"] == 1.0
     assert 0.0 <= kept["success"]["low"] <= kept["success"]["share"] < 0.2
     assert kept["trials"] == 24

@@ -63,3 +63,10 @@ def test_errors_along_an_unobservable_direction_are_removed():
     found = observability([both(wall(1.0), wall(-1.0))], 0.05, 0.1)
     motions = np.array([[3.0, 0.2, 0.1], [-1.0, 0.0, 0.0]])
     np.testing.assert_allclose(found.observable(motions), [[0.0, 0.2, 0.1], [0.0, 0.0, 0.0]], atol=1e-9)
+
+
+def test_noise_along_slanted_beams_leaves_less_error_than_the_bound_for_noise_across_walls():
+    points, normals = both(wall(1.0), wall(-1.0))
+    sigma_m = observability([(points, normals)], 0.05, 0.1).sigma_m.min()
+    across = np.abs(np.sum(points * normals, axis=1)) / np.linalg.norm(points, axis=1)  # share of a range across
+    assert np.sqrt(2.0) * 0.05 / np.sqrt(np.sum(across**-2.0)) < 0.5 * sigma_m
