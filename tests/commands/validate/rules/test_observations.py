@@ -109,6 +109,21 @@ def test_a_machine_that_becomes_slow_once_is_no_fault_of_the_calls(again_ns):
     assert observed.startswith("a call takes 67 us at first, ")
 
 
+@pytest.mark.parametrize(("leaves", "found"), [(lambda number: number == 15, 0.0), (lambda number: number > 0, 300e3)])
+def test_what_one_instance_leaves_in_a_cache_is_no_leak_of_every_instance(leaves, found):
+    kept, made = [], itertools.count(1)
+
+    def make():
+        if leaves(next(made)):
+            kept.append(bytearray(300_000))
+
+    def make_nothing(): ...
+
+    clock = itertools.count()
+    left = endurance._measure_instances(make, lambda _: make_nothing, lambda: float(next(clock)), 1.0)
+    assert left == pytest.approx(found, rel=0.1)
+
+
 def test_calls_are_measured_a_second_time_only_where_they_seem_to_become_slower(monkeypatch):
     """A clock that counts: a steady call takes 100 us, one that searches a list 10 us more than the one before."""
     now_ns = length = 0
