@@ -68,7 +68,7 @@ def test_a_truth_whose_y_axis_points_to_the_right_is_a_problem(drive, tmp_path):
 
 def test_the_path_of_a_marker_is_told_from_that_of_the_base(drive, tmp_path):
     (said,) = doubt(drive, tmp_path, se2.compose(drive[2].poses, np.array([[0.25, 0.10, 0.0]])))
-    assert "it is the path of a point 0.27 m from the base (x 0.25 m, y 0.10 m)" in said
+    assert "it is the path of a point 0.27 m from that of /odom (x 0.25 m, y 0.10 m)" in said
     assert doubt(drive, tmp_path, se2.compose(drive[2].poses, np.array([[0.02, 0.0, 0.0]]))) == []
     (said,) = doubt(drive, tmp_path, se2.compose(drive[2].poses, np.array([[0.25, 0.10, 1.2]])))
     assert "its heading differs by 69 deg from that of the base" in said

@@ -136,8 +136,8 @@ def _describe_frame(truth: OdometryStream, wheels: OdometryStream) -> str:
     if lever is None:
         return ""
     x, y = lever
-    point = f"a point {math.hypot(x, y):.2f} m from the base (x {x:.2f} m, y {y:.2f} m)"
-    what = f"by the turns of {wheels.topic}, it is the path of {point}: all errors contain that"
+    apart = f"{math.hypot(x, y):.2f} m from that of {wheels.topic} (x {x:.2f} m, y {y:.2f} m)"
+    what = f"by the turns, it is the path of a point {apart}: one of both is not the base, and errors contain this"
     return f"{what}; give the trajectory of the base"
 
 
