@@ -179,6 +179,11 @@ def backend_at(backend: str | BackendSpec) -> BackendSpec:
     return spec_at(address_of(backend), BackendSpec, registry.backend)
 
 
+def dataset_at(dataset: str | DatasetSpec) -> DatasetSpec:
+    """Return the spec of a registered name, of "module:SPEC", or itself. Raises NotInstalled if there is none."""
+    return spec_at(address_of(dataset), DatasetSpec, registry.dataset) if isinstance(dataset, str) else dataset
+
+
 def mapper_at(mapper: str | MapperSpec) -> MapperSpec:
     """Return the spec of a registered name, of "module:SPEC", or itself. Raises NotInstalled if there is none."""
     return spec_at(address_of(mapper), MapperSpec, registry.mapper) if isinstance(mapper, str) else mapper

@@ -54,8 +54,14 @@ def format_amount(metric: Metric, value: float, more: int = 0) -> str:
 
 def format_spread(metric: Metric, value: float, low: float, high: float) -> str:
     """Format a value and the bounds of its interval in the value's unit: "4.6 mm (3.3 to 6.4)"."""
-    (text, least, most), unit = _format_alike(metric, [value, low, high])
-    return f"{text}\u00a0{unit}".rstrip() + f" ({least} to {most})"
+    middle, least, most = _format_bounded(metric, value, low, high)
+    return f"{middle} ({least} to {most})"
+
+
+def _format_bounded(metric: Metric, value: float, low: float, high: float, more: int = 0) -> tuple[str, str, str]:
+    """Return a value with its unit, and two bounds with as many decimals in the same unit."""
+    (text, least, most), unit = _format_alike(metric, [value, low, high], more)
+    return f"{text}\u00a0{unit}".rstrip(), least, most
 
 
 def _format_alike(metric: Metric, values: Sequence[float], more: int = 0) -> tuple[list[str], str]:
@@ -107,8 +113,7 @@ def format_median(metric: Metric, score: MethodScore) -> str:
     value, spread = median(score.values), score.spread
     if spread is None:
         return format_amount(metric, value)
-    (text, low, high), unit = _format_alike(metric, [value, spread.low, spread.high])
-    middle = f"{text}\u00a0{unit}".rstrip()
+    middle, low, high = _format_bounded(metric, value, spread.low, spread.high)
     if spread.kind == "interval":
         return f"{middle} (95\u00a0% interval{' of this run' if spread.runs == 1 else ''} {low} to {high})"
     return f"{middle} ({low} to {high} in {spread.runs} {'repeated ' if spread.kind == 'perturbed' else ''}runs)"
@@ -123,8 +128,7 @@ def format_difference(metric: Metric, difference: PairedDifference, sign: float 
     if interval.support < MIN_RUNS:
         return format_amount(metric, math.copysign(1.0, sign) * interval.value, 1)
     ends = (interval.low, interval.high) if sign >= 0.0 else (-interval.high, -interval.low)
-    (text, low, high), unit = _format_alike(metric, [math.copysign(1.0, sign) * interval.value, *ends], 1)
-    value = f"{text}\u00a0{unit}".rstrip()
+    value, low, high = _format_bounded(metric, math.copysign(1.0, sign) * interval.value, *ends, more=1)
     return f"{value} ({100 * interval.confidence:.0f}\u00a0% interval {low} to {high})"
 
 

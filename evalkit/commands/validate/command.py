@@ -20,9 +20,8 @@ from evalkit.core.errors import BadData, BadParameter, NotInstalled, brief
 from evalkit.execution import environment
 from evalkit.io.input_files import read_text
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.address import address_of, mapper_at, spec_at
+from evalkit.plugins.address import address_of, dataset_at, mapper_at
 from evalkit.plugins.parameters import split_settings
-from evalkit.plugins.specs import DatasetSpec
 from evalkit.terminal import options, progress
 from evalkit.terminal.console import err
 from evalkit.terminal.options import Jobs, Json, Out
@@ -252,7 +251,7 @@ def _subject(name: str) -> Subject:
     address = address_of(name)
     if address.module:
         with suppress(NotInstalled):  # its error is raised where the back end is loaded
-            spec_at(address, DatasetSpec, registry.dataset)
+            dataset_at(name)
             return "data set"
         with suppress(NotInstalled):
             mapper_at(name)

@@ -40,7 +40,7 @@ from evalkit.execution.task_store import TaskStore
 from evalkit.external import elf
 from evalkit.external.declaration import split_words
 from evalkit.plugins import registry
-from evalkit.plugins.address import backend_at
+from evalkit.plugins.address import backend_at, dataset_at
 from evalkit.plugins.parameter_parsing import from_text, parse_dataset
 from evalkit.plugins.parameters import Value
 from evalkit.results.run_record import RunRecord
@@ -173,7 +173,7 @@ def report_rules(
 
 def report_dataset(dataset: str, given: Mapping[str, str], frames: int) -> AcceptanceReport:
     """Level 0 of a data set: its rules over its first ``frames`` frames."""
-    values = from_text(dataset, dataset_rules.spec_of(dataset).parameters, given)
+    values = from_text(dataset, dataset_at(dataset).parameters, given)
     checked = dataset_rules.check(dataset, frames, values)
     level = level_answers.rules_level(checked.results, "data set")
     return report_alone(checked.label, level, {"dataset": values, "frames": frames})

@@ -15,15 +15,15 @@ from evalkit.commands.validate.rules.rule import (
     RuleNotJudged,
     RuleReport,
     check_rules_once,
+    require_accepted,
     rule_table,
 )
-from evalkit.core.errors import DataMissing, EvalkitError, brief
+from evalkit.core.errors import DataMissing, brief
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.trajectory import Trajectory
-from evalkit.plugins import registry
-from evalkit.plugins.address import address_of, label_of, spec_at
+from evalkit.plugins.address import dataset_at, label_of
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import DatasetSpec
@@ -73,18 +73,13 @@ def check(dataset: str | DatasetSpec, frames: int, parameters: Mapping[str, obje
     Where one exception ends several rules, it breaks the first of them alone; the others are not judged.
     Raises DataMissing if its files are not here, BadParameter or UnknownName for parameters.
     """
-    spec = spec_of(dataset)
+    spec = dataset_at(dataset)
     label = label_of(dataset, "this data set")
     complete = resolve_parameters(label, spec.parameters, parameters)
     if why := spec.missing(**{name: value for name, value in complete.items() if name != "seed"}):
         raise DataMissing(label, "cannot be checked here", why)
     fixture = DatasetFixture(spec, complete, frames)
     return RuleReport(label, check_rules_once(RULES, fixture))
-
-
-def spec_of(dataset: str | DatasetSpec) -> DatasetSpec:
-    """The spec of a registered name, of "module:SPEC", or itself; NotInstalled if there is none."""
-    return spec_at(address_of(dataset), DatasetSpec, registry.dataset) if isinstance(dataset, str) else dataset
 
 
 def check_opens(fixture: DatasetFixture) -> str:
@@ -229,12 +224,7 @@ def check_notes(fixture: DatasetFixture) -> str:
 
 def check_parameters(fixture: DatasetFixture) -> str:
     """It can be created with the parameters it declares."""
-    try:
-        _ = fixture.sequence
-    except EvalkitError:
-        raise
-    except TypeError as error:
-        raise RuleBroken(f"make() rejects its declared parameters: {error}") from error
+    require_accepted(lambda: fixture.sequence)
     return f"accepts {', '.join(fixture.parameters) or 'none'}"
 
 

@@ -216,8 +216,7 @@ def leak_bytes(heap: Floats, size: int, kept_bytes: float) -> float:
     """Bytes per call by which the heap (B + 1,) grows, steadily or in steps; 0 if it does not, or less than it may."""
     growth = float(heap[-1] - heap[0])
     each = growth / (size * BATCHES)
-    noise = CHILD_NOISE_BYTES if psutil.Process().children() else NOISE_BYTES
-    return each if each >= kept_bytes and growth > noise else 0.0
+    return each if each >= kept_bytes and growth > _noise_bytes() else 0.0
 
 
 def _measure_instances(
@@ -233,11 +232,14 @@ def _measure_instances(
             calls(make())()
             made += 1
         growth = _heap_bytes() - before
-        noise = CHILD_NOISE_BYTES if psutil.Process().children() else NOISE_BYTES
-        return growth / (made - 10) if growth > noise else 0.0
+        return growth / (made - 10) if growth > _noise_bytes() else 0.0
 
     left = measure()
     return min(left, measure()) if left >= LEAK_BYTES else left
+
+
+def _noise_bytes() -> int:
+    return CHILD_NOISE_BYTES if psutil.Process().children() else NOISE_BYTES
 
 
 def _heap_bytes() -> float:

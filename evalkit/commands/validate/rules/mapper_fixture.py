@@ -20,7 +20,7 @@ from evalkit.plugins.protocols import Mapper
 WORLD_FROM_ROOM = Pose(0.513, 0.227, 0.5)
 """The room lies around the corner of four cells, where truncation is not floor, and its walls cross cells."""
 
-SCANS, BEAMS = 20, 360
+SCANS, BEAMS = 20, scenes.BEAMS
 
 
 class MapperFixture:

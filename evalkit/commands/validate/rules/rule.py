@@ -14,6 +14,7 @@ from evalkit.core.errors import (
     BackendFailed,
     BackendLate,
     BackendRefused,
+    EvalkitError,
     NotInstalled,
     format_exception,
 )
@@ -130,6 +131,16 @@ def check_rules_once(rules: Mapping[str, Rule], fixture: object) -> tuple[RuleRe
         known = any(one.raised and one.observed == result.observed for one in results)
         results.append(replace(result, outcome="not judged") if result.raised and known else result)
     return tuple(results)
+
+
+def require_accepted(make: Callable[[], object]) -> None:
+    """Make a plug-in with its declared parameters; raises RuleBroken where it rejects them."""
+    try:
+        make()
+    except EvalkitError:
+        raise
+    except TypeError as error:
+        raise RuleBroken(f"make() rejects its declared parameters: {error}") from error
 
 
 def is_refusal(error: Exception) -> bool:
