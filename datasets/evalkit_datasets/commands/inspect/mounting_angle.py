@@ -24,7 +24,9 @@ MIN_BEAMS = 40
 HALF_WINDOW = math.radians(2.5)
 """Beams on each side of one that its line is fitted to."""
 
-MAX_SPREAD_DEG = 12.0
+MAX_SPREAD = math.radians(12.0)
+"""Directions of motion that differ more from each other (robust standard deviation) are not those of one mounting."""
+
 SPEED_RATIOS = (0.6, 1.6)
 """Motion seen by the scans divided by that of the odometry; outside, a pair is not used."""
 
@@ -52,17 +54,28 @@ def estimate_mounting_angle(wheels: OdometryStream, laser: LaserStream) -> Mount
     moved, seen, _ = pair_motions(wheels, laser)
     ratios = np.hypot(*seen[:, :2].T) / np.hypot(*moved[:, :2].T)
     fits = (ratios > SPEED_RATIOS[0]) & (ratios < SPEED_RATIOS[1])
-    headings = (np.arctan2(moved[:, 1], moved[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0]))[fits]
-    if len(headings) < MIN_PAIRS:
+    pairs = int(fits.sum())
+    if pairs < MIN_PAIRS:
         return None
-    around = math.atan2(float(np.mean(np.sin(headings))), float(np.mean(np.cos(headings))))
-    apart = np.degrees(se2.wrap(headings - around))
+    heading, spread = measure_heading(moved[fits], seen[fits])
+    if spread > MAX_SPREAD:
+        return None
+    spread_deg = math.degrees(spread)
+    return MountingAngle(math.degrees(heading), spread_deg, 1.2533 * spread_deg / math.sqrt(pairs), pairs)
+
+
+def measure_heading(moved: Floats, seen: Floats) -> tuple[float, float]:
+    """Return the heading (rad) of a frame on the base, and how far the motions differ in it (rad).
+
+    The base moves by ``moved`` (K, 3), each in its own frame, and the other frame by ``seen`` (K, 3) in its own: the
+    heading is the median angle from ``seen`` to ``moved``, and the spread its median absolute deviation, scaled to a
+    standard deviation.
+    """
+    headings = np.arctan2(moved[:, 1], moved[:, 0]) - np.arctan2(seen[:, 1], seen[:, 0])
+    around = math.atan2(float(np.median(np.sin(headings))), float(np.median(np.cos(headings))))
+    apart = se2.wrap(headings - around)
     middle = float(np.median(apart))
-    spread = 1.4826 * float(np.median(np.abs(apart - middle)))
-    if spread > MAX_SPREAD_DEG:
-        return None
-    heading = math.degrees(float(se2.wrap(around + math.radians(middle))))
-    return MountingAngle(heading, spread, 1.2533 * spread / math.sqrt(len(headings)), len(headings))
+    return se2.wrap_angle(around + middle), 1.4826 * float(np.median(np.abs(apart - middle)))
 
 
 def pair_motions(wheels: OdometryStream, laser: LaserStream) -> tuple[Floats, Floats, Ints]:

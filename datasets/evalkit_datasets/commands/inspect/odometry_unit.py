@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from evalkit.core import se2
 from evalkit_datasets.commands.inspect.mounting_angle import (
+    MAX_SPREAD,
     MIN_PAIRS,
     estimate_mounting_angle,
+    measure_heading,
     measure_visible_share,
     pair_motions,
 )
@@ -27,9 +28,6 @@ MIN_SCALE = 0.75
 
 MIN_VISIBLE = 0.4
 """Motions of which the ranges show less, along the walls of a corridor, are seen too short."""
-
-MAX_APART = np.radians(8.0)
-"""Directions of motion that differ by more (median) are not those that the scans see."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,14 +75,13 @@ def compare_lengths(wheels: OdometryStream, laser: LaserStream) -> LengthCompari
     moved, seen, scans = pair_motions(wheels, laser)
     if len(moved) < MIN_PAIRS:
         return None
-    ways = np.arctan2(moved[:, 1], moved[:, 0])
-    apart = np.arctan2(seen[:, 1], seen[:, 0]) - ways
-    around = np.arctan2(np.median(np.sin(apart)), np.median(np.cos(apart)))
-    if float(np.median(np.abs(se2.wrap(apart - around)))) > MAX_APART:
+    heading, spread = measure_heading(moved, seen)
+    if spread > MAX_SPREAD:
         return None
+    ways = np.arctan2(moved[:, 1], moved[:, 0]) - heading
     ratios = [
         float(np.hypot(*own[:2]) / np.hypot(*base[:2]))
-        for base, own, (one, other), way in zip(moved, seen, scans.tolist(), ways + around, strict=True)
+        for base, own, (one, other), way in zip(moved, seen, scans.tolist(), ways, strict=True)
         if measure_visible_share(laser.ranges[one], laser.ranges[other], laser.angles, float(way)) > MIN_VISIBLE
     ]
     if len(ratios) < MIN_PAIRS:

@@ -17,6 +17,7 @@ from evalkit_datasets.commands.inspect.finding import MAX_OFFSET_S
 from evalkit_datasets.commands.inspect.frame_tree import mirror_if_upside_down
 from evalkit_datasets.commands.inspect.inspector import Inspection
 from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
+from evalkit_datasets.commands.inspect.mounting_angle import MAX_SPREAD, measure_heading
 from evalkit_datasets.commands.inspect.odometry_findings import is_apart
 from evalkit_datasets.commands.inspect.odometry_stats import measure_odometry
 from evalkit_datasets.commands.inspect.odometry_unit import find_length_unit
@@ -32,7 +33,7 @@ WINDOW_NS = 10**9
 
 STRAIGHT, TURNING, MIN_DRIVEN_M = math.radians(2.0), math.radians(5.0), 0.1
 MIN_WINDOWS = 8
-MIN_HEADING, MAX_SPREAD = math.radians(5.0), math.radians(12.0)
+MIN_HEADING = math.radians(5.0)
 MIN_TURNED, MIN_TURNED_SHARE = math.radians(90.0), 0.05
 """A truth that turns by a smaller share than an odometry that turns by more has no headings."""
 
@@ -162,11 +163,8 @@ def _measure_heading(own: Floats, base: Floats) -> float | None:
     straight &= np.hypot(own[:, 0], own[:, 1]) > MIN_DRIVEN_M
     if straight.sum() < MIN_WINDOWS:
         return None
-    apart = np.arctan2(base[straight, 1], base[straight, 0]) - np.arctan2(own[straight, 1], own[straight, 0])
-    around = math.atan2(float(np.median(np.sin(apart))), float(np.median(np.cos(apart))))
-    heading = around + float(np.median(se2.wrap(apart - around)))
-    spread = 1.4826 * float(np.median(np.abs(se2.wrap(apart - heading))))
-    return float(se2.wrap(np.array(heading))) if spread < MAX_SPREAD else None
+    heading, spread = measure_heading(base[straight], own[straight])
+    return heading if spread < MAX_SPREAD else None
 
 
 def _measure_lever(own: Floats, base: Floats) -> Floats | None:
