@@ -48,7 +48,10 @@ DEFAULT_SIGMA_M = 0.01
 
 @dataclass(frozen=True)
 class TruthPaths:
-    """Paths of ground truth files, "" for none; ``how`` describes the origin of the truth for the report."""
+    """Paths of ground truth files, "" for none.
+
+    ``how`` describes the origin of the truth for the report; "" for files given by the user, or none.
+    """
 
     relations: str = ""
     ground_truth: str = ""
@@ -80,7 +83,8 @@ def load_truth(paths: TruthPaths, taken_ns: Stamps, recording_ns: tuple[int, int
         trajectory = Trajectory(poses.stamps_ns[inside], poses.poses[inside]) if inside.any() else None
     if paths.spans:
         spans, counts["measured distances outside the scans"] = _load_spans(paths.spans, taken_ns, recording_ns)
-    truth = Truth(paths.how, trajectory, relations, spans=spans)
+    how = paths.how or ("files given by the user" if paths else "none")
+    truth = Truth(how, trajectory, relations, spans=spans)
     return truth, {name: count for name, count in counts.items() if count}
 
 

@@ -67,9 +67,9 @@ class Clouds:
             joined, jumps = reader_common.join_jumps(poses.stamps_ns, poses.poses)
             self._counts |= jumps | reader_common.count_odometry_gaps(poses, self._stamps)
             self._poses = reader_common.odometry_at(Trajectory(poses.stamps_ns, joined, "odom", "base"), self._stamps)
-        paths = TruthPaths(relations, ground_truth, spans, how or "files given by the user")
+        paths = TruthPaths(relations, ground_truth, spans, how)
         span = int(stamps.min()), int(stamps.max())
-        self._truth, cut = truth_files.load_truth(paths if paths else TruthPaths(how=how or "none"), self._stamps, span)
+        self._truth, cut = truth_files.load_truth(paths, self._stamps, span)
         self._counts |= cut
 
     def __len__(self) -> int:

@@ -98,8 +98,8 @@ class Columns:
         if not len(self):
             raise BadData(str(path), "", f"start {start} lies beyond its {len(keep)} scans", "start earlier")
         span = int(stamps[keep[0]]), int(stamps[keep[-1]])
-        paths = TruthPaths(relations, ground_truth, spans, how or "files given by the user")
-        self._truth, cut = truth_files.load_truth(paths if paths else TruthPaths(how=how or "none"), self._stamps, span)
+        paths = TruthPaths(relations, ground_truth, spans, how)
+        self._truth, cut = truth_files.load_truth(paths, self._stamps, span)
         self._counts |= cut
 
     def __len__(self) -> int:

@@ -94,8 +94,7 @@ class RosBag:
         if self._odometry is not None and child != base:
             self._odometry = self._move_to_base(contents, self._odometry, child, base)
         self._poses, self._motions = self._interpolate_odometry()
-        paths = TruthPaths(relations, ground_truth, spans)
-        paths = replace(paths, how=how or ("files given by the user" if paths else "none"))
+        paths = TruthPaths(relations, ground_truth, spans, how)
         span = int(whole.stamps_ns[0]), int(whole.stamps_ns[-1])
         self._truth, cut = truth_files.load_truth(paths, self.stamps_ns, span)
         self._counts |= cut

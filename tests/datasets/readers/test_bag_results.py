@@ -229,6 +229,7 @@ def test_a_bag_is_a_method_and_a_ground_truth(tmp_path):
     assert registry.backend(f"file:{path}?topic=/other").digest != spec.digest
     assert registry.backend(f"file:{path}?map=/map").kind == "map"
     truth, _ = load_truth(TruthPaths(ground_truth=f"{path}?topic=slam"), np.array(STAMPS), (STAMPS[0], STAMPS[-1]))
+    assert truth.how == "files given by the user"
     np.testing.assert_allclose(truth.trajectory.poses, POSES, atol=1e-12)
 
 
