@@ -13,8 +13,8 @@ import pytest
 
 from evalkit.config.experiment_file import experiment_from_tables
 from evalkit.core.errors import NotInstalled, StoreError
-from evalkit.core.run_result import STEP
-from evalkit.execution import dask_cluster, environment, executors
+from evalkit.core.run_result import STEP, RunResult
+from evalkit.execution import dask_cluster, environment, executors, run_task
 from evalkit.execution.dask_cluster import Cluster, NoCluster
 from evalkit.execution.executors import DaskExecutor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
@@ -84,39 +84,35 @@ def pids(workers):
     return {nanny.pid for nanny in workers.workers.values() if nanny.pid}
 
 
-BOARD = """import json, os, pathlib, sys
-device, session = sys.argv[1], pathlib.Path(sys.argv[2])
-answers = {"hello": {"protocol": 1, "kind": "odometry", "parameters": [], "device": device}, "create": {}}
+HELLO = """import json, sys
+hello = {"protocol": 1, "kind": "odometry", "parameters": [], "device": sys.argv[1]}
 for line in sys.stdin:
-    ask = json.loads(line)["ask"]
-    if ask == "create":
-        session.write_text(str(os.getpid()))
-    elif ask == "update" and session.read_text() != str(os.getpid()):
-        sys.exit("another program has begun a session")
-    print(json.dumps(answers.get(ask, {"pose": [0, 0, 0], "elapsed_ns": 1})), flush=True)
+    print(json.dumps(hello), flush=True)
 """
 
 
-def board_runs(folder, devices, on_start=lambda spec: None):
-    """Return the states, or reasons, of a run for each device; a device has one session, the last one created."""
-    (folder / "board.py").write_text(BOARD)
-    uses = [f"exec:{sys.executable} {folder / 'board.py'} {name} {folder / f'session-{name}'}" for name in devices]
+@pytest.mark.parametrize(("devices", "wait_s", "together"), [(["one"] * 4, 0.5, False), (["one", "other"], 60.0, True)])
+def test_runs_are_executed_at_a_time_only_on_different_devices(tmp_path, monkeypatch, devices, wait_s, together):
+    """A device has one session. Each run waits inside for another one."""
+    meeting, met = threading.Barrier(2), []
+
+    def execute(*_arguments):
+        try:
+            meeting.wait(wait_s)
+        except threading.BrokenBarrierError:
+            met.append(False)
+        else:
+            met.append(True)
+        return RunResult(np.zeros(0, dtype=STEP), 0)
+
+    monkeypatch.setattr(run_task, "execute_run", execute)
+    (tmp_path / "board.py").write_text(HELLO)
+    uses = [f"exec:{sys.executable} -I -S {tmp_path / 'board.py'} {name}" for name in devices]
     methods = [{"use": use, "label": str(number)} for number, use in enumerate(uses)]
-    tables = {"method": methods, "sequence": [{"use": "room", "laps": 0.02}], "timed": False}
-    made = rows(
-        experiment_from_tables(tables, "t.toml", "t", "compare t.toml"), folder / "out",
-        LocalExecutor(len(devices)), progress=RecordedProgress(on_start),
-    )  # fmt: skip
-    return [record.result.reason or record.result.status.value for record in made.values()]
-
-
-def test_runs_on_one_device_follow_each_other(tmp_path):
-    assert board_runs(tmp_path, ["one"] * 4) == ["complete"] * 4
-
-
-def test_runs_on_two_devices_run_at_a_time(tmp_path):
-    begun = threading.Barrier(2, timeout=60.0)
-    assert board_runs(tmp_path, ["one", "other"], lambda _: begun.wait()) == ["complete"] * 2
+    boards = experiment_from_tables({"method": methods, "sequence": [{"use": "room"}]}, "t.toml", "t", "compare t.toml")
+    scheduler = Scheduler(Store(tmp_path / "out"), RecordedProgress())
+    assert len(list(scheduler.run(boards, LocalExecutor(len(devices))))) == len(devices)
+    assert met == [together] * len(devices)
 
 
 def test_a_cluster_gives_the_same_records_as_this_machine_to_the_bit(workers, tmp_path):
