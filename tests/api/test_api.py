@@ -3,6 +3,7 @@
 import importlib
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -212,24 +213,45 @@ def test_a_script_needs_no_main_guard(tmp_path, results):
     assert json.loads(runs) == [["my_icp:Keep", "complete"], ["mine", "complete"]]
 
 
-OWN = {"use": "embedded", "label": "my own", "max_iterations": 6}
-
-
-@pytest.mark.parametrize(("module", "other"), [("first_icp", OWN), ("second_icp", "wheel-odometry")])
-def test_the_stored_commands_repeat_the_comparison_and_one_run(tmp_path, monkeypatch, module, other):
+@pytest.fixture
+def compare_here(tmp_path, monkeypatch):
+    """Return ``compare_here(module, other)``, which compares a class of a module with a method, in this folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / f"{module}.py").write_text(KEEP)
-    (tmp_path / "drive.log").write_text(carmen_log())
-    made = evalkit.compare("drive.log", [importlib.import_module(module).Keep, other], out="here", limit=8)
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
-    subprocess.run(made.content["command"], shell=True, check=True, capture_output=True)
-    (again,) = (tmp_path / "evalkit-results").iterdir()
-    assert [run["key"] for run in evalkit.load(again).content["runs"]] == [run["key"] for run in made.content["runs"]]
-    shutil.rmtree(again)
-    subprocess.run(made.content["runs"][0]["command"], shell=True, check=True, capture_output=True)
-    (alone,) = (tmp_path / "evalkit-results").iterdir()
-    assert made.content["runs"][0]["key"] in [run.name for run in (alone / "runs").iterdir()]
+
+    def compare(module, other):
+        (tmp_path / f"{module}.py").write_text(KEEP)
+        (tmp_path / "drive.log").write_text(carmen_log())
+        keep = importlib.import_module(module).Keep
+        return evalkit.compare("drive.log", [keep, other], out="here", limit=8).content
+
+    return compare
+
+
+def run_stored(command):
+    return subprocess.run(command, shell=True, check=True, capture_output=True, text=True).stdout
+
+
+def test_the_stored_command_repeats_a_comparison_that_no_command_line_states(compare_here):
+    """That of a run is the same call with a folder of its own."""
+    made = compare_here("first_icp", {"use": "embedded", "label": "my own", "max_iterations": 6})
+    command = made["runs"][0]["command"]
+    run_stored(command)
+    (again,) = Path("evalkit-results").iterdir()
+    assert [run["key"] for run in evalkit.load(again).content["runs"]] == [run["key"] for run in made["runs"]]
+    words = [word.replace(f"out='{again}', ", "") for word in shlex.split(command)]
+    assert words == shlex.split(made["command"])
+
+
+def test_the_stored_commands_repeat_a_comparison_of_names_and_one_run(compare_here):
+    made = compare_here("second_icp", "wheel-odometry")
+    planned = json.loads(run_stored(f"{made['command']} --collect --no-page --out here --json"))
+    found, expected = ([(run["key"], run["status"]) for run in content["runs"]] for content in (planned, made))
+    assert found == expected
+    run_stored(made["runs"][0]["command"])
+    (alone,) = Path("evalkit-results").iterdir()
+    assert [run.name for run in (alone / "runs").iterdir()] == [made["runs"][0]["key"]]
 
 
 def test_the_ground_truth_is_named_as_the_parameter_of_the_reader(tmp_path, monkeypatch):
