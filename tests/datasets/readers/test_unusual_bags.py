@@ -234,6 +234,8 @@ def test_ranges_in_millimetres_beside_limits_in_metres_are_mended(tmp_path):
         given = {"angle_increment": 0.01, "time_increment": 0.0005}  # limits: 0.125 to 12 m
         bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), **given)
     path = bag.write(tmp_path)
+    (found,) = [one.what for one in inspect_recording(path).findings if one.level == "problem"]
+    assert found == ("100 % of the ranges lie beyond the maximum of 12 m: millimetres or centimetres taken for metres?")
     mend = {"fields": f"{FIELDS} range_unit=mm"}
     assert suggested(path) == (mend, 0)
     scan = next(RosBag(str(path), **mend).frames()).scan
@@ -294,17 +296,6 @@ def test_the_advice_on_units_is_that_of_the_reader(reader):
         assert bool(advice) is (reader != "carmen")
         assert ("--set" in advice or "recording" in advice) is (reader == "rosbag")
         assert ("layout" in advice) is (reader == "columns")
-
-
-def test_millimetres_beyond_a_maximum_in_metres_are_noticed(tmp_path):
-    bag = Bag("mcap")
-    for k in range(12):
-        given = {"range_max": 12.0, "angle_increment": 0.01, "time_increment": 0.0005}
-        bag.scan(T0 + k * PERIOD, 1000.0 * np.linspace(2.0, 4.0 + 0.01 * k, 200), **given)
-    (found,) = [one for one in inspect_recording(bag.write(tmp_path)).findings if one.level == "problem"]
-    assert (
-        found.what == "100 % of the ranges lie beyond the maximum of 12 m: millimetres or centimetres taken for metres?"
-    )
 
 
 def mirrored_turn(base="base_link"):
@@ -577,15 +568,6 @@ def test_a_bag_cut_short_within_its_first_chunk_tells_that_no_message_is_left(tm
         RosBag(str(whole))
 
 
-def test_a_ros_1_bag_that_was_never_indexed_is_read(tmp_path):
-    whole = long_bag("ros1", "", tmp_path)
-    content = bytearray(whole.read_bytes())
-    at = content.index(b"index_pos=") + len("index_pos=")
-    content[at : at + 8] = bytes(8)
-    whole.write_bytes(bytes(content))
-    assert len(RosBag(str(whole))) == 40
-
-
 @pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
 @pytest.mark.parametrize("content", [b"", b"\0" * 5000, b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0" * 9])
 def test_files_that_hold_nothing_are_refused_with_what_to_do(tmp_path, suffix, content):
@@ -822,13 +804,13 @@ def test_an_odometry_with_another_clock_is_taken_with_the_shift_of_its_times(tmp
 def write_two_clocks(folder, ahead_s, tf=False, late_s=0.0):
     """Write 60 s of a robot that drives straight; the odometry's clock is ahead, a scan is recorded late."""
     bag = Bag("mcap").tf(T0, "base_link", "laser")
-    for at in range(600):
-        stamp = T0 + at * PERIOD
+    for at in range(300):
+        stamp = T0 + 2 * at * PERIOD
         bag.scan(stamp - round(ahead_s * 1e9), [2.0, 3.0, 4.0, 5.0, 6.0], recorded=stamp + round(late_s * 1e9))
         if tf:
-            bag.tf(stamp, "odom", "base_link", 0.05 * at, static=False)
+            bag.tf(stamp, "odom", "base_link", 0.1 * at, static=False)
         else:
-            bag.odom(stamp, 0.05 * at)
+            bag.odom(stamp, 0.1 * at)
     return bag.write(folder)
 
 
@@ -846,7 +828,7 @@ def test_clocks_whose_times_overlap_are_told_apart_by_the_times_of_recording(tmp
     mended = choose_parameters("rosbag", {"path": str(path), "stamp_shift_s": ahead_s})
     assert not [one for one in mended if one.name == "problem" and "clocks" in one.reason]
     last = list(RosBag(str(path), stamp_shift_s=ahead_s).frames())[-1]
-    assert last.odom_from_base.x == pytest.approx(29.95)
+    assert last.odom_from_base.x == pytest.approx(29.9)
 
 
 @pytest.mark.parametrize(("late_s", "ahead_s"), [(0.8, 0.0), (0.1, 37.0)])
@@ -896,10 +878,10 @@ def turn_to_and_fro(folder, late_s, other="", recorded_s=0.0, **scan):
     The odometry of the topic ``other`` has the times of the scans, which are recorded ``recorded_s`` after them.
     """
     bag, angles = Bag("mcap"), np.radians(np.arange(-180.0, 180.0))
-    for k in range(3000):
-        bag.odom(T0 + k * PERIOD // 5, 0.0, yaw=math.sin(0.7 * 0.02 * k))
+    for k in range(1500):
+        bag.odom(T0 + k * PERIOD * 2 // 5, 0.0, yaw=math.sin(0.7 * 0.04 * k))
         if other:
-            bag.odom(T0 + k * PERIOD // 5, 0.0, yaw=math.sin(0.7 * (0.02 * k + late_s)), topic=other)
+            bag.odom(T0 + k * PERIOD * 2 // 5, 0.0, yaw=math.sin(0.7 * (0.04 * k + late_s)), topic=other)
     for k in range(10, 290):
         ways = angles + math.sin(0.7 * (0.2 * k + late_s))
         room = 3.0 + np.cos(2 * ways) + 0.5 * np.sin(5 * ways) + 0.3 * np.cos(11 * ways + 1.0)
