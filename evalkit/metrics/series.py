@@ -93,8 +93,8 @@ def _relation_errors(part: relations.RelationPart) -> Callable[[ScoredRun], Seri
 
 
 @dataclass(frozen=True, eq=False)
-class _FinalRun:
-    """A run by its corrected poses."""
+class ScoredAnswers:
+    """A ScoredRun that is not stored: answers with their scores and ground truth."""
 
     result: RunResult
     scores: Scores
@@ -108,7 +108,7 @@ def _of_final(series: Callable[[ScoredRun], Series | None]) -> Callable[[ScoredR
         corrected, alignment = run.result.with_final_answers, run.scores.final
         if corrected is None or alignment is None:
             return None
-        return series(_FinalRun(corrected, Scores(errors_m=alignment.errors_m), run.truth))
+        return series(ScoredAnswers(corrected, Scores(errors_m=alignment.errors_m), run.truth))
 
     return final_series
 

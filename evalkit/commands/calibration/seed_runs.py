@@ -13,13 +13,12 @@ from evalkit import metrics
 from evalkit.commands.metric_validation import perturbation
 from evalkit.commands.metric_validation.map_rebuilding import find_true_poses, make_run
 from evalkit.core.errors import EvalkitError
-from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Scores
 from evalkit.execution.one_run import Request, find_run_parameters, record_run
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.metrics.evaluate import collect_evidence
 from evalkit.metrics.metric import MatchedPoses
-from evalkit.metrics.series import SERIES
+from evalkit.metrics.series import SERIES, ScoredAnswers
 from evalkit.metrics.trajectory import compute_errors_m
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
@@ -36,15 +35,6 @@ DRIFT_DEG = 1.0
 """deg per square root of a metre"""
 
 FAILED = "failed"
-
-
-@dataclass(frozen=True)
-class ScoredSeed:
-    """A run with its scores and ground truth, as the series of the metrics need it."""
-
-    result: RunResult
-    scores: Scores
-    truth: Truth
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +135,7 @@ def _score(result: RunResult, sequence: SensorSequence) -> dict[str, dict[str, A
     scores, true, errors = metrics.compute_scores(evidence, table), evidence.truth.trajectory, None
     if true is not None and isinstance(evidence.matched, MatchedPoses):
         errors = compute_errors_m(result.estimate.moved(evidence.matched.world_from_start, "world"), true)
-    run = ScoredSeed(result, Scores(scores, errors_m=errors), evidence.truth)
+    run = ScoredAnswers(result, Scores(scores, errors_m=errors), evidence.truth)
     found: dict[str, dict[str, Any]] = {}
     for name in METRICS:
         series = SERIES[name](run)
