@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import zlib
+from codecs import BOM_UTF8
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -25,12 +27,15 @@ MAX_RATIO = 50
 def iter_lines(path: Path, expected: str) -> Iterator[bytes]:
     """Yield the lines of a file, plain or gzip (detected by content), without their ends and in bounded memory.
 
+    A mark of UTF-8 at the beginning, as spreadsheets write it, is left out.
+
     ``expected``: what the file should be, for errors. Raises as ``read_bytes``, and BadData for damaged gzip, for gzip
     that unpacks to too much, and for a line longer than ``MAX_LINE_BYTES``.
     """
     rest = b""
     number = 1
-    for block in iter_plain_blocks(path, expected):
+    blocks = iter_plain_blocks(path, expected)
+    for block in chain([next(blocks).removeprefix(BOM_UTF8)], blocks):
         *complete, rest = (rest + block).split(b"\n")
         number += len(complete)
         yield from complete

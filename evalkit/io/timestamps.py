@@ -11,7 +11,8 @@ from evalkit.core.arrays import Ints
 from evalkit.core.errors import brief
 from evalkit.core.se2 import Stamps
 
-_MAX_NS = Decimal(2**62 - 1)  # 146 years: the difference of two times fits into 64 bits
+MAX_NS = 2**62 - 1
+"""The largest time: 146 years. The difference of two times fits into 64 bits."""
 
 
 def parse_stamp_ns(text: str) -> int:
@@ -26,7 +27,7 @@ def parse_stamp_ns(text: str) -> int:
         nanoseconds = Decimal(text).scaleb(9)
     except DecimalException:
         raise ValueError(f"{brief(text)} is not a time in seconds") from None
-    if not nanoseconds.is_finite() or abs(nanoseconds) > _MAX_NS:
+    if not nanoseconds.is_finite() or abs(nanoseconds) > MAX_NS:
         raise ValueError(f"{brief(text)} is not a time in seconds")
     return int(nanoseconds.to_integral_value())
 

@@ -239,8 +239,9 @@ def _load_address(name: str, address: str, wanted: type[Spec]) -> Spec:
     module, _, attributes = address.partition(":")
     try:
         spec = as_spec(reduce(getattr, attributes.split("."), import_module(module)), wanted)
-    except Exception as error:  # third-party code may raise anything; the other plug-ins stay usable
-        what = f"its plug-in {address} does not load ({error})"
+    except (Exception, SystemExit) as error:  # third-party code may raise anything; the other plug-ins stay usable
+        why = f"importing it calls sys.exit({error})" if isinstance(error, SystemExit) else error
+        what = f"its plug-in {address} does not load ({why})"
         raise NotInstalled(
             name, what, "correct its entry point, install what it imports, or remove its package"
         ) from error

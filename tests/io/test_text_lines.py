@@ -10,7 +10,7 @@ import pytest
 
 from evalkit.core.errors import BadData
 from evalkit.io import text_lines
-from evalkit.io.input_files import BLOCK_BYTES
+from evalkit.io.input_files import BLOCK_BYTES, read_text
 from evalkit.io.text_lines import MAX_LINE_BYTES, iter_lines
 
 
@@ -35,6 +35,27 @@ def test_lines_are_those_of_the_whole_text_however_it_is_compressed(tmp_path, en
     packed = b"".join(gzip.compress(content[a:b]) for a, b in pairwise(edges))
     assert lines(tmp_path, content) == content.split(b"\n")
     assert lines(tmp_path, packed) == content.split(b"\n")
+
+
+@pytest.mark.parametrize("pack", [bytes, gzip.compress])
+def test_a_mark_of_utf_8_is_no_part_of_the_first_line(tmp_path, pack):
+    assert lines(tmp_path, pack(b"\xef\xbb\xbf1.5,2\n1.6,3")) == [b"1.5,2", b"1.6,3"]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"\n<!DOCTYPE html>\n<title>404</title>", "a web page, not the file; fetch the file again, from the address"),
+        (b"<HTML>", "a web page"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\n", "a pointer of Git LFS, not the file; fetch"),
+        ("1.5 2\n".encode("utf-16"), "UTF-16 text; save it as UTF-8"),
+    ],
+)
+def test_what_lies_in_place_of_a_file_is_named(tmp_path, content, said):
+    path = write_text(tmp_path, content)
+    for read in (lambda: list(iter_lines(path, "text")), lambda: read_text(path, "text")):
+        with pytest.raises(BadData, match=rf"lines\.txt: {said}"):
+            read()
 
 
 @pytest.mark.parametrize("left", [0, 1])

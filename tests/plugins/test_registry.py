@@ -163,6 +163,13 @@ def test_a_plug_in_whose_import_crashes_or_hangs_is_reported_as_missing(stranger
     )
 
 
+def test_a_script_that_exits_on_import_does_not_end_evalkit(tmp_path, monkeypatch):
+    (tmp_path / "my_script.py").write_text("import sys\nsys.exit(0)\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = registry.find_backend("my_script:SPEC").missing()
+    assert "my_script:SPEC: its plug-in my_script:SPEC does not load (importing it calls sys.exit(0)); " in found
+
+
 def test_the_trial_import_of_a_plug_in_ends_what_it_leaves_behind(tmp_path, monkeypatch, has_ended):
     left = tmp_path / "left"
     starts = "subprocess.Popen(['sleep', '900']).pid"

@@ -10,12 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from evalkit.core.errors import BadData, EvalkitError
-from evalkit_datasets.parsing.bag_limits import check_topics
+from evalkit.io.input_files import check_beginning
+from evalkit_datasets.parsing.bag_limits import METADATA, check_topics, list_files
 from evalkit_datasets.parsing.unpacking import UnpackedTooMuch, bounded_unpacking
 
 FETCH_AGAIN = "record or fetch the bag again"
 
 SUFFIXES = (".bag", ".db3", ".mcap")
+
+MAX_NAMED = 10
+"""Files named in a message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +27,13 @@ class BagDamage:
     """What is lost of a bag whose index is damaged or missing: bytes behind the damage and of chunks, of all bytes.
 
     ``is_size_stated``: whether the bag states its size; if not, all that was cut off is lost as well.
+    ``is_metadata``: only metadata.yaml is damaged; the file of the bag was read without it.
     """
 
     lost_bytes: int
     whole_bytes: int
     is_size_stated: bool = False
+    is_metadata: bool = False
 
     @property
     def lost_percent(self) -> int:
@@ -36,10 +42,22 @@ class BagDamage:
 
     def count(self) -> dict[str, int]:
         """Return the damage as a count by the name of the defect."""
+        if self.is_metadata:
+            return {"bags with a damaged metadata.yaml, read without it": 1}
         if self.lost_bytes:
             also = "as it is cut short or damaged" if self.is_size_stated else "besides all that was cut off"
             return {f"percent of the bag lost, {also}": self.lost_percent}
         return {"bags without an index, read to the last whole record": 1}
+
+    def describe(self) -> str:
+        """Return the damage in words."""
+        if self.is_metadata:
+            return "its metadata.yaml is damaged: the file of the bag was read without it"
+        beyond = "" if self.is_size_stated else "; how much was cut off, the file does not state"
+        if not self.lost_bytes:
+            return f"its index is damaged or missing: all records in it were read{beyond}"
+        lost = f"{self.lost_bytes / 1e6:.2f} of {self.whole_bytes / 1e6:.2f} MB ({self.lost_percent} %)"
+        return f"it is cut short or damaged: {lost} are lost{beyond}"
 
 
 def find_damage(reader: Any) -> BagDamage | None:
@@ -60,9 +78,22 @@ def iter_messages(
 
 
 def _find_bag(path: Path) -> Path:
-    """Return the path to open: the folder, for a .db3 or .mcap file of a ROS 2 bag with metadata."""
-    if path.is_file() and path.suffix in {".db3", ".mcap"} and (path.parent / "metadata.yaml").is_file():
-        return path.parent
+    """Return the path to open: the folder, for a .db3 or .mcap file of a whole ROS 2 bag with metadata.
+
+    A file that the metadata does not name, or whose bag lacks another file, is opened alone. Raises BadData for a
+    folder that lacks a file of its bag.
+    """
+    folder = path if path.is_dir() else path.parent
+    if path.suffix == ".bag" or not (folder / METADATA).is_file():
+        return path
+    named = list_files(folder)
+    absent = [name for name in named if not (folder / name).is_file()]
+    if path.is_file():
+        return path if absent or (named and path.name not in named) else folder
+    if absent:
+        present = [str(folder / name) for name in named if name not in absent]
+        remedy = "copy the whole folder" + (f", or give one file: {', '.join(present[:MAX_NAMED])}" if present else "")
+        raise BadData(str(path), METADATA, f"names {', '.join(absent[:MAX_NAMED])}, not in the folder", remedy)
     return path
 
 
@@ -70,12 +101,15 @@ def _find_bag(path: Path) -> Path:
 def open_bag(path: Path) -> Iterator[Any]:
     """Open a bag for reading; raises BadData for every error of the reader, also inside the ``with`` block.
 
-    A ROS 1 bag or MCAP file with a damaged index is read by its records, up to the damage.
+    A ROS 1 bag or MCAP file with a damaged index is read by its records, up to the damage; the only file of a ROS 2
+    bag, without metadata that is damaged.
     """
     _check_path(path)
     bag = _find_bag(path)
     check_topics(bag)
     files = [bag] if bag.is_file() else [file for file in bag.iterdir() if file.is_file()]
+    for file in files:
+        _check_beginning(file)
     try:
         with bounded_unpacking(sum(file.stat().st_size for file in files)), closing(_open_reader(bag)) as reader:
             yield reader
@@ -85,7 +119,7 @@ def open_bag(path: Path) -> Iterator[Any]:
         raise BadData(str(path), "", str(error), "write it again without compression if you trust its origin") from None
     except Exception as error:  # a damaged binary file can raise any exception
         cause = " ".join(str(error).split()) or type(error).__name__
-        raise BadData(str(path), "", f"not a readable bag ({cause[:160]})", _suggest_repair(path)) from error
+        raise BadData(str(path), "", f"not a readable bag ({cause[:160]})", _suggest_repair(bag)) from error
 
 
 def _open_reader(bag: Path) -> Any:
@@ -105,18 +139,37 @@ def _open_reader(bag: Path) -> Any:
     except UnpackedTooMuch:
         raise
     except Exception as error:
-        try:
-            if (unindexed := open_unindexed(bag)) is not None:
-                return unindexed
-        except UnpackedTooMuch:
-            raise
-        except Exception:  # noqa: BLE001 - the first error says what is wrong
-            pass
+        for open_otherwise in (_open_without_metadata, open_unindexed):
+            try:
+                if (opened := open_otherwise(bag)) is not None:
+                    return opened
+            except UnpackedTooMuch:
+                raise
+            except Exception:  # noqa: BLE001 - the first error says what is wrong
+                pass
         if has_magic(bag):
             cause = str(error).rstrip(".") or type(error).__name__
             raise ValueError(f"{cause[:100]}; no whole chunk of messages lies before the damage") from error
         raise error from None
     return open_unindexed(bag) or _reopen(reader)
+
+
+def _open_without_metadata(bag: Path) -> Any:
+    """Open the only file of a ROS 2 bag whose metadata cannot be read; None where there is another number of files."""
+    from rosbags.highlevel import AnyReader  # noqa: PLC0415 - heavy, and used for bags only
+
+    from evalkit_datasets.parsing.bag_types import NeededTypes  # noqa: PLC0415 - as above
+
+    files = [file for file in bag.iterdir() if file.suffix in SUFFIXES] if bag.is_dir() else []
+    if len(files) != 1:
+        return None
+    check_topics(files[0])
+    types: Any = NeededTypes()
+    reader: Any = AnyReader(files, default_typestore=types)
+    types.reader = reader
+    reader.open()
+    reader.damage = BagDamage(0, 0, is_metadata=True)
+    return reader
 
 
 def _reopen(reader: Any) -> Any:
@@ -126,15 +179,22 @@ def _reopen(reader: Any) -> Any:
 
 def _check_path(path: Path) -> None:
     """Raise BadData for a path that cannot be a bag, with a clearer message than the library's."""
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
+    if path.is_dir() and not (path / METADATA).is_file():
         files = sorted(str(file) for file in path.iterdir() if file.suffix in SUFFIXES)
         remedy = f"give one of {', '.join(files)}" if files else "give the folder of a ROS 2 bag, or its file"
-        raise BadData(str(path), "", "a folder without metadata.yaml", remedy)
+        raise BadData(str(path), "", f"a folder without {METADATA}", remedy)
     if path.is_file() and path.suffix not in SUFFIXES:
         raise BadData(str(path), "", f"'{path.suffix}' is not the suffix of a bag", "give a .bag, .db3 or .mcap file")
     if path.is_file() and path.stat().st_size == 0:
         raise BadData(str(path), "", "the file is empty", FETCH_AGAIN)
 
 
-def _suggest_repair(path: Path) -> str:
-    return f"{FETCH_AGAIN}, or try 'rosbag reindex'" if path.suffix == ".bag" else FETCH_AGAIN
+def _check_beginning(file: Path) -> None:
+    if file.suffix in SUFFIXES:
+        with file.open("rb") as content:
+            check_beginning(file, content.read(100))
+
+
+def _suggest_repair(bag: Path) -> str:
+    tool = "ros2 bag" if bag.is_dir() else "rosbag" if bag.suffix == ".bag" else ""
+    return f"{FETCH_AGAIN}, or try '{tool} reindex'" if tool else FETCH_AGAIN

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 import struct
 from contextlib import closing
@@ -13,6 +14,8 @@ MAX_TOPICS = 100_000
 """Recorded bags have tens to hundreds. rosbags makes an object of each: so many take seconds and 100 MB. An MCAP file
 cannot hold more."""
 
+METADATA = "metadata.yaml"
+
 MAX_METADATA_BYTES = 8 * 2**20
 """Of metadata.yaml, with some 250 bytes a topic; parsing takes seconds."""
 
@@ -21,15 +24,27 @@ _HEAD_BYTES = 4096
 
 def check_topics(bag: Path) -> None:
     """Raise BadData for a bag with too many topics. Other damage is left to the reader."""
-    metadata = bag / "metadata.yaml"
+    metadata = bag / METADATA
     if metadata.is_file() and metadata.stat().st_size > MAX_METADATA_BYTES:
-        found = f"its metadata.yaml has {metadata.stat().st_size / 2**20:.0f} MiB"
+        found = f"its {METADATA} has {metadata.stat().st_size / 2**20:.0f} MiB"
         raise _too_many(bag, f"{found}: more topics than the {MAX_METADATA_BYTES // 2**20} MiB that are read")
     if bag.is_file() and bag.suffix == ".db3":
         check_tables(bag)
     count = {".bag": _count_ros1, ".db3": _count_sqlite}.get(bag.suffix)
     if bag.is_file() and count is not None and (topics := count(bag)) > MAX_TOPICS:
         raise _too_many(bag, f"it has {topics:,} topics, and at most {MAX_TOPICS:,} are read")
+
+
+def list_files(folder: Path) -> list[str]:
+    """Return the names of the files of a ROS 2 bag by its metadata, also where that is damaged; [] if it names none."""
+    metadata = folder / METADATA
+    if metadata.stat().st_size > MAX_METADATA_BYTES:  # refused later
+        return []
+    found = _FILE_NAME.findall(metadata.read_bytes())
+    return list(dict.fromkeys(Path(name.decode(errors="replace")).name for name in found))
+
+
+_FILE_NAME = re.compile(rb"""(?m)^[ \t]*(?:- )?(?:path: )?['"]?([^\s'":][^'":\n]*\.(?:db3|mcap)(?:\.\w+)?)['"]?\s*$""")
 
 
 def check_tables(base: Path) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from evalkit.core.errors import BadData
 from evalkit.core.se2 import Floats
 from evalkit.io.input_files import read_bytes
+from evalkit.io.timestamps import MAX_NS
 from evalkit_datasets.parsing.cloud_slice import read_packed_points
 
 SUFFIXES = (".pcd", ".ply")
@@ -158,18 +159,21 @@ def stamps_of(names: Sequence[str], period_ns: int) -> NDArray[np.int64]:
     """Return the times (N,) in ns of files, from the numbers in their names: of seconds, ms, us or ns, or counts.
 
     Names are taken as times if all contain a number of at least ten digits, or with decimals. The unit is the one in
-    which they are 5 ms to 5 s apart; of a single file, the one of the magnitude of a present-day time. Otherwise the
-    files are ``period_ns`` apart in the given order.
+    which they are 5 ms to 5 s apart; of a single file, the one of the magnitude of a present-day time. Otherwise, and
+    where the numbers are too large for times, such as dates (20240131120000), the files are ``period_ns`` apart in the
+    given order.
     """
+    counted = np.arange(len(names), dtype=np.int64) * period_ns
     found = [re.findall(r"\d+(?:[._]\d+)?", name.rpartition(".")[0]) or [""] for name in names]
     numbers = [each[-1].replace("_", ".") for each in found]
     if not all(len(text.partition(".")[0]) >= len("1000000000") or "." in text for text in numbers):
-        return np.arange(len(names), dtype=np.int64) * period_ns
+        return counted
     step = float(np.median(np.diff([float(text) for text in numbers]))) if len(names) > 1 else 0.0
     digits = len(numbers[0].partition(".")[0])
     usual = next((power for limit, power in ((11, 9), (14, 6), (17, 3)) if digits < limit), 0)
     power = next((power for power in (9, 6, 3, 0) if 5e6 <= step * 10**power <= 5e9), usual)
-    return np.array([_scale_decimal(text, power) for text in numbers], dtype=np.int64)
+    stamps = [_scale_decimal(text, power) for text in numbers]
+    return counted if max(stamps, default=0) > MAX_NS else np.array(stamps, dtype=np.int64)
 
 
 def _scale_decimal(text: str, power: int) -> int:

@@ -16,7 +16,7 @@ from evalkit.core.errors import BadData, suggest
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.io.timestamps import order_stamps
 from evalkit_datasets.parsing import sweeps
-from evalkit_datasets.parsing.bag_file import BagDamage, find_damage, iter_messages, open_bag
+from evalkit_datasets.parsing.bag_file import FETCH_AGAIN, BagDamage, find_damage, iter_messages, open_bag
 from evalkit_datasets.parsing.buffers import PoseBuffer
 from evalkit_datasets.parsing.robots import find_foreign_topics
 from evalkit_datasets.parsing.sweeps import Sweep, SweepOptions, normalise_frame, parse_stamp_ns
@@ -51,13 +51,14 @@ class Contents:
     ``damage``: None for a bag with its index; else its records were read up to the damage.
 
     ``unstamped``: number of headers without a time. ``damaged``: number of laser messages with implausible geometry and
-    of invalid transforms.
+    of invalid transforms. ``missing``: number of laser messages that the index lists, and that are not in the bag.
     """
 
     odometry: dict[tuple[str, str, str], PoseBuffer] = field(default_factory=dict)
     tree: TransformTree = field(default_factory=TransformTree)
     unstamped: int = 0
     damaged: int = 0
+    missing: int = 0
     damage: BagDamage | None = None
 
 
@@ -113,7 +114,7 @@ def read_bag(
     with open_bag(path) as reader:
         topics = {name: (str(about.msgtype), int(about.msgcount)) for name, about in reader.topics.items()}
         contents = Contents(damage=find_damage(reader))
-        laser = _select_laser_topic(path, topics, topic, options)
+        laser = _select_laser_topic(path, topics, topic, options, contents.damage)
         scans = _read_scans(reader, laser, contents, options)
         foreign = find_foreign_topics(laser, *_list_topics(topics, options), odometry)
         for connection, message, recorded_ns in iter_messages(reader, (ODOMETRY,), foreign):
@@ -161,9 +162,10 @@ def _reread_sweep(
 
 
 def _read_scans(reader: Any, topic: str, contents: Contents, options: SweepOptions) -> BagScans:
-    """Return the scans of a topic; damaged messages are counted in ``contents``."""
+    """Return the scans of a topic; messages that are damaged, or missing, are counted in ``contents``."""
     columns = {name: array(kind) for name, kind in COLUMNS.items()}
     names: dict[str, int] = {}
+    listed, number = sum(one.msgcount for one in _find_laser_connections(reader, topic, options)), -1
     for number, (connection, recorded_ns, raw) in enumerate(_iter_laser_messages(reader, topic, options)):
         message = reader.deserialize(raw, connection.msgtype)
         sweep = read_sweep(contents, message, connection.msgtype, int(recorded_ns), options)
@@ -172,6 +174,7 @@ def _read_scans(reader: Any, topic: str, contents: Contents, options: SweepOptio
             row = sweep.stamp_ns, sweep.duration_ns, number, int(sweep.is_invalid.sum()), frame
             for column, value in zip(columns.values(), row, strict=True):
                 column.append(value)
+    contents.missing = max(listed - number - 1, 0)
     arrays = {name: np.asarray(column) for name, column in columns.items()}
     order = order_stamps(arrays["stamps_ns"])
     in_order = not (order.backwards or order.repeated)
@@ -180,15 +183,20 @@ def _read_scans(reader: Any, topic: str, contents: Contents, options: SweepOptio
 
 
 def _iter_laser_messages(reader: Any, topic: str, options: SweepOptions) -> Iterator[tuple[Any, int, bytes]]:
-    wanted = [one for one in reader.connections if one.topic == topic and _holds_sweeps(one.msgtype, options)]
-    yield from reader.messages(connections=wanted)
+    yield from reader.messages(connections=_find_laser_connections(reader, topic, options))
+
+
+def _find_laser_connections(reader: Any, topic: str, options: SweepOptions) -> list[Any]:
+    return [one for one in reader.connections if one.topic == topic and _holds_sweeps(one.msgtype, options)]
 
 
 def _holds_sweeps(kind: str, options: SweepOptions) -> bool:
     return kind in (*LASER, sweeps.CLOUD) or options.fields is not None
 
 
-def _select_laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: str, options: SweepOptions) -> str:
+def _select_laser_topic(
+    path: Path, topics: dict[str, tuple[str, int]], wanted: str, options: SweepOptions, damage: BagDamage | None
+) -> str:
     """Return the topic of the sweeps: the wanted one, else the only one of laser scans, else of point clouds."""
     usable = {name: kind for name, (kind, count) in topics.items() if count and _holds_sweeps(kind, options)}
     lasers = sorted(name for name, kind in usable.items() if kind in LASER) or sorted(
@@ -207,6 +215,8 @@ def _select_laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: 
     known = ", ".join(f"{name} ({kind.split('/')[-1]}, {count})" for name, (kind, count) in listed)
     known += f" and {len(topics) - MAX_LISTED} more" if len(topics) > MAX_LISTED else ""
     remedy = f"choose one with topic: {', '.join(lasers[:MAX_LISTED])}" if lasers else NO_LASER
+    if not lasers and damage is not None and damage.lost_bytes:
+        problem, remedy = f"{damage.describe()}; before the damage, {problem}", FETCH_AGAIN
     raise BadData(str(path), "", f"{problem}; topics: {known or 'none'}", remedy)
 
 

@@ -59,7 +59,7 @@ class UnindexedBag(ros1.Reader):
             end = self.bio.tell() + length
             self.bio.seek(begin)
             if kind == RecordType.CHUNK:
-                lost += 0 if self._index_chunk(begin, min(end, size), indexes) else min(end, size) - begin
+                lost += self._index_chunk(begin, min(end, size), indexes)
             elif kind == RecordType.CONNECTION and end <= size:
                 self._add_connection(self.read_connection())
             self.bio.seek(end)
@@ -72,8 +72,11 @@ class UnindexedBag(ros1.Reader):
         if all(found.id != one.id for one in self.connections):
             self.connections.append(found)
 
-    def _index_chunk(self, begin: int, end: int, indexes: dict[int, list[IndexData]]) -> bool:
-        """Add the whole messages of a chunk to the indexes (by connection); return whether it can be unpacked."""
+    def _index_chunk(self, begin: int, end: int, indexes: dict[int, list[IndexData]]) -> int:
+        """Add the whole messages of a chunk to the indexes (by connection); return how many of its bytes are lost.
+
+        All of a chunk that cannot be unpacked; of another, the share behind damage in its messages.
+        """
         assert self.bio is not None
         chunk = self.read_chunk()
         available = end - chunk.datapos
@@ -83,9 +86,10 @@ class UnindexedBag(ros1.Reader):
         except UnpackedTooMuch:
             raise
         except (ValueError, EOFError, RuntimeError, OSError, ros1.ReaderError):
-            return False
+            return end - begin
         file, inner = self.bio, BytesIO(data)
         times, counts = [], Counter[int]()
+        lost = offset = 0
         try:
             while (offset := inner.tell()) < len(data):
                 header = Header.read(inner)
@@ -101,14 +105,14 @@ class UnindexedBag(ros1.Reader):
                     counts[header.get_uint32("conn")] += 1
                     indexes[header.get_uint32("conn")].append(IndexData(times[-1], begin, offset))
                     inner.seek(length, os.SEEK_CUR)
-        except (ros1.ReaderError, UnicodeDecodeError):
-            pass  # the messages before the damage are kept
+        except (ros1.ReaderError, UnicodeDecodeError):  # the messages before the damage are kept
+            lost = available * (len(data) - offset) // len(data)
         finally:
             self.bio = file
         self.chunks[begin] = chunk._replace(datasize=available)
         if times:
             self.chunk_infos.append(ChunkInfo(begin, min(times), max(times) + 1, dict(counts)))
-        return True
+        return lost
 
 
 class UnindexedMcap(mcap.McapReader):
@@ -219,6 +223,7 @@ def open_unindexed(bag: Path) -> AnyReader | None:
 
 
 def find_damage(reader: AnyReader) -> BagDamage | None:
-    """Return what a reader lost while it walked the records; None for a reader with an index."""
+    """Return what a reader lost while it walked the records, or read without; None for one with index and metadata."""
+    damage: BagDamage | None = getattr(reader, "damage", None)
     inner = [getattr(one, "storage", one) for one in reader.readers]
-    return next((one.damage for one in inner if isinstance(one, (UnindexedBag, UnindexedMcap))), None)
+    return damage or next((one.damage for one in inner if isinstance(one, (UnindexedBag, UnindexedMcap))), None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal, DecimalException
@@ -81,12 +82,14 @@ class Columns:
             else layout_from_table("layout", layout)
         )
         self.first_damage = ""  # the first line that was dropped, and why
+        self._beams = Counter[int]()  # how many scans have a number of ranges
         stamps, lines, values, damaged = self._read_columns()
         poses = _compute_poses(self._layout, values)
         order = order_stamps(stamps)
         keep = order.keep
         self._counts = {
             "damaged lines dropped": damaged,
+            "scans with fewer or more ranges than most": self._beams.total() - max(self._beams.values()),
             "scans out of order": order.backwards,
             "scans with a repeated stamp dropped": order.repeated,
         }
@@ -155,11 +158,12 @@ class Columns:
                 if not np.isfinite(row).all():
                     raise ValueError("a value of the odometry is not finite")
                 stamp = _parse_time_ns(words[layout.time.column - 1].decode("latin-1"), layout.time.unit)
-                self._parse_ranges(words)
+                ranges = self._parse_ranges(words)
             except ValueError as error:
                 self.first_damage = self.first_damage or f"line {number}: {str(error)[:160]}"
                 damaged += 1
                 continue
+            self._beams[len(ranges)] += 1
             counts.append(stamp)
             lines.append(number)
             values.extend(row)

@@ -139,12 +139,10 @@ class RosBag:
 
     def _count_defects(self, whole: BagScans, contents: Contents) -> dict[str, int]:
         if not len(whole):
-            raise BadData(
-                str(self._path),
-                "",
-                f"all {contents.damaged} laser messages are implausible (angles, limits or number of beams)",
-                FETCH_AGAIN,
-            )
+            found = f"all {contents.damaged} laser messages are implausible (angles, limits or number of beams)"
+            if contents.missing and not contents.damaged:
+                found = f"{whole.topic}: none of the {contents.missing} messages that its index lists is in it"
+            raise BadData(str(self._path), "", found, FETCH_AGAIN)
         return {
             "scans out of order": whole.backwards,
             "scans with a repeated stamp dropped": whole.repeated,
@@ -153,6 +151,7 @@ class RosBag:
                 one.unstamped for one in contents.odometry.values()
             ),
             "damaged messages dropped": contents.damaged,
+            "laser messages that the index lists and the bag does not hold": contents.missing,
             **(contents.damage.count() if contents.damage else {}),
         }
 

@@ -730,6 +730,20 @@ def test_a_sweep_of_a_text_log_that_is_longer_than_the_time_between_scans_names_
         assert said == [mend] * (turned_s > 0.15)
 
 
+def test_times_of_a_text_log_that_have_lost_their_digits_are_a_problem_that_a_comparison_repeats(tmp_path):
+    path = write_columns(tmp_path)
+    lines = path.read_text().splitlines()
+    times = [0.1 * at for at in range(60)]
+    cut = [f"{1.7e9 + time:.5E},{line.partition(',')[2]}" for time, line in zip(times, lines[1:], strict=True)]
+    path.write_text("\n".join([lines[0], *cut]))
+    said = [one for one in inspect_recording(path).findings if one.level == "problem"]
+    assert [one.what for one in said] == ["59 of 60 scans have the time of another scan, and are dropped"]
+    assert any("59 of 60 scans" in one.reason for one in registry.dataset("columns").choose({"path": str(path)}))
+    path.write_text("\n".join([*lines, lines[-1]]))  # the last line twice
+    notes = [one.what for one in inspect_recording(path).findings if one.level == "note"]
+    assert "scans with a repeated stamp dropped: 1" in notes
+
+
 RECORDINGS = {
     "odometry": lambda folder: log(folder, *drive()),
     "a code": lambda folder: log(folder, *drive(code=30.0)),

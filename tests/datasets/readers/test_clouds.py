@@ -96,6 +96,8 @@ def test_lzf_copies_may_overlap_what_they_write():
         (["scan_1663967375123456789.ply"], [1663967375123456789]),
         (["1000000000.pcd", "1100000000.pcd"], [1000000000, 1100000000]),  # 0.1 s apart as ns
         (["0.25.pcd", "0.5.pcd"], [250000000, 500000000]),
+        (["c_20240131120000.pcd", "c_20240131120001.pcd"], [0, 10**8]),  # dates
+        (["c_20240131120000123456.pcd"], [0]),
     ],
 )
 def test_names_give_times_in_the_unit_of_their_magnitude_or_counts(names, expected):

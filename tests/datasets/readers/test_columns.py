@@ -139,6 +139,14 @@ def test_nan_and_an_empty_column_are_an_invalid_beam_and_shift_no_other(tmp_path
     assert "damaged" not in str(sequence.notes())
 
 
+def test_scans_with_another_number_of_ranges_are_counted_as_where_a_log_ends_in_a_line(tmp_path):
+    text = "1 1 2 3 4\n2 1 2 3 4\n3 1 2 3 4\n4 1 2 3"
+    sequence, frames = read(tmp_path, text, PLAIN)
+    assert [len(frame.scan.ranges) for frame in frames] == [4, 4, 4, 3]
+    assert sequence.notes() == {"scans with fewer or more ranges than most": 1}
+    assert read(tmp_path, text + " 4", PLAIN)[0].notes() == {}
+
+
 def test_the_layout_lies_beside_a_compressed_log_of_its_own_suffix(tmp_path):
     path = tmp_path / "a.csv.gz"
     path.write_bytes(gzip.compress(b"1,1,1\n2,1,1\n3,1,1\n"))

@@ -76,7 +76,9 @@ def read_bag_streams(
         kinds = WANTED - {CLOUD} if has_laser else WANTED
         wanted = [one for one in reader.connections if one.msgtype in kinds or one.topic in unusual]
         wanted = [one for one in wanted if one.topic not in left_out]
+        missing = sum(one.msgcount for one in wanted)
         for connection, recorded_ns, raw in reader.messages(connections=wanted) if wanted else ():
+            missing -= 1
             message = reader.deserialize(raw, connection.msgtype)
             if connection.msgtype in rosbag_parser.TRANSFORMS:
                 rosbag_parser.add_transforms(tree, message, connection.topic.endswith("tf_static"))
@@ -102,6 +104,7 @@ def read_bag_streams(
         tree.tree,
         damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()),
         damage=damage,
+        missing=max(missing, 0),
         left_out=tuple(sorted(left_out)),
     )
 

@@ -22,7 +22,8 @@ from evalkit_datasets.commands.inspect.odometry_findings import (
 from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats
 from evalkit_datasets.commands.inspect.streams import RecordingStreams
 from evalkit_datasets.commands.inspect.turn_comparison import TurnComparison
-from evalkit_datasets.parsing.bag_file import BagDamage
+
+AGAIN = "fetch or record it again if that is needed"
 
 
 def collect_findings(
@@ -80,7 +81,11 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
 
 def _check_remarks(streams: RecordingStreams) -> Iterator[InspectionFinding]:
     if streams.damage is not None:
-        yield warning("file", _describe_damage(streams.damage), "fetch or record it again if that is needed")
+        yield warning("file", streams.damage.describe(), AGAIN)
+    if streams.missing:
+        what = f"{format_count(streams.missing, 'message')} that its index lists cannot be found in it"
+        yield warning("file", what, AGAIN)
+    yield from _check_defects(streams)
     if streams.damaged and streams.lasers:
         yield warning("file", _describe_dropped(streams))
     for remark in streams.remarks:
@@ -88,18 +93,20 @@ def _check_remarks(streams: RecordingStreams) -> Iterator[InspectionFinding]:
             yield warning("file", f"comment in the file: {remark}")
 
 
+def _check_defects(streams: RecordingStreams) -> Iterator[InspectionFinding]:
+    """Report what a reader of another format has handled; a problem where it drops most scans for their times."""
+    for name, count in streams.defects.items():
+        if "repeated" in name and count >= streams.topics[0].count:
+            what = f"{count} of {count + streams.topics[0].count} scans have the time of another scan, and are dropped"
+            yield problem("file", what, "write times with all their digits (not 1.70000E+09), or check their column")
+        else:
+            yield note("file", f"{name}: {count}")
+
+
 def _describe_dropped(streams: RecordingStreams) -> str:
     first = f"; the first is {streams.first_damage}" if streams.first_damage else ""
     kind = "message" if streams.kind.endswith("bag") else "line"
     return f"{format_count(streams.damaged, f'damaged {kind}')}, dropped{first}"
-
-
-def _describe_damage(damage: BagDamage) -> str:
-    beyond = "" if damage.is_size_stated else "; how much was cut off, the file does not state"
-    if not damage.lost_bytes:
-        return f"its index is damaged or missing: all records in it were read{beyond}"
-    lost = f"{damage.lost_bytes / 1e6:.2f} of {damage.whole_bytes / 1e6:.2f} MB ({damage.lost_percent} %)"
-    return f"it is cut short or damaged: {lost} are lost{beyond}"
 
 
 def _check_frames(tree: FrameTree, streams: RecordingStreams) -> Iterator[InspectionFinding]:

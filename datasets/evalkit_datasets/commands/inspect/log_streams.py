@@ -25,6 +25,9 @@ from evalkit_datasets.readers.columns import Columns
 
 COLUMNS, COLUMNS_KIND = "columns", "log in columns"
 MAX_FRAMES = 100_000
+OF_SCANS = ("scans", "clouds")
+"""How the names of defects of whole scans begin; odometry and ranges are inspected themselves."""
+
 NOTHING: Mapping[str, Value] = {}
 
 LASER_LINES = b"FLASER", b"ROBOTLASER1"
@@ -142,9 +145,12 @@ def read_sequence_streams(path: Path, reader: str, given: Mapping[str, Value] = 
     seconds = float(stamps[-1] - stamps[0]) * 1e-9
     rate = (len(stamps) - 1) / seconds if seconds > 0.0 else float("nan")
     kind = COLUMNS_KIND if reader == COLUMNS else f"recording read by '{reader}'"
-    damaged = sequence.notes().get("damaged lines dropped", 0)
+    notes = sequence.notes()
+    defects = {name: count for name, count in notes.items() if name.startswith(OF_SCANS)}
+    damaged = notes.get("damaged lines dropped", 0)
     return RecordingStreams(
-        path, kind, reader, [Topic("scans", "a scan each", len(stamps), rate)], [laser], wheels, damaged=damaged,
+        path, kind, reader, [Topic("scans", "a scan each", len(stamps), rate)], [laser], wheels,
+        damaged=damaged, defects=defects,
         first_damage=sequence.first_damage if isinstance(sequence, Columns) else "",
     )  # fmt: skip
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -149,7 +149,9 @@ class RecordingStreams:
     ``poses_from``: program that computed the poses ("gmapping" or "graph"), "" if they are not corrected ones.
     ``digits``: largest number of significant digits of a scan's stamp, 0 for binary stamps. ``first_damage``: the
     first line that was dropped, and why. ``remarks``: comments in the file. ``damage``: None for a bag with its index;
-    else its records were read up to the damage. ``left_out``: topics of other robots than that of the chosen lidar.
+    else its records were read up to the damage. ``missing``: number of messages that the index of a bag lists, and that
+    are not in it. ``left_out``: topics of other robots than that of the chosen lidar. ``defects``: other defects that
+    the reader handled, by name.
     """
 
     path: Path
@@ -165,4 +167,6 @@ class RecordingStreams:
     first_damage: str = ""
     remarks: Sequence[str] = ()
     damage: BagDamage | None = None
+    missing: int = 0
+    defects: Mapping[str, int] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
