@@ -75,7 +75,7 @@ public:
     }
 
 private:
-    static constexpr std::align_val_t alignment{EK_ALIGNMENT};
+    static constexpr std::align_val_t alignment{EK_ARENA_LINE};
 
     // Ask for large pages within the bytes; where there are none, nothing changes.
     static void use_large_pages(unsigned char *start, std::size_t bytes)

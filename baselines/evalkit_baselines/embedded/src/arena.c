@@ -26,7 +26,7 @@ void *ek_arena_alloc(ek_arena *arena, size_t count, size_t size)
         return NULL;
     }
     const size_t end = start + count * size;
-    arena->used = (end + EK_ARENA_GAP + (EK_ALIGNMENT - 1u)) / EK_ALIGNMENT * EK_ALIGNMENT;
+    arena->used = (end + EK_ARENA_GAP + (EK_ARENA_LINE - 1u)) / EK_ARENA_LINE * EK_ARENA_LINE;
     if (!arena->memory || arena->used > arena->bytes) {
         return NULL;
     }

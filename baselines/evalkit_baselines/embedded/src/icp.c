@@ -7,6 +7,8 @@
 #define MAX_COUNT ((size_t)1 << 30)
 #define DENSE 12u /* target points for each source point from which places are searched one by one */
 #define MIN_LIMIT EK_R(1e-12) /* m; the square of a smaller limit may be rounded to 0: no candidates are used */
+#define PAGE 4096u   /* bytes */
+#define SPREAD 320u  /* bytes from the place of a block in its page to that of the next */
 #define MAX_DISTANCE EK_R(1e12) /* m; below EK_FAR: stands for "no limit" */
 
 ek_icp_parameters ek_icp_default(void)
@@ -45,6 +47,15 @@ ek_status ek_icp_check(const ek_icp_parameters *parameters)
     return EK_OK;
 }
 
+/* Allocate an array with an item for each source point. The next one begins at another place of its page: a processor with vectors
+ * takes a load for one of what it has just stored elsewhere if both are at the same place of a page. */
+static void *allocate(const ek_icp *icp, ek_arena *arena, size_t size)
+{
+    const size_t count = EK_PADDED(icp->capacity), bytes = count * size;
+    const size_t spread = (bytes - SPREAD + PAGE - 1u) / PAGE * PAGE + SPREAD;
+    return ek_arena_alloc(arena, EK_GROUPED && bytes >= PAGE ? spread / size : count, size);
+}
+
 /* Memory for candidates. */
 static void init_candidates(ek_icp *icp, ek_arena *arena)
 {
@@ -52,7 +63,7 @@ static void init_candidates(ek_icp *icp, ek_arena *arena)
     icp->cx = (ek_real *)ek_arena_alloc(arena, candidates, sizeof(ek_real));
     icp->cy = (ek_real *)ek_arena_alloc(arena, candidates, sizeof(ek_real));
     icp->slots = (uint32_t *)ek_arena_alloc(arena, candidates, sizeof(uint32_t));
-    icp->choice = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
+    icp->choice = (ek_real *)allocate(icp, arena, sizeof(ek_real));
 }
 
 ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targets)
@@ -63,18 +74,18 @@ ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targ
     if (capacity == 0u || targets == 0u || capacity > MAX_COUNT || targets > MAX_COUNT) {
         return EK_OUT_OF_RANGE;
     }
-    ek_real **const reals[] = {&icp->px, &icp->py, &icp->mx,     &icp->my,       &icp->tx,    &icp->ty,
-                               &icp->ax, &icp->ay, &icp->others, &icp->distance, &icp->slack, &icp->weight};
+    ek_real **const reals[] = {&icp->mx, &icp->my, &icp->distance, &icp->slack, &icp->weight, &icp->px,
+                               &icp->py, &icp->tx, &icp->ty,       &icp->ax,    &icp->ay,     &icp->others};
     uint32_t **const numbers[] = {&icp->nearest, &icp->stale, &icp->pair_source, &icp->pair_target};
     memset(icp, 0, sizeof *icp);
     icp->capacity = capacity;
     icp->targets = targets;
     icp->wide = ek_wide();
     for (size_t i = 0; i < sizeof reals / sizeof *reals; i++) {
-        *reals[i] = (ek_real *)ek_arena_alloc(arena, EK_PADDED(capacity), sizeof(ek_real));
+        *reals[i] = (ek_real *)allocate(icp, arena, sizeof(ek_real));
     }
     for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) {
-        *numbers[i] = (uint32_t *)ek_arena_alloc(arena, EK_PADDED(capacity), sizeof(uint32_t));
+        *numbers[i] = (uint32_t *)allocate(icp, arena, sizeof(uint32_t));
     }
     icp->owner = (uint32_t *)ek_arena_alloc(arena, targets + 1u, sizeof(uint32_t));
     icp->grouped = EK_GROUPED;
@@ -89,12 +100,12 @@ ek_status ek_icp_init_lines(ek_icp *icp, ek_arena *arena)
     if (!icp || !arena) {
         return EK_NULL_POINTER;
     }
-    icp->nx = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
-    icp->ny = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
-    icp->across = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
-    icp->facing = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
-    icp->share = (ek_real *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(ek_real));
-    icp->lined = (uint32_t *)ek_arena_alloc(arena, EK_PADDED(icp->capacity), sizeof(uint32_t));
+    icp->nx = (ek_real *)allocate(icp, arena, sizeof(ek_real));
+    icp->ny = (ek_real *)allocate(icp, arena, sizeof(ek_real));
+    icp->across = (ek_real *)allocate(icp, arena, sizeof(ek_real));
+    icp->facing = (ek_real *)allocate(icp, arena, sizeof(ek_real));
+    icp->share = (ek_real *)allocate(icp, arena, sizeof(ek_real));
+    icp->lined = (uint32_t *)allocate(icp, arena, sizeof(uint32_t));
     return EK_OK;
 }
 

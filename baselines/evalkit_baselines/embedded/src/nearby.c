@@ -4,11 +4,14 @@
 
 #include <string.h>
 
-#define BITS 8 /* of a key for the number of a candidate; the 23 bits above are its squared distance */
-#define MAX_AROUND (1u << BITS)
-#define LARGEST 8387584.0f /* 2^23 - 1024: no rounding reaches 2^23 */
-#define ROUNDING EK_R(2e-6) /* error of a distance in single precision, as a share of the largest one */
-#define NO_KEY INT32_MAX
+#define MAX_AROUND 256u
+#define NUMBER ((int32_t)MAX_AROUND - 1) /* bits of a key */
+#define NO_KEY (227 << 23)        /* bits of 2^100 in single precision; keys from it on are of no candidate */
+#define NOWHERE 0x1p60f           /* m: where there is no candidate */
+#define KEPT 8u                   /* keys of a place; EK_BLOCK + 1 are needed */
+#define BATCH 4u                  /* keys of a place that are added at once */
+#define ROUNDING EK_R(2e-6)       /* error of a distance in single precision, as a share of the largest one */
+#define UNDERFLOW_ERROR EK_R(2e-19) /* m, likewise: of one whose square is too small for single precision */
 
 /* Candidates of all places, relative to the first place (m). */
 typedef struct {
@@ -17,85 +20,92 @@ typedef struct {
     ek_cell_box box; /* cells that contain them */
 } surroundings;
 
-/* Keep the EK_BLOCK + 1 smallest keys of each place, in ascending order. */
-EK_LOOP void rank(uint32_t count, float scale, const float *EK_RESTRICT cx, const float *EK_RESTRICT cy,
-                  const float *EK_RESTRICT px, const float *EK_RESTRICT py, int32_t (*EK_RESTRICT ranked)[EK_GROUP])
+/* The key of a candidate at (dx, dy) from a place: the bits of its squared distance in single precision, of which the last hold its
+ * number. Keys are ordered as these squares are, and none is equal to another. */
+static inline int32_t make_key(float dx, float dy, uint32_t number)
 {
-    int32_t keys[EK_BLOCK + 1u][EK_GROUP]; /* local: kept in registers */
-    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
+    const float squared = dx * dx + dy * dy;
+    int32_t bits;
+    memcpy(&bits, &squared, sizeof bits);
+    return (bits & ~NUMBER) | (int32_t)number;
+}
+
+/* The square (m^2) with these bits. */
+static inline float square_of(int32_t bits)
+{
+    float square;
+    memcpy(&square, &bits, sizeof square);
+    return square;
+}
+
+/* Put the smaller of two keys first. */
+static inline void order(int32_t *first, int32_t *second)
+{
+    const int32_t one = *first, other = *second;
+    *first = one < other ? one : other;
+    *second = one < other ? other : one;
+}
+
+static inline void sort_batch(int32_t key[BATCH])
+{
+    order(&key[0], &key[1]);
+    order(&key[2], &key[3]);
+    order(&key[0], &key[2]);
+    order(&key[1], &key[3]);
+    order(&key[1], &key[2]);
+}
+
+/* Keep the smallest of the keys and of a batch, both in ascending order (Batcher 1968, bitonic sorter). */
+static inline void merge_batch(int32_t key[KEPT], int32_t batch[BATCH])
+{
+    for (uint32_t j = 0; j < BATCH; j++) {
+        order(&key[KEPT - 1u - j], &batch[j]);
+    }
+    for (uint32_t j = 0; j < 4u; j++) {
+        order(&key[j], &key[j + 4u]);
+    }
+    for (uint32_t j = 0; j < KEPT; j += 4u) {
+        order(&key[j], &key[j + 2u]);
+        order(&key[j + 1u], &key[j + 3u]);
+    }
+    for (uint32_t j = 0; j < KEPT; j += 2u) {
+        order(&key[j], &key[j + 1u]);
+    }
+}
+
+/* Keep the smallest keys of each place, in ascending order. Candidates after the last one are nowhere. */
+EK_LOOP void rank(uint32_t count, const float *EK_RESTRICT cx, const float *EK_RESTRICT cy, const float *EK_RESTRICT px,
+                  const float *EK_RESTRICT py, int32_t (*EK_RESTRICT ranked)[EK_GROUP])
+{
+    int32_t keys[KEPT][EK_GROUP]; /* local: kept in registers */
+    for (uint32_t j = 0; j < KEPT; j++) {
         for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
             keys[j][lane] = NO_KEY;
         }
     }
-    for (uint32_t k = 0; k < count; k++) {
-        const float x = cx[k], y = cy[k];
+    for (uint32_t k = 0; k < count; k += BATCH) {
         EK_LANE_BY_LANE
         for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
-            const float dx = x - px[lane], dy = y - py[lane];
-            int32_t key = (int32_t)((dx * dx + dy * dy) * scale) * (int32_t)MAX_AROUND + (int32_t)k;
-            for (uint32_t j = 0; j <= EK_BLOCK; j++) {
-                const int32_t old = keys[j][lane], now = key;
-                keys[j][lane] = now < old ? now : old;
-                key = now < old ? old : now;
+            int32_t key[KEPT], batch[BATCH];
+            for (uint32_t j = 0; j < BATCH; j++) {
+                batch[j] = make_key(cx[k + j] - px[lane], cy[k + j] - py[lane], k + j);
+            }
+            for (uint32_t j = 0; j < KEPT; j++) {
+                key[j] = keys[j][lane];
+            }
+            sort_batch(batch);
+            merge_batch(key, batch);
+            for (uint32_t j = 0; j < KEPT; j++) {
+                keys[j][lane] = key[j];
             }
         }
     }
-    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
-        for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
-            ranked[j][lane] = keys[j][lane];
-        }
-    }
+    memcpy(ranked, keys, sizeof keys);
 }
 
-#if EK_COPIED
-EK_WIDE static void rank_avx2(uint32_t count, float scale, const float *cx, const float *cy, const float *px,
-                              const float *py, int32_t (*ranked)[EK_GROUP])
-{
-    rank(count, scale, cx, cy, px, py, ranked);
-}
-
-/* Insert keys into those of the same lanes, which are in ascending order. */
-EK_WIDEST static inline void insert_keys(__m512i keys[EK_BLOCK + 1u], __m512i key)
-{
-    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
-        const __m512i old = keys[j];
-        keys[j] = _mm512_min_epi32(key, old);
-        key = _mm512_max_epi32(key, old);
-    }
-}
-
-/* As rank, with two candidates at once: the eight places in the lower half of a register with one, in the upper half with the
- * other. No two keys are equal, so that the smallest ones do not depend on the order. */
-EK_WIDEST static void rank_avx512(uint32_t count, float scale, const float *cx, const float *cy, const float *px,
-                                  const float *py, int32_t (*ranked)[EK_GROUP])
-{
-    const __m512i none = _mm512_set1_epi32(NO_KEY);
-    const __m512 place_x = _mm512_broadcast_f32x8(_mm256_loadu_ps(px)), place_y = _mm512_broadcast_f32x8(_mm256_loadu_ps(py));
-    __m512i keys[EK_BLOCK + 1u];
-    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
-        keys[j] = none;
-    }
-    for (uint32_t k = 0; k < count; k += 2u) {
-        const uint32_t next = k + 1u < count ? k + 1u : k;
-        const __m512 x = _mm512_mask_blend_ps(0xFF00u, _mm512_set1_ps(cx[k]), _mm512_set1_ps(cx[next]));
-        const __m512 y = _mm512_mask_blend_ps(0xFF00u, _mm512_set1_ps(cy[k]), _mm512_set1_ps(cy[next]));
-        const __m512 dx = _mm512_sub_ps(x, place_x), dy = _mm512_sub_ps(y, place_y);
-        const __m512 squared = _mm512_add_ps(_mm512_mul_ps(dx, dx), _mm512_mul_ps(dy, dy));
-        const __m512i numbers = _mm512_mask_set1_epi32(_mm512_set1_epi32((int32_t)k), 0xFF00u, (int32_t)next);
-        const __m512i large = _mm512_slli_epi32(_mm512_cvttps_epi32(_mm512_mul_ps(squared, _mm512_set1_ps(scale))), BITS);
-        const __m512i key = _mm512_add_epi32(large, numbers);
-        insert_keys(keys, next > k ? key : _mm512_mask_blend_epi32(0xFF00u, key, none));
-    }
-    __m512i all[EK_BLOCK + 1u];
-    memcpy(all, keys, sizeof all);
-    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
-        insert_keys(all, _mm512_shuffle_i64x2(keys[j], keys[j], 0x4E));
-    }
-    for (uint32_t j = 0; j <= EK_BLOCK; j++) {
-        _mm256_storeu_si256((__m256i *)(void *)ranked[j], _mm512_castsi512_si256(all[j]));
-    }
-}
-#endif
+EK_COPIES(void, rank,
+          (uint32_t count, const float *cx, const float *cy, const float *px, const float *py, int32_t (*ranked)[EK_GROUP]),
+          { rank(count, cx, cy, px, py, ranked); })
 
 /* Append `points` points from the slot `from` on, relative to (x, y). */
 static inline void append_row(surroundings *around, const ek_real *xy, uint32_t from, uint32_t points, ek_real x, ek_real y)
@@ -167,7 +177,13 @@ static int gather(const ek_index *index, const ek_bounds *places, ek_real radius
     box->right = ek_cell_grid_clamp((places->right + radius - grid->left) * grid->per_cell, last_column);
     box->bottom = ek_cell_grid_clamp((places->bottom - radius - grid->bottom) * grid->per_cell, last_row);
     box->top = ek_cell_grid_clamp((places->top + radius - grid->bottom) * grid->per_cell, last_row);
-    return EK_CALL(wide, gather_points, (index, x, y, around));
+    if (!EK_CALL(wide, gather_points, (index, x, y, around))) {
+        return 0;
+    }
+    for (uint32_t k = around->count; k < around->count + EK_LANES; k++) {
+        around->x[k] = around->y[k] = NOWHERE;
+    }
+    return 1;
 }
 
 /* Edges of the cells of a box (m). */
@@ -185,7 +201,6 @@ typedef struct {
     ek_bounds open;   /* edges behind which there are cells; far away where there are none (m) */
     ek_real margin;   /* rounding of a distance to an edge (m) */
     ek_real rounding; /* of a distance in single precision (m) */
-    float per;        /* m^2 of a key without its number */
 } limits;
 
 /* Bounds on the distances of each place, and the slots of its candidates. */
@@ -195,25 +210,24 @@ EK_LOOP void finish(const limits *known, const uint32_t *EK_RESTRICT slots, cons
 {
     const ek_bounds open = known->open;
     const ek_real margin = known->margin, rounding = known->rounding;
-    const float per = known->per;
     EK_LANE_BY_LANE
     for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
-        const int32_t first = ranked[0][lane] >> BITS, next = ranked[EK_BLOCK][lane];
+        /* the largest square that the first key can stand for, and the least one that the last can */
+        const float first = square_of(ranked[0][lane] | NUMBER), next = square_of(ranked[EK_BLOCK][lane] & ~NUMBER);
         const ek_real left = x[lane] - open.left, right = open.right - x[lane], bottom = y[lane] - open.bottom,
                       top = open.top - y[lane];
         const ek_real across = left < right ? left : right, up = bottom < top ? bottom : top;
         const ek_real far_off = EK_R(16.0) * EK_EPSILON * (EK_FABS(x[lane]) + EK_FABS(y[lane]));
         const ek_real border = (across < up ? across : up) - (margin + far_off);
-        const ek_real rest = (ek_real)sqrtf((float)(next >> BITS) * per) - rounding;
-        const ek_real least = next == NO_KEY ? EK_FAR : rest;
-        found->nearest[lane] = (ek_real)sqrtf((float)(first + 1) * per) + rounding;
+        const ek_real least = (ek_real)sqrtf(next) - rounding; /* far away where there is no such point */
+        found->nearest[lane] = (ek_real)sqrtf(first) + rounding;
         found->others[lane] = least < border ? least : border;
     }
     for (uint32_t j = 0; j < EK_BLOCK; j++) {
         EK_LANE_BY_LANE
         for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
             const uint32_t key = (uint32_t)ranked[j][lane], at = slots[key % MAX_AROUND];
-            found->slot[j][lane] = key == (uint32_t)NO_KEY ? EK_NONE : at;
+            found->slot[j][lane] = key >= (uint32_t)NO_KEY ? EK_NONE : at;
         }
     }
 }
@@ -228,7 +242,7 @@ int ek_index_nearby(const ek_index *index, const ek_real x[EK_GROUP], const ek_r
 {
     ek_bounds places = {x[0], x[0], y[0], y[0]};
     float px[EK_GROUP], py[EK_GROUP];
-    int32_t keys[EK_BLOCK + 1u][EK_GROUP];
+    int32_t keys[KEPT][EK_GROUP];
     surroundings around;
     for (uint32_t lane = 0; lane < EK_GROUP; lane++) {
         places.left = x[lane] < places.left ? x[lane] : places.left;
@@ -250,14 +264,13 @@ int ek_index_nearby(const ek_index *index, const ek_real x[EK_GROUP], const ek_r
     if (!(across + up > EK_R(0.0))) {
         return 0; /* far away, cells are smaller than the distance between two numbers */
     }
-    const float scale = LARGEST / (float)((across + up) * (across + up));
     const ek_cell_box *const box = &around.box;
     const limits known = {{box->left > 0 ? edges.left : -EK_FAR,
                            box->right + 1 < (int32_t)index->cells.columns ? edges.right : EK_FAR,
                            box->bottom > 0 ? edges.bottom : -EK_FAR,
                            box->top + 1 < (int32_t)index->cells.rows ? edges.top : EK_FAR},
-                          index->cells.margin, ROUNDING * (across + up) + index->cells.margin, 1.0f / scale};
-    EK_CALL(wide, rank, (around.count, scale, around.x, around.y, px, py, keys));
+                          index->cells.margin, ROUNDING * (across + up) + UNDERFLOW_ERROR + index->cells.margin};
+    EK_CALL(wide, rank, (around.count, around.x, around.y, px, py, keys));
     EK_CALL(wide, finish, (&known, around.slot, x, y, (const int32_t(*)[EK_GROUP])keys, found));
     return 1;
 }

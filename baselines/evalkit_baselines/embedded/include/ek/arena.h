@@ -6,6 +6,7 @@
 #define EK_ARENA_H
 
 #include "ek/status.h"
+#include "ek/wide.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -13,6 +14,13 @@ extern "C" {
 
 #define EK_ALIGNMENT 16u
 #define EK_ARENA_MAX (SIZE_MAX / 2u) /* bytes */
+
+/* Bytes to whose multiples blocks begin: vectors that lie on two cache lines take twice as long. */
+#if EK_GROUPED
+#define EK_ARENA_LINE 64u
+#else
+#define EK_ARENA_LINE EK_ALIGNMENT
+#endif
 
 #ifdef EK_GUARDED /* under AddressSanitizer: the gap behind each block is poisoned */
 #define EK_ARENA_GAP EK_ALIGNMENT

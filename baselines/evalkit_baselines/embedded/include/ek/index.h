@@ -70,7 +70,7 @@ static inline ek_real ek_index_support(const ek_index *index, uint32_t slot)
 
 /* Initialise an empty index of `capacity` points and `cells` cells in an arena (or measure it).
  * EK_OUT_OF_RANGE: capacity or cells is 0 or above 2^30. Rule of thumb for `cells`: area of the bounding box / area of
- * a cell that holds 3 points. Fewer cells make searches slower, not wrong. */
+ * a cell that holds 3 or 4 points. Fewer cells make searches slower, not wrong. */
 ek_status ek_index_init(ek_index *index, ek_arena *arena, size_t capacity, size_t cells);
 
 /* Build the index of a cloud: count pairs x y (m), may be 0. Replaces the previous cloud. EK_TOO_MANY_POINTS;
