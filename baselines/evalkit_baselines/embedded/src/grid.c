@@ -76,8 +76,8 @@ ek_status ek_grid_init(ek_grid *grid, ek_arena *arena, const ek_grid_parameters 
     grid->window.words = grid->window.lines / WORD;
     const size_t bits = (size_t)grid->window.lines * grid->window.words;
     grid->cells = (int16_t *)ek_arena_alloc(arena, (size_t)parameters->columns * parameters->rows, sizeof(int16_t));
-    grid->window.across = (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t));
-    grid->window.along = (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t));
+    grid->window.across = (uint32_t *)ek_arena_alloc(arena, bits + 1u, sizeof(uint32_t));
+    grid->window.along = (uint32_t *)ek_arena_alloc(arena, bits + 1u, sizeof(uint32_t));
     grid->window.ends = (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t));
     grid->window.outline =
         parameters->polygon ? (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t)) : grid->window.across;

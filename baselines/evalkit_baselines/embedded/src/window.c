@@ -5,7 +5,7 @@
 #include <string.h>
 
 #define WORD EK_WORD
-#define SHORT 16 /* lines; those of shorter beams are marked one by one */
+#define SHORT 8 /* lines; those of shorter beams are marked one by one */
 #define STRIP 64 /* lines of a beam that are marked together */
 
 static void forget_marks(ek_window *window)
@@ -108,7 +108,7 @@ static void mark_beam(uint32_t *bits, const ek_course beam)
 }
 
 /* As mark_beam, with the same numbers: first the cells and masks of a strip of lines, in loops that compilers vectorise,
- * then the words. */
+ * then the words, two at once: hardly ever does a line of a beam reach more. */
 EK_WIDE static void mark_beam_wide(uint32_t *bits, const ek_course *beam)
 {
     const ek_real behind = beam->behind, slope = beam->slope, start = beam->start, end = (ek_real)beam->cells;
@@ -136,14 +136,19 @@ EK_WIDE static void mark_beam_wide(uint32_t *bits, const ek_course *beam)
             word[i] = from / WORD;
             last[i] = to / WORD;
             low[i] = above & (below | apart);
-            high[i] = below & (above | apart);
+            high[i] = below & apart;
         }
         for (int32_t i = 0; i < count; i++, at_line += beam->stride) {
             uint32_t *const line = bits + at_line;
-            line[word[i]] |= low[i];
-            line[last[i]] |= high[i];
-            for (uint32_t k = word[i] + 1u; k < last[i]; k++) {
-                line[k] = UINT32_MAX;
+            uint64_t both;
+            memcpy(&both, line + word[i], sizeof both);
+            both |= (uint64_t)high[i] << WORD | low[i];
+            memcpy(line + word[i], &both, sizeof both);
+            if (last[i] > word[i] + 1u) {
+                for (uint32_t k = word[i] + 1u; k < last[i]; k++) {
+                    line[k] = UINT32_MAX;
+                }
+                line[last[i]] |= high[i];
             }
         }
         next[0] = next[count];

@@ -179,7 +179,8 @@ static void frontend_of(size_t points, size_t keyframes, int lines)
 static void grid_of(size_t side, int polygon)
 {
     block((size_t)1024 * 1024, 2u);
-    blocks(polygon ? 4u : 3u, side * side / 32u, WORD);
+    blocks(2u, side * side / 32u + 1u, WORD);
+    blocks(polygon ? 2u : 1u, side * side / 32u, WORD);
 }
 
 #define TAKES(init, by_hand)                                                                                          \
