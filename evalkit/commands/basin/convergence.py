@@ -36,8 +36,13 @@ def draw_offsets(count: int, reach_m: float, reach_rad: float, rng: np.random.Ge
 
 
 def with_axes(offsets: Floats) -> Floats:
-    """The same offsets (N, 3), every fourth without its turn and every fourth without its shift, for curves."""
-    rows = offsets.copy()
+    """The same offsets (N, 3) in another order, every fourth without its turn and every fourth without its shift.
+
+    Each kind is a part of the sequence without gaps: every fourth offset would not fill it evenly.
+    """
+    kinds = np.minimum(np.arange(len(offsets)) % KINDS, 2)
+    rows = np.empty_like(offsets)
+    rows[np.argsort(kinds, kind="stable")] = offsets
     rows[0::KINDS, 2] = 0.0
     rows[1::KINDS, :2] = 0.0
     return rows
