@@ -104,10 +104,9 @@ def map_findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     found = []
     if cells := levels.get("cell"):
         text = ", ".join(f"{name} m {value:.3f}" for name, value in cells.items())
-        spread = max(cells.values()) - min(cells.values()) > 0.02
         found.append(Finding(
             "Study of the grid's resolution", "announced, no table printed", f"F1 at 10 cm by cell size: {text}",
-            verdicts.judge_study(int(spread), 1), f"{MAPS}-curves",
+            verdicts.judge_cells(cells), f"{MAPS}-curves",
         ))  # fmt: skip
     spans = {name: (min(levels[name].values()), max(levels[name].values())) for name in OPEN_CHOICES if name in levels}
     if spans:

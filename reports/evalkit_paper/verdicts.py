@@ -27,6 +27,9 @@ LIMITED_PERCENT = 1.0
 LIGHT_SHARE = 0.1
 """A map update is light if it takes at most this share of the time between two scans."""
 
+OPEN_F1 = 0.02
+"""A smaller difference of F1 is none."""
+
 WALLS_F1 = 0.5
 """F1 of the walls at 10 cm below which a map does not show the place."""
 
@@ -147,8 +150,12 @@ def judge_two_stages(readings_m: Collection[float], odometry_m: float) -> Judgem
     """Drift (m) of the readings of the text against wheel odometry alone."""
     if min(readings_m) >= odometry_m:
         return Judgement("not reproduced", "no reading of the text is better than wheel odometry alone")
+    if max(readings_m) >= odometry_m:
+        why = "some readings of the text are better than wheel odometry alone, others are not"
+        return Judgement("not determined by the text", why)
     if max(readings_m) <= 1.5 * min(readings_m):
-        return Judgement("reproduced", "all readings of the text drift about as much")
+        why = "all readings of the text drift about as much, and less than wheel odometry alone"
+        return Judgement("reproduced", why)
     return Judgement("not determined by the text", "the drift depends on the local map and the threshold's unit, "
                      "neither of which is printed")  # fmt: skip
 
@@ -218,11 +225,20 @@ def judge_study(significant: int, factors: int) -> Judgement:
                      "result of the paper is printed to compare with")  # fmt: skip
 
 
+def judge_cells(f1: Mapping[str, float]) -> Judgement:
+    """An announced study of the cell size whose results are not printed: F1 of the map by cell size."""
+    apart = max(f1.values()) - min(f1.values())
+    if apart <= OPEN_F1:
+        return Judgement("not reproduced", f"F1 differs by at most {apart:.2g}")
+    why = f"F1 differs by up to {apart:.2g}; no result of the paper is printed to compare with"
+    return Judgement("not determined by the text", why)
+
+
 def judge_open_choices(f1: Mapping[str, tuple[float, float]]) -> Judgement:
     """Choices that the text leaves open: lowest and highest F1 of the map over their levels."""
     if max(high for _, high in f1.values()) < WALLS_F1:
         return Judgement("not reproduced", "no reading gives a map of the place")
-    matter = [name for name, (low, high) in f1.items() if high - low > 0.02]
+    matter = [name for name, (low, high) in f1.items() if high - low > OPEN_F1]
     if not matter:
         return Judgement("reproduced", "all readings give about the same map")
     return Judgement("not determined by the text", f"the map depends on {', '.join(matter)}")

@@ -17,6 +17,9 @@ from evalkit.stats.intervals import Interval, wilson_interval
 PLASTIC = 1.2207440846057596
 """The real root above 1 of x^4 = x + 1: its powers fill a cube evenly (Roberts 2018, after the golden ratio)."""
 
+KINDS = 4
+"""One of so many trials is only shifted, and one only turned; the others fill the volume."""
+
 QUANTILES = (0.50, 0.75, 0.95)
 """A50, A75 and A95 of Pomerleau et al., "Comparing ICP variants on real-world data sets", Autonomous Robots 2013."""
 
@@ -33,10 +36,15 @@ def draw_offsets(count: int, reach_m: float, reach_rad: float, rng: np.random.Ge
 
 
 def with_axes(offsets: Floats) -> Floats:
-    """The same offsets (N, 3), every fourth without its turn and every fourth without its shift, for curves."""
-    rows = offsets.copy()
-    rows[0::4, 2] = 0.0
-    rows[1::4, :2] = 0.0
+    """The same offsets (N, 3) in another order, every fourth without its turn and every fourth without its shift.
+
+    Each kind is a part of the sequence without gaps: every fourth offset would not fill it evenly.
+    """
+    kinds = np.minimum(np.arange(len(offsets)) % KINDS, 2)
+    rows = np.empty_like(offsets)
+    rows[np.argsort(kinds, kind="stable")] = offsets
+    rows[0::KINDS, 2] = 0.0
+    rows[1::KINDS, :2] = 0.0
     return rows
 
 

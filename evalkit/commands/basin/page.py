@@ -80,8 +80,16 @@ def _summary(result: BasinResult) -> Section:
     ]
     columns = [Column("Back end"), *(Column(name, "%", number=True) for name in names)]
     blocks: list[Block] = [
-        Table(columns, rows, "Success in the whole volume of shifts and turns, with Wilson's 95 % interval"),
+        Table(
+            columns,
+            rows,
+            "Success in the whole volume of shifts and turns, with Wilson's 95 % interval over the guesses",
+        ),
         Text(REACHES, "note"),
+        Text(
+            "The intervals are over the guesses, for these pairs of scans: others (another --seed) can differ by more.",
+            "note",
+        ),
         Text(
             "Success is measured against the truth, not by the back end's own flag. If a back end raised an "
             "exception or ended its process, the trials count as failures.",
@@ -245,7 +253,7 @@ def _failures(rows: Sequence[BasinRow], scene: BasinScene) -> list[Block]:
 
 
 def _overlay(row: BasinRow, scene: BasinScene, attempt: int) -> Figure:
-    number = attempt % len(scene.seen)
+    number = int(scene.trials.pair_numbers(len(scene.seen))[attempt])
     pair, guess, end = scene.seen[number], Pose.of(scene.guesses()[attempt]), find_answer(row, attempt)
     layers = [
         Points("target", _thin(pair.target.points), GREY, 3.0),

@@ -11,7 +11,7 @@ import numpy as np
 from evalkit.commands.basin import convergence, scenes, sequences
 from evalkit.commands.basin.scenes import KnownPair
 from evalkit.commands.basin.sequences import PairSource
-from evalkit.core.arrays import Bools
+from evalkit.core.arrays import Bools, Ints
 from evalkit.core.errors import format_exception
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
@@ -65,7 +65,7 @@ class TrialPlan:
         return np.random.default_rng([self.seed, number])
 
     def pairs_of_scans(self) -> tuple[KnownPair, ...]:
-        """The pairs of scans, possibly fewer for a data set; trial i uses pair i modulo their number."""
+        """The pairs of scans, possibly fewer for a data set."""
         if self.recorded:
             return sequences.load_pairs(self.recorded, self.pairs)
         where, rng = scenes.find_scene(self.place), self.rng()
@@ -76,9 +76,17 @@ class TrialPlan:
         rng = np.random.default_rng([self.seed, len(scenes.SCENES)])
         return convergence.with_axes(convergence.draw_offsets(self.offsets, self.reach_m, self.reach_rad, rng))
 
+    def pair_numbers(self, pairs: int) -> Ints:
+        """For each trial the number (N,) of its pair of scans.
+
+        Every kind of trial takes all pairs in turn: one in four is only shifted, one in four only turned.
+        """
+        block, kind = np.divmod(np.arange(self.offsets), convergence.KINDS)
+        return np.asarray((block + kind * (pairs // convergence.KINDS)) % pairs)
+
     def truths(self, seen: tuple[KnownPair, ...]) -> tuple[Floats, Floats]:
         """For each trial the true ``target_from_source`` and the ``world_from_target`` (both (N, 3))."""
-        of = np.arange(self.offsets) % len(seen)
+        of = self.pair_numbers(len(seen))
         rows = np.array([pair.target_from_source.row for pair in seen])
         return rows[of], np.array([pair.world_from_target.row for pair in seen])[of]
 
@@ -125,8 +133,9 @@ def answers(
     seen = trials.pairs_of_scans()
     guesses = convergence.make_guesses(trials.offsets_drawn(), *trials.truths(seen))
     rows, claimed, reason = np.full((end - begin, 3), np.nan), np.zeros(end - begin, dtype=np.bool_), ""
+    numbers = trials.pair_numbers(len(seen))
     for number in range(begin, end):
-        pair = seen[number % len(seen)]
+        pair = seen[numbers[number]]
         try:
             match = registration.register(pair.target, pair.source, Pose.of(guesses[number]))
             rows[number - begin] = match.target_from_source.row

@@ -99,8 +99,8 @@ def describe_benchmark_diff(diff: BenchmarkDiff, everything: bool = False) -> Ch
     conclusion = (
         f"{describe_missing(diff.missing, 'series', 'the old measurement', 'the new one')}"
         f"{head} beyond {100 * diff.limit:g} % and the noise (Mann-Whitney, p < {MAX_P}); "
-        f"{verdicts.count('improvement')} improved, {sum(map(verdicts.count, COUNTED))} of {len(verdicts)} series are "
-        f"unchanged or within the limit{few}."
+        f"{verdicts.count('improvement')} improved, {sum(map(verdicts.count, COUNTED))} of {len(verdicts)} series show "
+        f"no difference or are within the limit{few}."
     )
     rows = tuple(
         (

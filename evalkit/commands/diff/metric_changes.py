@@ -153,6 +153,8 @@ def _judge_error(
     if difference is not None and not difference.interval.excludes(0.0):
         percent = 100 * difference.interval.confidence
         return "no difference shown", f"the {percent:.0f} % interval of the difference contains zero"
+    if difference is not None and difference.interval.value * (after - before) <= 0.0:
+        return "no difference shown", "the medians and the runs in pairs differ in opposite directions"
     worse = metric.sign * (after - before) > 0.0
     noise = "beyond the noise" if difference is not None else "of one run, whose noise is not known"
     return ("regression" if worse else "improvement"), f"more than {100 * limit:g} %, {noise}"

@@ -169,11 +169,8 @@ def _print(content: dict[str, Any], on: str) -> None:
         )
     else:
         limit = f"by its CPU time, a device up to {content['headroom']:.3g} times slower answers every scan in time"
-    breaks = "not broken at any factor" if content["breaks_at"] is None else f"broken from {content['breaks_at']:g} on"
-    if content["breaks_at"] is None and any(device["broken"] is None for device in content["devices"]):
-        breaks = "without a true trajectory, its errors are unknown"
     for text in (
-        f"{backend} on {content['sequence']}: {limit}; {breaks}.",
+        f"{backend} on {content['sequence']}: {limit}; {_describe_breaking(content)}.",
         f"{content['median_cost_ms']:.2f} ms of CPU time per scan on this machine (median). Broken: {RULE}.",
     ):
         out.print(text)
@@ -194,6 +191,16 @@ def _print(content: dict[str, Any], on: str) -> None:
         where = ["--on", defaults.find_simulated_dataset(), "--held-out", without_seed]
     words = shlex.join(["evalkit", "tune", content["backend"], *where])
     out.print(f"\nnext: {words} (cheaper or better parameters)", soft_wrap=True)
+
+
+def _describe_breaking(content: dict[str, Any]) -> str:
+    """From which factor on the devices are broken, and larger ones that are not."""
+    devices, least = content["devices"], content["breaks_at"]
+    if least is None:
+        unknown = any(device["broken"] is None for device in devices)
+        return "without a true trajectory, its errors are unknown" if unknown else "not broken at any factor"
+    held = [f"{device['factor']:g}" for device in devices if device["factor"] > least and not device["broken"]]
+    return f"broken at {least:g}, but not at {', '.join(held)}" if held else f"broken from {least:g} on"
 
 
 def _make_rows(content: dict[str, Any]) -> list[RankedRow]:

@@ -64,7 +64,7 @@ def draw_main_effects(response: Response, design: Design, effects: Sequence[Fact
     title = f"{design.name}: effects on {response.metric.label}"
     caption = (
         "From the level with the smallest value to the level with the largest, averaged over all other factors. Line: "
-        "95 % interval; grey: not significant."
+        "95 % interval, adjusted for all differences of levels (Bonferroni); grey: not significant."
     )
     return Figure(bars(labels, values, axis, low, high, neutral, colours), title, caption)
 

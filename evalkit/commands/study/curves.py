@@ -35,7 +35,7 @@ def build_curve_blocks(outcome: StudyResult) -> tuple[Block, ...]:
         for point in design.points
         for factor, level in point.levels.items()
     ]
-    measured = (_make_column(response) for response in outcome.study.responses)
+    measured = (make_response_column(response) for response in outcome.study.responses)
     columns: tuple[Column | str, ...] = ("Design", "Factor", "Level", *measured, Column("Lost"))
     return (*blocks, Fold("All values", (Table(columns, rows),))) if rows else ()
 
@@ -48,21 +48,27 @@ def _build_unordered_table(
     rows: list[tuple[Cell | str, ...]] = [
         (
             level.label,
-            *(_make_value_cell(outcome, design, response, points[design.name, level.label]) for design in designs),
+            *(make_value_cell(outcome, design, response, points[design.name, level.label]) for design in designs),
         )
         for level in factor.levels
     ]
     heads = (Column(design.name, response.metric.unit, number=True) for design in designs)
-    caption = f"{response.metric.label} over {factor.name}: mean of the seeds, lowest to highest"
+    caption = f"{response.metric.label} over {factor.name}: {_describe_mean(response)}, lowest to highest"
     return Table((factor.name, *heads), rows, caption, sortable=False)
 
 
-def _make_column(response: Response) -> Column:
-    return Column(response.metric.label, response.metric.unit, number=True, tip="mean of the seeds, lowest to highest")
+def make_response_column(response: Response) -> Column:
+    """The column of ``make_value_cell``."""
+    tip = f"{_describe_mean(response)}, lowest to highest"
+    return Column(response.metric.label, response.metric.unit, number=True, tip=tip)
+
+
+def _describe_mean(response: Response) -> str:
+    return f"{'geometric ' if response.scale == 'log' else ''}mean of the seeds"
 
 
 def _make_cells(outcome: StudyResult, design: Design, point: Point) -> list[Cell]:
-    cells = [_make_value_cell(outcome, design, response, point) for response in outcome.study.responses]
+    cells = [make_value_cell(outcome, design, response, point) for response in outcome.study.responses]
     lost = [outcome.lost(point.key, seed) for seed in design.runs(point)]
     count = sum(map(bool, lost))
     return [
@@ -71,7 +77,8 @@ def _make_cells(outcome: StudyResult, design: Design, point: Point) -> list[Cell
     ]
 
 
-def _make_value_cell(outcome: StudyResult, design: Design, response: Response, point: Point) -> Cell:
+def make_value_cell(outcome: StudyResult, design: Design, response: Response, point: Point) -> Cell:
+    """The mean of a point's seeds on the response's scale, with the lowest and the highest."""
     values = outcome.row(design, response, point)
     if not np.isfinite(values).any():
         return Cell("no value")

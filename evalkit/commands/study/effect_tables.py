@@ -94,8 +94,10 @@ def _build_pairs(response: Response, design: Design, pairs: Sequence[Interaction
         for pair in pairs
     ]
     columns = (
-        "Pair", "Corner", Column("Changes the effect by", number=True, tip="difference of differences, 95 % interval"),
-        Column("Significant", tip="the interval, adjusted for all pairs (Bonferroni), excludes zero"),
+        "Pair", "Corner",
+        Column("Changes the effect by", number=True,
+               tip="difference of differences, 95 % interval adjusted for all comparisons (Bonferroni)"),
+        Column("Significant", tip="the interval excludes no change"),
         Column("Share of variance", "%", number=True),
     )  # fmt: skip
     shown = max(sum(pair.significant for pair in pairs), MIN_LISTED)
@@ -112,6 +114,8 @@ def _build_checks(outcome: StudyResult, response: Response, design: Design, fit:
             continue
         measured = to_scale(response, outcome.table(other, response)).mean(axis=1)
         known = np.isfinite(measured)
+        if not known.any():
+            continue
         expected = fit.predict(other.positions[known])
         apart = float(np.sqrt(np.mean((expected - measured[known]) ** 2)))
         around = float(np.std(measured[known]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,13 +12,17 @@ import numpy as np
 
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.design.designs import Model
+from evalkit.design.designs import DesignAxis, Model
 from evalkit.stats.intervals import CONFIDENCE, Interval, student_quantile
 
 
 @dataclass(frozen=True)
 class Effect:
-    """The difference of the response between two levels of a factor, averaged over all others."""
+    """The difference of the response between two levels of a factor, averaged over all others.
+
+    ``value``: the interval is adjusted for all pairs of levels of all factors (Bonferroni), because it is the largest
+    difference that is looked at.
+    """
 
     factor: str
     level: int
@@ -44,7 +49,7 @@ class Interaction:
     """How the effect of one factor depends on another: the difference of its effects at two levels of the other.
 
     ``value``: (effect of ``a_levels`` at ``b_levels[1]``) - (the same at ``b_levels[0]``), for the pair of corners with
-    the largest difference. ``strict``: the interval adjusted for all pairs of the design (Bonferroni).
+    the largest difference; the interval is adjusted for all corners of all pairs (Bonferroni).
     """
 
     a: str
@@ -52,13 +57,12 @@ class Interaction:
     a_levels: tuple[int, int]
     b_levels: tuple[int, int]
     value: Interval
-    strict: Interval
     share: float
 
     @property
     def significant(self) -> bool:
-        """Whether the strict interval excludes zero."""
-        return self.strict.excludes(0.0)
+        """Whether the interval excludes zero."""
+        return self.value.excludes(0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +116,20 @@ class ModelFit:
         levels = tuple(self._interval(row) for row in rows)
         middles = [level.value for level in levels]
         best, worst = int(np.argmin(middles)), int(np.argmax(middles))
-        largest = Effect(axis.name, worst, best, self._interval(rows[worst] - rows[best]))
+        strict = _adjust_confidence(self.differences)
+        largest = Effect(axis.name, worst, best, self._interval(rows[worst] - rows[best], strict))
         return FactorEffect(axis.name, levels, largest, self._share((number,)))
+
+    @property
+    def differences(self) -> int:
+        """The number of pairs of levels of one factor, over all factors."""
+        return sum(math.comb(axis.levels, 2) for axis in self.model.axes)
+
+    @property
+    def corners(self) -> int:
+        """The number of differences of differences of which interactions are the largest, over all pairs of factors."""
+        steps = [len(_list_steps(axis)) for axis in self.model.axes]
+        return sum(one * other for one, other in combinations(steps, 2)) if self.model.pairs else 0
 
     def expected(self, levels: Mapping[int, int]) -> Interval:
         """The response at levels of some factors, given by number, averaged over the levels of all others."""
@@ -129,7 +145,7 @@ class ModelFit:
     def interactions(self) -> tuple[Interaction, ...]:
         """All interactions, the largest share of the variance first; none in a model without pairs."""
         pairs = list(combinations(range(len(self.model.axes)), 2)) if self.model.pairs else []
-        unordered = [self._interaction(a, b, len(pairs)) for a, b in pairs]
+        unordered = [self._interaction(a, b) for a, b in pairs]
         return tuple(sorted(unordered, key=lambda item: -item.share))
 
     @cached_property
@@ -186,22 +202,27 @@ class ModelFit:
         lost = float(own @ np.linalg.solve(self._inverse[np.ix_(mask, mask)], own))
         return lost / self._total if self._total > 0.0 else 0.0
 
-    def _interaction(self, a: int, b: int, pairs: int) -> Interaction:
+    def _interaction(self, a: int, b: int) -> Interaction:
         """The corner with the largest difference of differences, first level against another for both factors."""
         one, other = self.model.axes[a], self.model.axes[b]
         mask = self._mask((a, b))
         corners: list[tuple[float, Floats, tuple[int, int], tuple[int, int]]] = []
-        for from_a, to_a in _list_steps(one.levels, one.scores is not None):
-            for from_b, to_b in _list_steps(other.levels, other.scores is not None):
+        for from_a, to_a in _list_steps(one):
+            for from_b, to_b in _list_steps(other):
                 row = np.zeros(len(mask))
                 step_a, step_b = one.crossed[to_a] - one.crossed[from_a], other.crossed[to_b] - other.crossed[from_b]
                 row[mask] = np.outer(step_a, step_b).ravel()
                 corners.append((abs(float(row @ self._coefficients)), row, (from_a, to_a), (from_b, to_b)))
         _, row, a_levels, b_levels = max(corners, key=lambda corner: corner[0])
-        strict = 1.0 - (1.0 - CONFIDENCE) / pairs
-        value, wide = self._interval(row), self._interval(row, strict)
-        return Interaction(one.name, other.name, a_levels, b_levels, value, wide, self._share((a, b)))
+        value = self._interval(row, _adjust_confidence(self.corners))
+        return Interaction(one.name, other.name, a_levels, b_levels, value, self._share((a, b)))
 
 
-def _list_steps(levels: int, ordered: bool) -> list[tuple[int, int]]:
-    return [(0, levels - 1)] if ordered else list(combinations(range(levels), 2))
+def _adjust_confidence(comparisons: int) -> float:
+    """Return the confidence of each of so many intervals that all together hold with 95 % (Bonferroni)."""
+    return 1.0 - (1.0 - CONFIDENCE) / comparisons
+
+
+def _list_steps(axis: DesignAxis) -> list[tuple[int, int]]:
+    """Return the steps between levels that interactions compare: one along an ordered axis, else every pair."""
+    return [(0, axis.levels - 1)] if axis.scores is not None else list(combinations(range(axis.levels), 2))

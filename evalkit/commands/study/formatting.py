@@ -25,7 +25,10 @@ def describe_main_effects(response: Response, design: Design, fit: ModelFit) -> 
         f"{describe_largest(design, effect)} ({format_effect(response, effect.largest.value)})"
         for effect in significant[:MAX_EFFECTS]
     ]
-    return f"{response.metric.label} depends most on {join_words(words)}."
+    return (
+        f"{response.metric.label} depends most on {join_words(words)}, adjusted for {fit.differences} differences of "
+        "levels."
+    )
 
 
 def describe_interactions(response: Response, fit: ModelFit, most: int = 4) -> str:
@@ -37,7 +40,7 @@ def describe_interactions(response: Response, fit: ModelFit, most: int = 4) -> s
         return f"No interaction has a significant effect on {response.metric.label}."
     words = [f"{pair.a} x {pair.b} ({format_effect(response, pair.value)})" for pair in significant[:most]]
     more = f", and {len(significant) - most} more" if len(significant) > most else ""
-    return f"Significant interactions, adjusted for {len(fit.interactions())} pairs: {join_words(words)}{more}."
+    return f"Significant interactions, adjusted for {fit.corners} comparisons: {join_words(words)}{more}."
 
 
 def describe_missing_effects(response: Response, design: Design, reason: str) -> str:
@@ -55,16 +58,21 @@ def describe_limit(choice: EnvelopeChoice) -> str:
 def describe_lost_runs(study: Study) -> str:
     """Sentences on when a run is lost, and how lost runs enter the effects."""
     bounds = [
-        f"{r.metric.label} of {r.lost:g} {r.metric.unit} or {'less' if r.metric.better == 'higher' else 'more'}"
+        f"{r.metric.label} of {r.lost:g} {r.metric.unit}".rstrip()
+        + (" or less" if r.metric.better == "higher" else " or more")
         for r in study.responses
         if r.lost is not None
     ]
-    if not bounds:
-        return "A run is lost if it fails."
-    return (
-        f"A run is lost if it fails or ends with {join_words(bounds)}. Lost runs enter every effect with that bound as "
-        "their value; an effect with lost runs is a lower bound of the true one."
-    )
+    unbounded = [r.metric.label for r in study.responses if r.lost is None]
+    lines = [f"A run is lost if it fails{''.join(f' or ends with {bound}' for bound in bounds)}."]
+    if bounds:
+        lines.append(
+            "A run that failed or is beyond a bound enters the effects on that metric with the bound as its value. So "
+            "effects with lost runs can be too small, and an interaction can come from the bound alone."
+        )
+    if unbounded:
+        lines.append(f"Effects on {join_words(unbounded)}, without a bound, leave out the runs that have no value.")
+    return " ".join(lines)
 
 
 def format_effect(response: Response, value: Interval) -> str:

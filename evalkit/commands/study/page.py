@@ -7,7 +7,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from evalkit.commands.study.curves import build_curve_blocks, build_envelope_blocks
+from evalkit.commands.study.curves import (
+    build_curve_blocks,
+    build_envelope_blocks,
+    make_response_column,
+    make_value_cell,
+)
 from evalkit.commands.study.effect_tables import build_effect_blocks
 from evalkit.commands.study.envelope import compute_panels, describe_panels
 from evalkit.commands.study.formatting import (
@@ -104,17 +109,15 @@ def build_design_blocks(outcome: StudyResult) -> tuple[Block, ...]:
 
 def build_point_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """Every point with its key, and the command that computes it again."""
-    rows = []
+    rows: list[tuple[Cell | str, ...]] = []
+    first = outcome.study.responses[0]
     for design in outcome.study.designs:
         for point in design.points:
             lost = sum(bool(outcome.lost(point.key, seed)) for seed in design.runs(point))
-            first = outcome.study.responses[0]
-            worst = outcome.row(design, first, point)
-            cells = (point.key, design.name, point.label, f"{np.mean(worst):.{first.metric.digits}f}")
+            cells = (point.key, design.name, point.label, make_value_cell(outcome, design, first, point))
             rows.append((*cells, Cell(str(lost) if lost else "", lost, "bad" if lost else "")))
-    metric = outcome.study.responses[0].metric
-    columns = ("Key", "Design", "Levels", Column(metric.label, metric.unit, number=True), Column("Lost", number=True))
-    key = rows[0][0]
+    columns = ("Key", "Design", "Levels", make_response_column(first), Column("Lost", number=True))
+    key = outcome.study.designs[0].points[0].key
     return (
         Text("Compute one point again, and print its settings as an experiment, by its key:"),
         Command(format_point_command(outcome.study.command, key)),

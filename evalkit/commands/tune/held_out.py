@@ -79,7 +79,7 @@ def _describe_verdict(
         return "overfitted: worse than the default on held-out runs"
     where = f"; overfitted on {', '.join(worse)}, where it is worse than the default" if worse else ""
     if paired is None:
-        return f"not comparable over all runs: none has a ground truth and a geometry that determines the pose{where}"
+        return f"not comparable: no run of both has a ground truth and a geometry that determines the pose{where}"
     if paired.verdict == "better":
         return f"better on held-out runs too{where}"
     alone = f", but significantly better on {', '.join(better)}" if better else ""

@@ -14,8 +14,8 @@ from evalkit.core.se2 import Floats
 from evalkit.design.responses import Response, bounded_value, find_loss_reason
 from evalkit.design.run_points import RunScores
 from evalkit.metrics.runtime import COST
-from evalkit.stats.bootstrap import bootstrap_interval
-from evalkit.stats.intervals import Interval
+from evalkit.stats.intervals import Interval, student_quantile
+from evalkit.stats.runs import paired_runs
 
 MIN_GAIN = 0.05
 """A smaller gain, as a share of the error, does not count as better; the report uses the same."""
@@ -75,11 +75,14 @@ def find_best_candidate(tried: Sequence[ScoredCandidate]) -> ScoredCandidate:
     return min(tried, key=lambda one: one.order)
 
 
-def compute_error_ratio(ours: ScoredCandidate, theirs: ScoredCandidate, seed: int) -> Interval:
-    """The geometric mean ratio of errors over the same runs with its 95 % bootstrap interval; below 1 is better."""
-    logs = np.log(ours.errors) - np.log(theirs.errors)
-    interval = bootstrap_interval(logs, np.mean, np.random.default_rng(seed), block=1)
-    return Interval(math.exp(interval.value), math.exp(interval.low), math.exp(interval.high), interval.support)
+def compute_error_ratio(ours: ScoredCandidate, theirs: ScoredCandidate) -> Interval:
+    """The geometric mean ratio of errors over the same runs with its 95 % interval (Student's t); below 1 is better."""
+    runs = len(ours.errors)
+    found = paired_runs(ours.errors, theirs.errors)
+    if found is None:
+        raise ValueError(f"a ratio with its interval takes at least two runs, got {runs}")
+    half = student_quantile(runs - 1) * found.error
+    return Interval(math.exp(found.mean), math.exp(found.mean - half), math.exp(found.mean + half), runs)
 
 
 def is_better(ours: ScoredCandidate, theirs: ScoredCandidate, ratio: Interval) -> bool:

@@ -58,7 +58,7 @@ def _build_summary(result: TuningResult) -> Section:
         Column("Back end"),
         Column("Chosen parameters", tip="own parameters that differ from the default"),
         Column("Search", number=True, tip="geometric mean error: default → best point"),
-        Column("Fresh seeds", "x", number=True, tip="error of best point / default, with 95 % interval"),
+        Column("Fresh seeds", "x", number=True, tip="error of best point / default, with 95 % interval over the runs"),
         Column("Held out", "x", number=True, tip="error of tuned / default, median over all held-out runs"),
         Column("CPU per scan", "ms", number=True, tip="median in training: default → chosen"),
         Column("Verdict"),
@@ -243,16 +243,17 @@ def _build_method(result: TuningResult) -> Section:
         f"Point 0 is the default. Half of the {tuning.points} points are spread evenly (scrambled Sobol, seed "
         f"{tuning.seed}). The other half are steps from the best point so far that change fewer and fewer parameters "
         "at once (dynamically dimensioned search, Tolson and Shoemaker 2007). No point is tried twice.",
-        f"A run is lost if it fails, takes more than {tuning.run_cpu_s:g} s of CPU time or has an error of {bound} or "
-        f"more; its error is then {bound}. Points with fewer lost runs are better, whatever the errors; then those "
-        "with the smaller geometric mean; the earliest of equal points wins, so the default wins a tie.",
+        f"A training run is lost if it fails, takes more than {tuning.run_cpu_s:g} s of CPU time or has an error of "
+        f"{bound} or more; its error is then {bound}. Points with fewer lost runs are better, whatever the errors; "
+        "then those with the smaller geometric mean; the earliest of equal points wins, so the default wins a tie.",
         "The search covers the back end's own parameters. The front end's parameters (guess, keyframes, local map, "
         "deskewing), the mapper, the scans and the metrics are the same for all.",
         f"On held-out sequences, labels of tuned methods end in '{TUNED.strip()}'. Every run has its own process and "
         "is scored as in any report. Wilcoxon's test over runs is adjusted over back ends (Holm); seeds of one world "
-        "are not independent, so p is somewhat too small. Paired differences on one sequence have block-bootstrap "
-        "intervals that are not adjusted for the number of sequences: one of twenty may differ by chance. "
-        "Overfitted: significantly worse than the default over all runs or on one sequence, or more lost runs.",
+        "are not independent, so p is somewhat too small. Paired differences on one sequence have intervals of "
+        "Student's t over the runs that are not adjusted for the number of sequences: one of twenty may differ by "
+        "chance. Overfitted: significantly worse than the default over all runs or on one sequence, or fewer "
+        "completed runs.",
     )
     alone = shlex.split(result.report)[2]
     machine = Fold("This machine", (Table(("What", "Value"), list(result.ran_on.items())),))

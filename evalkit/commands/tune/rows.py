@@ -73,7 +73,7 @@ def _build_tests(verdicts: Sequence[HeldOutVerdict]) -> Table:
         Column("Ratio", "x", number=True, tip="error of tuned divided by the default's, median over runs"),
         Column("p", number=True, tip="Wilcoxon's signed-rank test, Holm over the back ends"),
         Column("Detectable", "x", number=True, tip="the ratio that these runs detect with 80 % power, in all rows"),
-        Column("Lost", number=True, tip="runs lost: default → tuned"),
+        Column("Lost", number=True, tip="runs that were not completed: default → tuned"),
         Column("Verdict"),
     )  # fmt: skip
     return Table(columns, [_make_test_row(one) for one in verdicts], "Tuned against default, over all held-out runs")

@@ -169,18 +169,18 @@ def _confirm_best(
     pairs: dict[str, list[ScoredCandidate]] = {}
     for tunable, scored in _score(tuning, compute, candidates, tuning.confirm_runs) if candidates else []:
         pairs.setdefault(tunable.label, []).append(scored)
-    return tuple(_decide_result(tuning, each, tried[each.label], pairs.get(each.label, [])) for each in methods)
+    return tuple(_decide_result(each, tried[each.label], pairs.get(each.label, [])) for each in methods)
 
 
 def _decide_result(
-    tuning: Tuning, tunable: TunableMethod, tried: Sequence[ScoredCandidate], pair: Sequence[ScoredCandidate]
+    tunable: TunableMethod, tried: Sequence[ScoredCandidate], pair: Sequence[ScoredCandidate]
 ) -> MethodSearch:
     """Take the best point or keep the default, by the ``pair`` of default and best on fresh seeds."""
     if not pair:
         why = "it has nothing to search" if len(tried) == 1 else "no point was better in the search"
         return MethodSearch(tunable, tuple(tried), None, None, False, f"default kept: {why}")
     default, candidate = pair
-    ratio = compute_error_ratio(candidate, default, tuning.seed)
+    ratio = compute_error_ratio(candidate, default)
     tuned = is_better(candidate, default, ratio)
     why = "better on fresh seeds by more than noise" if tuned else _explain_default(candidate, default)
     return MethodSearch(tunable, tuple(tried), (default, candidate), ratio, tuned, why)

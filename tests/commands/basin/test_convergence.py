@@ -118,6 +118,15 @@ def test_the_worst_failure_is_the_one_with_the_best_guess():
     assert found.worst(2).tolist() == [1, 2]
 
 
+@pytest.mark.parametrize(("count", "apart"), [(128, 2), (512, 3), (1024, 4)])
+def test_guesses_of_a_curve_fill_all_its_bins_alike(count, apart):
+    for seed in range(20):
+        rows = with_axes(draw_offsets(count, 1.0, 1.0, np.random.default_rng(seed)))
+        for values in (np.hypot(*rows[0::4, :2].T), np.abs(rows[1::4, 2])):
+            bins = np.histogram(values, 8, (0.0, 1.0))[0]
+            assert np.abs(bins - count // 32).max() <= apart
+
+
 def test_curves_use_guesses_that_are_only_shifted_or_only_rotated():
     offs = with_axes(draw_offsets(64, 1.0, 0.5, np.random.default_rng(2)))
     errors = np.where((offs[:, 2:] == 0.0) | (offs[:, :1] == 0.0), 0.0, 1.0) * np.array([[0.0, 1.0, 0.0]])

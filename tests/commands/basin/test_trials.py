@@ -40,6 +40,17 @@ def test_a_registration_that_returns_its_guess_has_the_error_of_the_guess(monkey
     assert found["claimed"].all()
 
 
+@pytest.mark.parametrize("pairs", [1, 2, 4, 5, 8, 16])
+def test_every_kind_of_guess_is_made_over_all_pairs_alike(pairs):
+    trials = replace(TRIALS, offsets=1024, pairs=pairs)
+    offsets, numbers = trials.offsets_drawn(), trials.pair_numbers(pairs)
+    shifted, turned = offsets[:, 2] == 0.0, ~offsets[:, :2].any(axis=1)
+    for kind, count in ((shifted, 256), (turned, 256), (~shifted & ~turned, 512)):
+        uses = np.bincount(numbers[kind], minlength=pairs)
+        assert uses.sum() == count
+        assert uses.max() - uses.min() <= 2
+
+
 def test_a_trial_does_not_depend_on_its_task(monkeypatch):
     whole = run_trials(monkeypatch, KeepsGuess)["rows"]
     parts = [run_trials(monkeypatch, KeepsGuess, begin, end)["rows"] for begin, end in ((0, 13), (13, 40))]

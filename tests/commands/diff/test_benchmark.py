@@ -172,7 +172,7 @@ def test_unchanged_series_are_counted_and_listed_only_with_all(tmp_path):
     short, long = (CliRunner().invoke(app, [*arguments, *more]).stdout for more in ([], ["--all"]))
     assert [" same " in text for text in (short, long)] == [False, True]
     assert [" slower " in text for text in (short, long)] == [True, True]
-    assert "1 of 2 series are unchanged" in " ".join(short.split())
+    assert "1 of 2 series show no difference or are within the limit" in " ".join(short.split())
 
 
 def test_two_benchmarks_with_nothing_in_common_are_an_error_and_no_agreement(tmp_path):

@@ -81,6 +81,14 @@ def test_the_confidence_of_an_interval_is_stated(runs, percent):
     assert (text.columns[6], text.rows[0][6][:6]) == ("interval", f"{percent} %: ")
 
 
+def test_a_median_that_rises_while_almost_every_run_falls_is_no_regression():
+    old, new = [0.010, 0.011, 0.012, 0.013, 0.10, 0.10, 0.10], [0.005, 0.0055, 0.006, 0.016, 0.05, 0.05, 0.05]
+    found = _between(_seeds(old), _seeds(new))  # medians 13 and 16 mm; the interval of the pairs is below zero
+    (change,) = (one for one in found.changes if one.metric == ATE)
+    assert change.high < 0.0 < change.new - change.old
+    assert (change.verdict, change.reason[:11]) == ("no difference shown", "the medians")
+
+
 @pytest.mark.parametrize(("runs", "said"), [(5, "no difference shown"), (6, "regression")])
 def test_perturbed_runs_give_a_verdict_from_six_on(runs, said):
     """A perturbation hardly changes a run: five differences of one sign are no evidence, and no verdict in a report."""

@@ -56,6 +56,20 @@ def show(result, capsys):
     return " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.parametrize(
+    ("errors_m", "said"),
+    [((0.01, 0.30, 0.02, 0.40), "broken at 1, but not at 2."), ((0.01, 0.02, 0.30, 0.40), "broken from 2 on."),
+     ((0.01, 0.02, 0.02, 0.03), "not broken at any factor.")],
+)  # fmt: skip
+def test_a_slower_device_that_is_not_broken_is_named(errors_m, said, capsys):
+    result = result_of([10.0, 6.0, 8.0])
+    result["devices"] = [
+        result["devices"][0] | {"factor": float(factor), "at_hand": {"ate_rmse_m": error_m}}
+        for factor, error_m in enumerate(errors_m)
+    ]
+    assert said in show(result, capsys)
+
+
 def test_the_next_command_names_the_world_without_its_seed_and_tune_takes_it(capsys):
     command._print(command._as_json("embedded", "room", result_of([10.0, 6.0, 8.0])), "room seed=1 laps=0.05")
     line = capsys.readouterr().out.splitlines()[-1]

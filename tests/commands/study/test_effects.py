@@ -58,9 +58,30 @@ def test_intervals_have_their_nominal_coverage():
     rows, rng = make_fractional(5, 5), np.random.default_rng(0)
     held = 0
     for _ in range(400):
-        value = fit(model, rows, 2.0 * rows[:, 0] + rng.normal(0.0, 1.0, len(rows))).factor(0).largest.value
-        held += value.low <= 2.0 <= value.high
+        value = fit(model, rows, 2.0 * rows[:, 0] + rng.normal(0.0, 1.0, len(rows))).factor(0).levels[1]
+        held += value.low <= 1.0 <= value.high  # half the difference of the two levels
     assert 0.92 <= held / 400 <= 0.99
+
+
+@pytest.mark.parametrize(("levels", "scores"), [(4, None), (6, (0.0, 1.0, 2.0, 3.0, 4.0, 5.0))])
+def test_noise_alone_shows_an_effect_in_at_most_a_twentieth_of_studies(levels, scores):
+    # the largest of many differences is looked at: unadjusted, a third of these studies and more would show one
+    model = Model(tuple(DesignAxis(name, levels, scores) for name in "abc"))
+    rng = np.random.default_rng(5)
+    rows, shown = make_optimal(model, 128, rng), np.zeros(2)
+    for _ in range(200):
+        found = fit(model, rows, rng.normal(0.0, 1.0, len(rows)))
+        main = [factor.largest.value.excludes(0.0) for factor in found.effects]
+        shown += any(main), any(pair.significant for pair in found.interactions())
+    assert (shown <= 20).all()  # 10 are expected at most; 20 or more have a probability of 0.003
+
+
+def test_an_effect_of_two_standard_deviations_is_shown_among_many():
+    model = Model(tuple(DesignAxis(name, 4) for name in "abc"), pairs=False)
+    rng = np.random.default_rng(6)
+    rows = make_optimal(model, 64, rng)
+    found = fit(model, rows, 2.0 * (rows[:, 1] == 3) + rng.normal(0.0, 1.0, len(rows)))
+    assert [factor.factor for factor in found.effects if factor.largest.value.excludes(0.0)] == ["b"]
 
 
 def test_every_unordered_level_has_its_own_effect():

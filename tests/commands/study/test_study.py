@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from evalkit.cli import app
 from evalkit.commands.study.config import study_from_tables
 from evalkit.commands.study.effect_tables import build_effect_blocks
+from evalkit.commands.study.page import build_document
 from evalkit.commands.study.plan import format_task_name
 from evalkit.commands.study.result import StudyResult
 from evalkit.commands.study.results_json import make_effect_rows, study_as_json
@@ -24,7 +25,7 @@ from evalkit.design.run_points import evaluate, run_points
 from evalkit.execution.task import make_task
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
-from evalkit.report.html.blocks import Text
+from evalkit.report.html.blocks import Text, render
 
 STUDY = """
 title = "A small study"
@@ -156,6 +157,30 @@ def test_a_design_without_effects_is_named_with_the_reason(strangers):
     assert {row["metric"] for row in make_effect_rows(outcome)} == {"ate_rmse_m"}
     texts = [block.body for block in build_effect_blocks(outcome) if isinstance(block, Text)]
     assert f"array: the effects on {map_f1.metric.label} cannot be computed: {reason}." in texts
+
+
+def test_a_page_with_failed_runs_has_no_nan_and_says_how_they_count():
+    content = STUDY.replace('scale = "log", lost = 0.5 }', 'scale = "log" }')
+    content += """
+[[design]]
+name = "between"
+kind = "sobol"
+factors = ["speed", "rate", "wheels"]
+points = 4
+"""
+    made = study_from_tables(tomllib.loads(content), "s.toml", "evalkit study s.toml")
+    ate = made.responses[0]
+    scores = [{"ate_rmse_m": 0.1 * 4.0**seed, "map_f1": 0.9} for seed in (0, 1)]
+    complete = [{"status": "complete", "reason": "", "scores": each, "why": {}, "cpu_s": 1.0} for each in scores]
+    failed = {"status": "failed", "reason": "broke", "scores": dict.fromkeys(scores[0]), "why": {}, "cpu_s": 1.0}
+    between = {format_task_name(point.key, seed) for point in made.designs[2].points for seed in (0, 1)}
+    results = {task.name: complete[int(task.name[-1])] for task in made.tasks() if task.name not in between}
+    page = render(build_document(StudyResult(made, results | dict.fromkeys(between, failed)), {}))
+    assert ">nan<" not in page
+    assert "0.200 (0.100 to 0.400)" in page  # the geometric mean of 0.1 and 0.4, as in the effects
+    assert page.count(">no value<") == 4
+    assert "A run is lost if it fails or ends with map F1 at 10 cm of 0 or less. " in page
+    assert f"Effects on {ate.metric.label}, without a bound, leave out the runs that have no value." in page
 
 
 def test_a_point_of_a_slam_scores_its_corrected_poses_and_a_wrong_end_is_a_failure(strangers):

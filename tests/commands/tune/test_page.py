@@ -8,8 +8,9 @@ import pytest
 
 from evalkit.commands.tune import page, results_json, search_loop
 from evalkit.commands.tune.config import tuning_from_tables
-from evalkit.commands.tune.objective import mark_pareto_front
+from evalkit.commands.tune.objective import ScoredCandidate, compute_error_ratio, is_better, mark_pareto_front
 from evalkit.commands.tune.result import TuningResult
+from evalkit.commands.tune.space import TuningCandidate
 from evalkit.report.html.blocks import Cell, Table, render
 
 ATE = "ate_rmse_m"
@@ -53,6 +54,16 @@ def build_tuning(build, record, tuned_ate, lost=0, status="failed"):
             record("a tuned", "room", {ATE: tuned_ate + 0.001 * seed}, seed=seed, error_m=tuned_ate, **ended)
         )
     return TuningResult(plan(), found(), build(records), {"processor": "some"}, "evalkit compare tuned.toml --resume")
+
+
+def test_four_runs_that_are_all_better_can_be_chance():
+    # logarithms -0.10, -0.20, -0.30, -0.05: mean -0.1625, standard error 0.05543, t of 3 degrees of freedom 3.182
+    errors = np.exp([-0.10, -0.20, -0.30, -0.05])
+    candidate = TuningCandidate((), {}, "step")
+    ours, theirs = (ScoredCandidate(candidate, each, ("",) * 4, 1.0, 1.0, False) for each in (errors, np.ones(4)))
+    ratio = compute_error_ratio(ours, theirs)
+    assert (ratio.value, ratio.low, ratio.high) == pytest.approx(np.exp([-0.1625, -0.3389, 0.0139]), rel=1e-4)
+    assert not is_better(ours, theirs, ratio)
 
 
 @pytest.mark.parametrize(
