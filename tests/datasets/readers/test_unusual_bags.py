@@ -610,6 +610,14 @@ def test_a_sqlite3_bag_that_was_cut_short_is_refused_with_what_to_do(tmp_path, w
             read(str(base))
 
 
+def test_the_proposal_for_a_name_that_begins_like_an_option_can_be_run(tmp_path, monkeypatch):
+    bag = Bag("mcap").scan(T0, [1, 2]).scan(T0 + PERIOD, [1, 2]).write(tmp_path).rename(tmp_path / "-run")
+    monkeypatch.chdir(tmp_path)
+    advice = suggest_config(inspect_recording(Path(bag.name)))
+    assert advice.command.startswith("evalkit compare ./-run ")
+    assert 'label = "run"' in advice.table
+
+
 def killed_recorder(folder):
     """Return a bag whose second of two scans is in the log beside the database, not in the database."""
     written = Bag("sqlite3").scan(T0, [1, 2]).scan(T0 + PERIOD, [3, 4]).write(folder)
