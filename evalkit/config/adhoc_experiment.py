@@ -87,7 +87,7 @@ def experiment_from_recording(
     many = "one method" if len(methods) == 1 else f"{len(methods)} methods"
     content = {
         "title": f"{recording.path.name}: {many} on one recording",
-        "sequence": [{"use": recording.reader, "label": recording.path.name, **reading, **keys}],
+        "sequence": [{"use": recording.reader, "label": label_of(recording.path), **reading, **keys}],
         "method": [{"use": one} if isinstance(one, str) else dict(one) for one in methods],
         "mapper": {name: value for name, value in mapping.items() if name in known},
     }
@@ -121,7 +121,7 @@ def format_command(
     ``given``: files and topic, by the name of the reader's parameter. ``keys``: as for the experiment. ``settings``:
     other parameters of the reader, as NAME=VALUE.
     """
-    words = ["compare", str(source)]
+    words = ["compare", word_of(source)]
     words += [word for name, value in given.items() for word in (f"--{option_name(name)}", value)]
     for name, value in keys.items():
         words += [f"--{option_name(name)}", *([] if value is True else [str(value)])]
@@ -129,6 +129,16 @@ def format_command(
     words += ["--reader", reader] if reader else []
     words += [word for item in settings for word in ("--set", item)]
     return shlex.join(words)
+
+
+def label_of(path: Path) -> str:
+    """Return the label of a recording: its name, without characters with which a label must not begin."""
+    return path.name.lstrip("=+-@")
+
+
+def word_of(path: Path) -> str:
+    """Return a path as a word of a command line, where one that begins with "-" would be an option."""
+    return f"./{path}" if str(path).startswith("-") else str(path)
 
 
 def option_name(parameter: str) -> str:

@@ -292,7 +292,7 @@ class _Process(SpawnProcess):
 
     @staticmethod
     def _Popen(process_obj: BaseProcess) -> Any:  # noqa: N802 - the hook of multiprocessing
-        with _STARTING:
+        with _STARTING, _terminal_signals_blocked():
             main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
             try:
                 return SpawnProcess._Popen(process_obj)
@@ -306,10 +306,29 @@ class _Context(SpawnContext):
 
 _STARTING = threading.Lock()
 
+_OF_TERMINAL = [getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)]
+"""Signals that a terminal sends to all processes of a command: by Ctrl-C, and where it is closed."""
+
+
+@contextlib.contextmanager
+def _terminal_signals_blocked() -> Iterator[None]:
+    """Block them in this thread, and in the processes that it starts: until these ignore them, they would end there."""
+    if os.name != "posix":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_TERMINAL)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
 
 def _initialise_worker(core: int | None) -> None:
-    """Leave keyboard interrupts to the parent, terminate with it, and pin this process to a core."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Leave the signals of a terminal to the parent, terminate with it, and pin this process to a core."""
+    for number in _OF_TERMINAL:
+        signal.signal(number, signal.SIG_IGN)
+    if os.name == "posix":
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _OF_TERMINAL)
     poll_parent()
     if core is not None:
         os.sched_setaffinity(0, {core})

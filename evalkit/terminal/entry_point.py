@@ -20,26 +20,20 @@ CLOSED_PIPE = 141
 def run(app: Callable[[], Any]) -> None:
     """Run a program; an EvalkitError or an error of the system becomes one line on standard error and exit code 2.
 
-    SIGTERM ends it as Ctrl-C does, with exit code 143 instead of 130; both print "interrupted". Where the program that
-    reads its output has ended, the exit code is 141, as of SIGPIPE.
+    SIGTERM and a closed terminal (SIGHUP) end it as Ctrl-C does, with exit codes 143 and 129 instead of 130; all print
+    "interrupted". Where the program that reads its output has ended, the exit code is 141, as of SIGPIPE.
     """
     os.environ["MPLBACKEND"] = "agg"  # commands draw into files only
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else importing NumPy takes 0.3 s of CPU time to start threads
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # instead of an error in a terminal that is not UTF-8
-    terminated: list[int] = []
-
-    def end(number: int, frame: FrameType | None) -> None:
-        terminated.append(number)
-        signal.default_int_handler(number, frame)  # end by exception, so that running workers are stopped
-
-    signal.signal(signal.SIGTERM, end)
+    ended_by = _interrupt_by_signals()
     try:
         _require_text(sys.argv[1:])
         app()
     except SystemExit as ended:
-        sys.exit(_find_exit_code(ended, signal.SIGTERM if terminated else signal.SIGINT))
+        sys.exit(_find_exit_code(ended, ended_by[-1]))
     except EvalkitError as error:
         _exit(str(error))
     except OSError as error:
@@ -50,6 +44,22 @@ def run(app: Callable[[], Any]) -> None:
         if error.filename is None:
             raise
         _exit(plain(f"{error.filename}: {error.strerror}; check the path"))
+
+
+def _interrupt_by_signals() -> list[signal.Signals]:
+    """Let SIGTERM and SIGHUP interrupt as Ctrl-C does; the last of the returned list is the signal that did."""
+    ended_by = [signal.SIGINT]
+
+    def end(number: int, frame: FrameType | None) -> None:
+        ended_by.append(signal.Signals(number))
+        if number != signal.SIGTERM:  # a shell that ends sends it as well as the terminal
+            signal.signal(number, signal.SIG_IGN)
+        signal.default_int_handler(number, frame)  # end by exception, so that running workers are stopped
+
+    for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # Windows has no terminal that closes
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup asks
+            signal.signal(number, end)
+    return ended_by
 
 
 def _find_exit_code(ended: SystemExit, ending: signal.Signals) -> Any:

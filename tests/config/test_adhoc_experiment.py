@@ -1,12 +1,19 @@
 """Experiments built from command-line arguments."""
 
 import re
+import shlex
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from evalkit.config.adhoc_experiment import experiment_from_recording, open_recording, read_first_frame
+from evalkit.config.adhoc_experiment import (
+    experiment_from_recording,
+    format_command,
+    open_recording,
+    read_first_frame,
+)
 from evalkit.core.errors import BadData, BadExperiment, BadParameter, NotInstalled, UnknownName
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.specs import Choice
@@ -35,6 +42,17 @@ def test_a_log_is_read_by_the_reader_of_its_suffix(log):
     (sequence,) = made.sequences
     assert (sequence.dataset, sequence.label, sequence.parameters["path"]) == ("carmen", "my run.LOG", str(log))
     assert (sequence.seeds, made.source) == ((None,), "compare it")
+
+
+@pytest.mark.parametrize(
+    ("name", "label"), [("-day 1.log", "day 1.log"), ("@home.log", "home.log"), ("a-b.log", "a-b.log")]
+)
+def test_a_recording_runs_whatever_its_name_begins_with(tmp_path, monkeypatch, name, label):
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text("FLASER\n")
+    assert plan(Path(name)).sequences[0].label == label
+    word = format_command(Path(name), {}, {}, ["x"], []).removeprefix("compare ").partition(" --")[0]
+    assert shlex.split(word) == [f"./{name}" if name[0] == "-" else name]
 
 
 def test_a_recording_runs_as_it_is_and_under_perturbations(log):

@@ -198,3 +198,19 @@ def test_a_process_that_left_everything_terminates_although_its_supervisor_was_k
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.kill(escaped, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_a_terminal_that_interrupts_a_command_ends_no_process_that_is_starting(monkeypatch, number):
+    """Else its traceback is printed between the lines of the command."""
+    start = subprocesses.SpawnProcess._Popen
+
+    def start_and_interrupt(process):
+        started = start(process)
+        os.kill(started.pid, number)
+        return started
+
+    monkeypatch.setattr(subprocesses.SpawnProcess, "_Popen", start_and_interrupt)
+    with subprocesses.start_process(None) as pool:
+        assert pool.submit(signal.getsignal, number).result() == signal.SIG_IGN
+    assert number not in signal.pthread_sigmask(signal.SIG_BLOCK, [])

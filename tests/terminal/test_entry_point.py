@@ -14,9 +14,10 @@ from evalkit.terminal.entry_point import run
 
 @pytest.fixture(autouse=True)
 def _unchanged_signals():
-    before = signal.getsignal(signal.SIGTERM)
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     yield
-    signal.signal(signal.SIGTERM, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture
@@ -50,7 +51,7 @@ def test_a_path_that_the_system_refuses_is_an_error_that_names_it(called, path):
     assert len(err) < 2100
 
 
-@pytest.mark.parametrize(("number", "expected"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "expected"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_the_exit_code_tells_the_signal_that_ended_a_command(called, number, expected):
     def app():
         try:
@@ -59,6 +60,22 @@ def test_the_exit_code_tells_the_signal_that_ended_a_command(called, number, exp
             sys.exit(130)
 
     assert called(app) == (expected, "evalkit: interrupted")
+
+
+def test_a_closed_terminal_interrupts_once_though_its_shell_sends_the_signal_too(called):
+    def app():
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGHUP)  # while the runs are ended
+        sys.exit(130)
+
+    assert called(app) == (129, "evalkit: interrupted")
+
+
+def test_a_closed_terminal_does_not_interrupt_a_command_under_nohup():
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    run(lambda: signal.raise_signal(signal.SIGHUP))
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
 
 @pytest.mark.parametrize("library", ["rich", "typer"])

@@ -7,6 +7,7 @@ import sqlite3
 import struct
 from contextlib import closing
 from pathlib import Path
+from urllib.parse import quote
 
 from evalkit.core.errors import BadData
 
@@ -68,8 +69,23 @@ _COMPUTED = """SELECT held.name || '.' || part.name FROM sqlite_master held, pra
     WHERE held.type = 'table' AND part.hidden"""
 
 
+def uri_of(base: Path) -> str:
+    """Return the URI, without its scheme, that opens an SQLite database for reading.
+
+    A recorder that was killed leaves the last messages in a write-ahead log beside it, which only ``mode=ro`` reads.
+    Else the file is ``immutable``: SQLite needs no right to write to its folder.
+    """
+    return f"{quote(bytes(base.absolute()))}?{'mode=ro' if has_write_ahead_log(base) else 'immutable=1'}"
+
+
+def has_write_ahead_log(base: Path) -> bool:
+    """Whether messages may lie in a file beside an SQLite database."""
+    log = base.with_name(f"{base.name}-wal")
+    return log.is_file() and log.stat().st_size > 0
+
+
 def _open_sqlite(base: Path) -> sqlite3.Connection:
-    return sqlite3.connect(f"{base.resolve().as_uri()}?mode=ro", uri=True)
+    return sqlite3.connect(f"file:{uri_of(base)}", uri=True)
 
 
 def _too_many(bag: Path, what: str) -> BadData:

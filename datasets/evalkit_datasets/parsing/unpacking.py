@@ -15,7 +15,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, Any
 
-from evalkit_datasets.parsing.bag_limits import check_tables
+from evalkit.core.errors import BadData
+from evalkit_datasets.parsing.bag_limits import check_tables, has_write_ahead_log, uri_of
 
 MAX_PIECE_BYTES = 2**28
 """Unpacked size of one chunk or message. Recorders write chunks of 0.75 to 4 MiB."""
@@ -122,8 +123,18 @@ def _replace_in_rosbags() -> None:
 
 def _check_first(open_base: Callable[[Any], None]) -> Callable[[Any], None]:
     def open_checked(reader: Any) -> None:
-        check_tables(Path(reader.path))
-        open_base(reader)
+        base = Path(reader.path)
+        check_tables(base)
+        reader.path = Path(f"{uri_of(base)}#")  # rosbags neither quotes a path nor reads a log: '#' ends its own URI
+        try:
+            open_base(reader)
+        except Exception as error:
+            if not has_write_ahead_log(base):
+                raise
+            what = f"its last messages lie in {base.name}-wal, and SQLite cannot read both ({error.__cause__ or error})"
+            raise BadData(str(base), "", what, "copy both files to a folder that you can write to") from error
+        finally:
+            reader.path = base
 
     return open_checked
 

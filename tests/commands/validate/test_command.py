@@ -267,7 +267,7 @@ def test_the_mapper_of_a_back_end_comes_from_its_module():
 
 
 @pytest.mark.parametrize(
-    ("content", "found"), [(b"\xff\xfe", "byte 0: not UTF-8 text"), (b"twelve\n", "found 'twelve'"), (b"", "empty")]
+    ("content", "found"), [(b"\xff", "byte 0: not UTF-8 text"), (b"twelve\n", "found 'twelve'"), (b"", "empty")]
 )
 def test_a_damaged_seed_of_the_folder_is_refused_and_one_that_is_given_replaces_it(tmp_path, content, found):
     (tmp_path / "seed.txt").write_bytes(content)

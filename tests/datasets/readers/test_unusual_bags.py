@@ -5,6 +5,7 @@ import json
 import math
 import re
 import shlex
+import shutil
 import sqlite3
 import sys
 from contextlib import closing
@@ -682,6 +683,45 @@ def test_a_sqlite3_bag_that_was_cut_short_is_refused_with_what_to_do(tmp_path, w
     for read in (RosBag, lambda path: inspect_recording(Path(path))):
         with pytest.raises(BadData, match=r"not a readable bag \(.*malformed\); record or fetch the bag again"):
             read(str(base))
+
+
+def test_the_proposal_for_a_name_that_begins_like_an_option_can_be_run(tmp_path, monkeypatch):
+    bag = Bag("mcap").scan(T0, [1, 2]).scan(T0 + PERIOD, [1, 2]).write(tmp_path).rename(tmp_path / "-run")
+    monkeypatch.chdir(tmp_path)
+    advice = suggest_config(inspect_recording(Path(bag.name)))
+    assert advice.command.startswith("evalkit compare ./-run ")
+    assert 'label = "run"' in advice.table
+
+
+def killed_recorder(folder):
+    """Return a bag whose second of two scans is in the log beside the database, not in the database."""
+    written = Bag("sqlite3").scan(T0, [1, 2]).scan(T0 + PERIOD, [3, 4]).write(folder)
+    with closing(sqlite3.connect(written / "made.db3")) as base:
+        last = base.execute("SELECT * FROM messages ORDER BY timestamp DESC LIMIT 1").fetchone()
+        base.execute("DELETE FROM messages WHERE id = ?", last[:1])
+        base.commit()
+        base.execute("PRAGMA journal_mode = WAL")
+        base.execute(f"INSERT INTO messages VALUES ({', '.join('?' * len(last))})", last)
+        base.commit()
+        return shutil.copytree(written, folder / "killed")  # closing removes the log
+
+
+def test_messages_that_a_killed_recorder_left_in_a_log_are_read(tmp_path):
+    bag = killed_recorder(tmp_path)
+    assert [frame.scan.ranges.tolist() for frame in RosBag(str(bag)).frames()] == [[1, 2], [3, 4]]
+
+
+def test_a_log_of_messages_that_cannot_be_read_is_named_and_not_ignored(tmp_path):
+    bag = killed_recorder(tmp_path)
+    (bag / "made.db3-shm").unlink()
+    (bag / "made.db3-shm").symlink_to("missing/index")  # as in a read-only folder: SQLite cannot create it
+    with pytest.raises(BadData, match=r"last messages lie in made\.db3-wal.*copy both files to a folder"):
+        RosBag(str(bag))
+
+
+def test_a_sqlite3_bag_may_lie_below_names_that_an_address_would_quote(tmp_path):
+    bag = Bag("sqlite3").scan(T0, [1, 2]).write(tmp_path).rename(tmp_path / "run #3 50% of 2?")
+    assert len(RosBag(str(bag))) == 1
 
 
 ENDLESS = "WITH RECURSIVE n(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT x FROM n WHERE x < 0"

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+from evalkit.config.adhoc_experiment import label_of, word_of
 from evalkit.core.errors import BadData, DataMissing
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import wrap
@@ -307,7 +308,7 @@ def _describe_catalogued(dataset: str, drive: str) -> str:
 
 
 def _format_table(reader: str, path: Path, chosen: Mapping[str, Value]) -> str:
-    lines = ["[[sequence]]", f'use = "{reader}"', f"label = {json.dumps(path.name.split('.')[0])}"]
+    lines = ["[[sequence]]", f'use = "{reader}"', f"label = {json.dumps(label_of(path).split('.')[0])}"]
     values = {"path": str(path), **chosen}
     lines += [f"{name} = {json.dumps(value)}" for name, value in values.items() if not name.startswith(MAPPER)]
     cells = [f"{k.removeprefix(MAPPER)} = {json.dumps(v)}" for k, v in values.items() if k.startswith(MAPPER)]
@@ -315,7 +316,7 @@ def _format_table(reader: str, path: Path, chosen: Mapping[str, Value]) -> str:
 
 
 def _format_command(parameters: Mapping[str, Value]) -> str:
-    words = ["evalkit", "compare", str(parameters["path"])]
+    words = ["evalkit", "compare", word_of(Path(str(parameters["path"])))]
     for name, value in parameters.items():
         if name in {"topic", "relations", "ground_truth"}:
             words += [f"--{name.replace('_', '-')}", str(value)]
