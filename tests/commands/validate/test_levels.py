@@ -59,6 +59,23 @@ def test_a_path_beyond_the_margin_is_found_at_its_first_scan(reference):
     assert len(trajectories(away_m, reference, margin=None)) == len(same) - 1
 
 
+@pytest.mark.parametrize(
+    ("errors_m", "outcome"),
+    [([3.0], "not shown"), ([2.9, 3.0, 3.1], "failed"), ([1.0, 1.0, 7.0], "not shown"), ([0.9, 0.9, 0.9], "passed")],
+)
+def test_a_larger_error_fails_only_if_runs_show_it_whose_scans_drift_together(record, errors_m, outcome):
+    """Losses beside 1 m: 2 m with a spread of 0.1 m over three runs, then 2 m with 3.5 m (t = 2.92: 5.8 m wide)."""
+    runs = {
+        f"room, seed {seed}": {
+            "mine": record("mine", "room", {}, error_m=error_m, seed=seed),
+            "paper": record("paper", "room", {}, error_m=1.0, seed=seed),
+        }
+        for seed, error_m in enumerate(errors_m)
+    }
+    checks = level_trajectories.trajectories_level(runs, {}, {}, TERMS).checks
+    assert [one.outcome for one in checks if one.name.startswith("error of the path")] == [outcome]
+
+
 def test_slams_are_compared_by_their_corrected_paths_and_closures(reference):
     stamps = reference.result.steps["stamp_ns"]
 
