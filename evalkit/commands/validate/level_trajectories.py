@@ -204,7 +204,7 @@ def _no_larger_error(
     outcome, hint = judge_gap(gap.value, gap.low, gap.high, margin, len(errors))
     if outcome == "failed" and quantity == "ate" and not _is_shown_by_runs(runs, terms, margin):
         outcome = "not shown"
-        hint = f"the loss exceeds the margin on the {len(runs)} runs made; whether on others, too, more would show: more --seeds"
+        hint = f"the loss of the {len(runs)} runs exceeds the margin; whether others lose, too, more --seeds would show"
     if np.array_equal(errors, reference):
         outcome, hint = "passed", "the errors are equal to the bit"
     name = f"{TITLES[quantity]} no larger than that of {terms.reference}"
@@ -212,7 +212,7 @@ def _no_larger_error(
 
 
 def _is_shown_by_runs(runs: Sequence[Mapping[str, RunRecord]], terms: ComparisonTerms, margin: float) -> bool:
-    """Whether the mean loss of a run (m) exceeds a margin (m): Student's t over runs, because the scans of one drift together."""
+    """Whether the mean loss of a run (m) exceeds a margin (m), by Student's t: the scans of one run drift together."""
     pairs = [pooled_errors([run], terms.backend, terms.reference, "ate")[:2] for run in runs]
     losses = np.array([rms(own) - rms(other) for own, other in pairs if len(own)])
     if len(losses) < 2:
