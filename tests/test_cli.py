@@ -689,6 +689,13 @@ def test_after_one_run_of_several_methods_the_command_that_gives_a_verdict_is_pr
     assert "(for a verdict)" not in out
 
 
+@pytest.mark.parametrize(("method", "announced"), [((), True), (("--method", "wheel-odometry"), False)])
+def test_the_default_methods_are_announced_only_if_all_of_them_run(evalkit, tmp_path, method, announced):
+    ros_bag(tmp_path / "drive.bag")
+    _, _, said = evalkit("compare", tmp_path / "drive.bag", *method, "--collect", "--out", tmp_path / "out")
+    assert ("6 methods: " in said) == announced
+
+
 def test_a_ros_bag_is_compared_by_one_command(evalkit, carmen, tmp_path):
     ros_bag(tmp_path / "drive.bag")
     code, out, _ = evalkit(

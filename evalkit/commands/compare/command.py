@@ -161,7 +161,7 @@ def compare(
     else:
         if known_map is None and (start or align_truth):
             raise typer.BadParameter(f"--{'start' if start else 'align-truth'}: needs --map")
-        named = _name_backends(backends, everything)
+        named = _name_backends(backends, everything, announced=not method)
         settings = split_settings("--set", setting or [])
         for name in settings.keys() & given.keys():
             raise typer.BadParameter(f"--{option_name(name)}: contradicts --set {name}")
@@ -183,8 +183,8 @@ def compare(
             _run_and_report(experiment, Store(folder), how, as_json, again, whole)
 
 
-def _name_backends(text: str, everything: bool) -> list[str]:
-    """Return the named back ends, all, or those that declare themselves a default, which are printed."""
+def _name_backends(text: str, everything: bool, announced: bool) -> list[str]:
+    """Return the named back ends, all, or those that declare themselves a default; ``announced``: print these."""
     names = split_names(text)
     if names and everything:
         raise typer.BadParameter("--all: contradicts --backends")
@@ -192,7 +192,8 @@ def _name_backends(text: str, everything: bool) -> list[str]:
         return names or registry.names("backends")
     chosen = defaults.find_default_backends()
     others = len(registry.names("backends")) - len(chosen)
-    err.print(f"{len(chosen)} methods: {', '.join(chosen)} (--all adds {others})")
+    if announced:
+        err.print(f"{len(chosen)} methods: {', '.join(chosen)} (--all adds {others})")
     return chosen
 
 

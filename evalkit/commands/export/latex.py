@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -106,7 +107,7 @@ def build_table(results: ExportSelection, sequence: str) -> PaperTable:
     labels = dict.fromkeys(method for method, _ in known)
     methods = sorted(labels, key=lambda label: ranks.get(label) or len(known))
     shown = [[known.get((label, one.name)) for label in methods] for one in columns]
-    scaled = [_in_millimetres(one, cells) for one, cells in zip(columns, shown, strict=True)]
+    scaled = [_with_digits(*_in_millimetres(one, cells)) for one, cells in zip(columns, shown, strict=True)]
     return PaperTable(
         tuple(column for column, _ in scaled),
         tuple(
@@ -126,6 +127,13 @@ def _in_millimetres(
         return column, cells
     digits = 1 if min(values) < 0.1 else 0
     return replace(column, unit="mm", digits=digits), [None if cell is None else _scale(cell, 1000.0) for cell in cells]
+
+
+def _with_digits(column: MetricColumn, cells: list[SummaryRow | None]) -> tuple[MetricColumn, list[SummaryRow | None]]:
+    """Return a column with up to two more digits, where its smallest value but 0 would be printed as 0."""
+    values = [abs(cell.median) for cell in cells if cell is not None and cell.median]
+    needed = -math.floor(math.log10(min(values))) if values else 0
+    return replace(column, digits=min(max(column.digits, needed), column.digits + 2)), cells
 
 
 def _scale(cell: SummaryRow, factor: float) -> SummaryRow:

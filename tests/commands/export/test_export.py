@@ -464,6 +464,13 @@ def test_a_method_without_a_value_has_a_dash_in_the_column_and_beside_it_where_o
     assert [latex._latex_cell(table, at, cell) for at, cell in enumerate((None, failed))] == ["{--} & ", "{--}"]
 
 
+@pytest.mark.parametrize(("median", "digits"), [(0.2, 2), (0.0038, 3), (0.00001, 4), (0.0, 2)])
+def test_the_smallest_time_of_a_column_is_not_printed_as_zero(median, digits):
+    cells = [SummaryRow("hall", "icp", "cpu_median_ms", value, 1, None, False, None, "") for value in (median, 40.0)]
+    column, _ = latex._with_digits(MetricColumn("cpu_median_ms", "CPU", "ms", "lower", 2), [*cells, None])
+    assert column.digits == digits
+
+
 def test_every_latex_special_character_is_escaped():
     assert latex.escape_latex(r"a_b & 5% {x} #1 ~^ $\n") == (
         r"a\_b \& 5\% \{x\} \#1 \textasciitilde{}\textasciicircum{} \$\textbackslash{}n"
