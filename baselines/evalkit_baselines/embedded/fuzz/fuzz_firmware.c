@@ -187,6 +187,8 @@ static const unsigned char *check_frames(size_t *bytes)
     unsigned char *frame = answer, *before = NULL, *last = NULL;
     size_t last_bytes = 0u;
     while (frame < answer + answer_bytes) {
+        HOLDS(*frame == 0u); /* ends what the firmware may have printed */
+        frame++;
         unsigned char *const end = (unsigned char *)memchr(frame, 0, (size_t)(answer + answer_bytes - frame));
         HOLDS(end != NULL);
         before = last;
