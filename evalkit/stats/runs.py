@@ -99,6 +99,14 @@ def runs_interval(values: ArrayLike) -> Interval | None:
     return Interval(middle, min(low, middle), max(high, middle), len(series), CONFIDENCE)
 
 
+def mean_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """Return the mean of two or more independent values (N,) with its interval of Student's t."""
+    series = np.asarray(values, dtype=np.float64)
+    mean = float(series.mean())
+    half = student_quantile(len(series) - 1, confidence) * float(series.std(ddof=1)) / math.sqrt(len(series))
+    return Interval(mean, mean - half, mean + half, len(series), confidence)
+
+
 def paired_confidence(runs: int, perturbed: bool) -> float:
     """Return the confidence at which so many pairs of runs are compared."""
     return FEW_CONFIDENCE if perturbed or runs < FEW_RUNS else PAIRED_CONFIDENCE

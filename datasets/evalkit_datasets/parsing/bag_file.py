@@ -124,14 +124,10 @@ def open_bag(path: Path) -> Iterator[Any]:
 
 def _open_reader(bag: Path) -> Any:
     """Return an open reader of a bag; one that needs no index if the index is damaged."""
-    from rosbags.highlevel import AnyReader  # noqa: PLC0415 - heavy, and used for bags only
+    from evalkit_datasets.parsing.unindexed_bag import has_magic, open_unindexed  # noqa: PLC0415 - heavy, for bags only
 
-    from evalkit_datasets.parsing.bag_types import NeededTypes  # noqa: PLC0415 - as above
-    from evalkit_datasets.parsing.unindexed_bag import has_magic, open_unindexed  # noqa: PLC0415
-
-    types: Any = NeededTypes()
     try:
-        reader = types.reader = AnyReader([bag], default_typestore=types)
+        reader = _new_reader(bag)
         reader.open()
         if reader.connections or bag.is_dir():
             return reader
@@ -156,20 +152,24 @@ def _open_reader(bag: Path) -> Any:
 
 def _open_without_metadata(bag: Path) -> Any:
     """Open the only file of a ROS 2 bag whose metadata cannot be read; None where there is another number of files."""
-    from rosbags.highlevel import AnyReader  # noqa: PLC0415 - heavy, and used for bags only
-
-    from evalkit_datasets.parsing.bag_types import NeededTypes  # noqa: PLC0415 - as above
-
     files = [file for file in bag.iterdir() if file.suffix in SUFFIXES] if bag.is_dir() else []
     if len(files) != 1:
         return None
     check_topics(files[0])
-    types: Any = NeededTypes()
-    reader: Any = AnyReader(files, default_typestore=types)
-    types.reader = reader
-    reader.open()
+    reader = _reopen(_new_reader(files[0]))
     reader.damage = BagDamage(0, 0, is_metadata=True)
     return reader
+
+
+def _new_reader(bag: Path) -> Any:
+    """Return a reader of a bag that is not open yet, with the types of its messages as they are needed."""
+    from rosbags.highlevel import AnyReader  # noqa: PLC0415 - heavy, and used for bags only
+
+    from evalkit_datasets.parsing.bag_types import NeededTypes  # noqa: PLC0415 - as above
+
+    types: Any = NeededTypes()
+    types.reader = AnyReader([bag], default_typestore=types)
+    return types.reader
 
 
 def _reopen(reader: Any) -> Any:

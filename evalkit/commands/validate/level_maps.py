@@ -24,7 +24,7 @@ from evalkit.commands.validate.run_paths import (
 )
 from evalkit.execution.task import Result
 from evalkit.results.run_record import RunRecord
-from evalkit.stats.intervals import student_quantile
+from evalkit.stats.runs import mean_interval
 
 CELL_MARGIN = 1e-5
 """Log-odds by which two cells may differ and still count as equal."""
@@ -98,10 +98,9 @@ def _no_worse_walls(sequence: str, both: Records, terms: ComparisonTerms) -> Che
         return Check(name, sequence, "informative", "never", observed)
     margin = terms.noise_share * float(known[:, 1].std(ddof=1))
     losses = known[:, 1] - known[:, 0]
-    half = student_quantile(len(known) - 1, CONFIDENCE) * float(losses.std(ddof=1)) / math.sqrt(len(known))
-    lost = float(losses.mean())
-    outcome, hint = judge_gap(lost, lost - half, lost + half, margin, len(known))
-    if (lost <= 0.0 and outcome == "not shown") or not losses.any():
+    lost = mean_interval(losses, CONFIDENCE)
+    outcome, hint = judge_gap(lost.value, lost.low, lost.high, margin, len(known))
+    if (lost.value <= 0.0 and outcome == "not shown") or not losses.any():
         outcome, hint = "passed", "no loss was observed"
     reason = (
         f"{margin:.2g}: {terms.noise_share:g} of the standard deviation of {terms.reference} over {len(known)} seeds"

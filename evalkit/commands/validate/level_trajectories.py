@@ -31,6 +31,7 @@ from evalkit.metrics.trajectory import rms
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.bootstrap import bootstrap_interval, paired_difference_interval
 from evalkit.stats.intervals import Interval, student_quantile
+from evalkit.stats.runs import mean_interval
 
 MIN_M = 1e-12
 """Paths closer than this count as identical."""
@@ -215,10 +216,7 @@ def _is_shown_by_runs(runs: Sequence[Mapping[str, RunRecord]], terms: Comparison
     """Whether the mean loss of a run (m) exceeds a margin (m), by Student's t: the scans of one run drift together."""
     pairs = [pooled_errors([run], terms.backend, terms.reference, "ate")[:2] for run in runs]
     losses = np.array([rms(own) - rms(other) for own, other in pairs if len(own)])
-    if len(losses) < 2:
-        return False
-    spread = float(losses.std(ddof=1)) / math.sqrt(len(losses))
-    return float(losses.mean()) - student_quantile(len(losses) - 1, CONFIDENCE) * spread > margin
+    return len(losses) > 1 and mean_interval(losses, CONFIDENCE).low > margin
 
 
 def _error_beside_peer(

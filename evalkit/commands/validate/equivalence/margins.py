@@ -14,7 +14,7 @@ from evalkit.core import se2
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
-from evalkit.stats.intervals import student_quantile
+from evalkit.stats.runs import mean_interval
 
 FLOAT32_ROUNDOFF = 2.0**-24
 """Relative error of rounding once to single precision."""
@@ -149,8 +149,8 @@ def interval(quantity: str, unit: str, values: ArrayLike, scans: ArrayLike, marg
     if n < 2:
         low, high, method = -math.inf, math.inf, "fewer than two scans"
     elif n < MIN_FOR_BOOTSTRAP:
-        half = student_quantile(n - 1, LEVEL) * float(series.std(ddof=1)) / math.sqrt(n)
-        low, high, method = float(series.mean()) - half, float(series.mean()) + half, "Student's t"
+        found = mean_interval(series, LEVEL)
+        low, high, method = found.low, found.high, "Student's t"
     else:
         low, high = _block_interval(series, np.random.default_rng(0))
         method = "moving blocks"
