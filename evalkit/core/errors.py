@@ -15,6 +15,9 @@ _MACHINE_ERRORS = frozenset(
 )
 """Errors of the system that no method causes when evalkit itself writes a file or starts a process."""
 
+_NO_THREAD = "can't start new thread"
+"""What Python says where the system starts no thread, in an error without a number."""
+
 MAX_MESSAGE = 2000
 """Longest message in characters; the middle of a longer one is removed."""
 
@@ -190,13 +193,15 @@ class StoreError(_RemediedError):
 class MachineFault(_RemediedError):
     """The machine failed evalkit, not a method: ``MachineFault(where, what, remedy)``."""
 
-    FREE = "free disk, memory, /dev/shm or open files, and repeat"
+    FREE = "free disk, memory, /dev/shm, open files or processes, and repeat"
     REMEDY = f"{FREE} with --resume"
     """What to do after a fault in a comparison, which alone has this option."""
 
     @classmethod
     def of(cls, where: str, error: BaseException, remedy: str = REMEDY) -> MachineFault | None:
         """Return the fault behind an error of evalkit's own writing or starting, None if it is of another kind."""
+        if isinstance(error, RuntimeError) and _NO_THREAD in str(error):
+            return cls(where, f"the machine failed ({_NO_THREAD})", remedy)
         system = error if isinstance(error, OSError) else error.__cause__
         if not isinstance(system, OSError) or system.errno not in _MACHINE_ERRORS:
             return None

@@ -102,9 +102,8 @@ class LocalExecutor:
             SharedFrames(store.folder, specs, scoring, settings.limits.run_s) as frames,
             ThreadPoolExecutor(jobs) as threads,
         ):
-            futures = [threads.submit(execute, run) for run in pending]
             try:
-                for future in as_completed(futures):
+                for future in as_completed([threads.submit(execute, run) for run in pending]):
                     error = future.exception()
                     if error is None:
                         yield future.result()

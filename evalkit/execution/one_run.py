@@ -32,6 +32,7 @@ from evalkit.core.scan import Frame
 from evalkit.core.timing import CallTiming
 from evalkit.execution.conditions import WaitingMeter, measure_own_threads
 from evalkit.execution.parent import end_with_parent
+from evalkit.execution.supervisor import MACHINE_FAULT_CODE
 from evalkit.io.output_files import write_bytes, write_text
 from evalkit.odometry import frontend
 from evalkit.odometry.corrections import read_corrections, read_remarks
@@ -50,9 +51,6 @@ WARM_UP_SCANS = 5
 
 MIN_ANSWERED = 0.95
 """Smallest share of scans with an answer; a run with fewer has failed."""
-
-MACHINE_FAULT_CODE = 75
-"""Exit code (EX_TEMPFAIL) of a run that could not write its outcome because the machine failed."""
 
 REQUEST, STARTED, OUTCOME, STEPS = "request.json", "started.json", "outcome.json", "steps.bin"
 NOT_REPORTED = -1

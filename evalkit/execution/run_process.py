@@ -19,8 +19,9 @@ from evalkit.core.map_start import MapStart
 from evalkit.core.run_result import NO_STEPS, STEP, RunResult
 from evalkit.core.run_status import Cause
 from evalkit.execution.conditions import ConditionsMeter
-from evalkit.execution.one_run import MACHINE_FAULT_CODE, OUTCOME, REQUEST, STARTED, WARM_UP_SCANS, Request
+from evalkit.execution.one_run import OUTCOME, REQUEST, STARTED, WARM_UP_SCANS, Request
 from evalkit.execution.subprocesses import OUTPUT, ChildProcess
+from evalkit.execution.supervisor import MACHINE_FAULT_CODE
 from evalkit.execution.usage import Usage
 from evalkit.io import untrusted_io
 from evalkit.io.output_files import as_store_error, write_text
@@ -221,7 +222,8 @@ def _ending_without_outcome(child: ChildProcess, folder: Path) -> Ending:
     if not (folder / REQUEST).exists():
         return Cause.NO_OUTCOME, "the run's folder was removed while it ran"
     if child.returncode == MACHINE_FAULT_CODE:
-        return Cause.MACHINE_FAULT, f"its outcome could not be written; {MachineFault.REMEDY}"
+        what = "its outcome could not be written" if (folder / STARTED).exists() else "its process could not be started"
+        return Cause.MACHINE_FAULT, f"{what}; {MachineFault.REMEDY}"
     if (folder / OUTCOME).exists():
         return Cause.NO_OUTCOME, f"{OUTCOME} contains no valid outcome"
     return Cause.SIGNAL if child.returncode < 0 else Cause.EXIT_CODE, child.describe_end()

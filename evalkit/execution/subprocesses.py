@@ -16,7 +16,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextvars import ContextVar
 from io import RawIOBase
@@ -249,8 +249,7 @@ class WorkerPool:
         try:
             while len(idle) < self._count:
                 for executor in tuple(self._busy):
-                    for process in tuple((getattr(executor, "_processes", None) or {}).values()):
-                        process.kill()
+                    _kill_processes(executor)
                 with contextlib.suppress(Empty):  # a process was being started
                     idle.append(self._idle.get(timeout=POLL_S))
         finally:
@@ -267,9 +266,10 @@ class WorkerPool:
         try:
             if self._killed:
                 raise CancelledError
-            return process.submit(function, *arguments, **keywords).result()
+            return _wait(process, _submit(process, function, *arguments, **keywords))
         except BrokenProcessPool:
             if not self._killed:
+                _kill_processes(process)
                 process.shutdown(wait=False)
                 self._busy.remove(process)
                 process = start_process(core)
@@ -285,6 +285,36 @@ def start_process(core: int | None) -> Executor:
         return ProcessPoolExecutor(1, mp_context=_Context(), initializer=_initialise_worker, initargs=(core,))
     except OSError as error:  # a full /dev/shm has no place for its semaphores
         raise MachineFault.of("a process of evalkit", error) or error from error
+
+
+def _submit(
+    executor: Executor, function: Callable[Parameters, R], *arguments: Parameters.args, **keywords: Parameters.kwargs
+) -> Future[R]:
+    try:
+        return executor.submit(function, *arguments, **keywords)
+    except RuntimeError as error:  # also of its thread, where no thread can be started
+        raise BrokenProcessPool(str(error)) from error
+
+
+def _wait(executor: Executor, future: Future[R]) -> R:
+    """The result of a call. Raises BrokenProcessPool also if the executor's thread has ended, which would answer it.
+
+    That thread starts another one at its first call, and ends without a word where none can be started.
+    """
+    thread: threading.Thread | None = getattr(executor, "_executor_manager_thread", None)
+    while not wait([future], _THREAD_POLL_S).done:
+        if thread is not None and not thread.is_alive() and not future.done():
+            raise BrokenProcessPool("the thread that watches the process has ended")
+    return future.result()
+
+
+def _kill_processes(executor: Executor) -> None:
+    for process in tuple((getattr(executor, "_processes", None) or {}).values()):
+        process.kill()
+
+
+_THREAD_POLL_S = 1.0
+"""Interval between two looks at the thread of an executor that has not answered."""
 
 
 class _Process(SpawnProcess):

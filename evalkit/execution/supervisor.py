@@ -25,6 +25,9 @@ PARENT = "EVALKIT_PARENT"
 CLEANING_S = 5.0
 """Time limit for ending what the module left behind."""
 
+MACHINE_FAULT_CODE = 75
+"""Exit code (EX_TEMPFAIL) where the machine failed, so that a child could not be started or an outcome not written."""
+
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36  # of Linux's prctl
 
 
@@ -39,7 +42,11 @@ def main() -> None:
     if expected_parent != str(os.getppid()):  # dead already
         return
     os.environ[PARENT] = str(os.getpid())
-    child = os.fork()
+    try:
+        child = os.fork()
+    except OSError as error:  # a limit of processes, or no memory
+        sys.stderr.write(f"no process can be started ({error.strerror})\n")
+        sys.exit(MACHINE_FAULT_CODE)
     if child:
         _supervise(child)
     gc.disable()  # enabled by the module once it has imported what it needs: a tenth of the time of a short run

@@ -140,12 +140,12 @@ def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -
     stop = threading.Event()
     cores = () if own_processes else environment.core_of_each(workers)
     with WorkerPool(cores) as pool, ThreadPoolExecutor(workers) as threads:
-        if own_processes:
-            idle = environment.queue_cores(workers)
-            futures = {threads.submit(_run_on_core, idle, task, stop): task for task in tasks}
-        else:
-            futures = {threads.submit(_run_in_pool, pool, task, collector.store.note(task)): task for task in tasks}
         try:
+            if own_processes:
+                idle = environment.queue_cores(workers)
+                futures = {threads.submit(_run_on_core, idle, task, stop): task for task in tasks}
+            else:
+                futures = {threads.submit(_run_in_pool, pool, task, collector.store.note(task)): task for task in tasks}
             collector.collect((futures[future], future) for future in as_completed(futures))
         except BaseException:  # an interrupt or an unwritable folder
             stop.set()

@@ -36,12 +36,12 @@ def run(app: Callable[[], Any]) -> None:
         sys.exit(_find_exit_code(ended, ended_by[-1]))
     except EvalkitError as error:
         _exit(str(error))
-    except OSError as error:
+    except (OSError, RuntimeError) as error:
         command = " ".join(sys.argv[1:2])
         remedy = MachineFault.REMEDY if command == "compare" else f"{MachineFault.FREE} the command"
         if fault := MachineFault.of(f"evalkit {command}", error, remedy):
             _exit(str(fault))
-        if error.filename is None:
+        if not isinstance(error, OSError) or error.filename is None:
             raise
         _exit(plain(f"{error.filename}: {error.strerror}; check the path"))
 

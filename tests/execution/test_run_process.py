@@ -125,6 +125,19 @@ def test_a_slam_that_hangs_when_asked_for_its_poses_ends_at_the_limit(tmp_path, 
     assert result.remarks == (f"no room after {SCANS} scans",)
 
 
+def test_a_run_whose_process_the_system_does_not_start_has_not_failed(tmp_path, strangers, monkeypatch):
+    (tmp_path / "sitecustomize.py").write_text(
+        "import errno, os\n"
+        "def fork():\n"
+        "    raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))\n"
+        "os.fork = fork\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    result = execute_run(tmp_path / "run", request())
+    assert result.status == "interrupted"
+    assert result.reason.startswith("its process could not be started; free disk, memory")
+
+
 FAULTS = tuple(fault for fault, _, _ in EXPECTED)
 
 

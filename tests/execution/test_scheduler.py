@@ -344,7 +344,7 @@ def test_no_run_is_quarantined_if_no_scoring_process_can_start(tmp_path, monkeyp
     monkeypatch.setattr(subprocesses, "start_process", lambda core: Broken(1))
     record = records(plan("none"), tmp_path)["none"]
     assert record.result.status == "interrupted"  # by the machine; not counted against the method
-    assert record.result.reason.startswith("scoring: no process can be started here; free disk, memory, /dev/shm or")
+    assert record.result.reason.startswith("scoring: no process can be started here; free disk, memory, /dev/shm, ")
     monkeypatch.setattr(subprocesses, "start_process", lambda core: ThreadPoolExecutor(1))
     assert records(plan("none"), tmp_path, resume=True)["none"].result.status == "complete"
 

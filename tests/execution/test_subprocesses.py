@@ -6,6 +6,9 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent import futures
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import queues
 
 import psutil
 import pytest
@@ -214,3 +217,28 @@ def test_a_terminal_that_interrupts_a_command_ends_no_process_that_is_starting(m
     with subprocesses.start_process(None) as pool:
         assert pool.submit(signal.getsignal, number).result() == signal.SIG_IGN
     assert number not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def _start_no_thread(*_):
+    raise RuntimeError("can't start new thread")
+
+
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [(queues.Queue, "_start_thread"), (futures.process._ExecutorManagerThread, "start")],
+    ids=["second", "first"],
+)
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_pool_that_cannot_start_a_thread_says_so_instead_of_waiting_and_works_once_it_can(place, name, monkeypatch):
+    """The executor of a process has two threads; it starts the second in the first, which ends where that fails."""
+    monkeypatch.setattr(subprocesses, "_THREAD_POLL_S", 0.05)
+    before = set(psutil.Process().children(recursive=True))
+    with subprocesses.WorkerPool([None]) as pool:
+        with monkeypatch.context() as limited:
+            limited.setattr(place, name, _start_no_thread)
+            with pytest.raises(BrokenProcessPool, match=r"thread"):
+                pool.run(os.getpid)
+        left = set(psutil.Process().children(recursive=True)) - before
+        psutil.wait_procs(left, timeout=10)
+        assert not any("spawn_main" in " ".join(one.cmdline()) for one in left if one.is_running())
+        assert pool.run(os.getpid) != os.getpid()

@@ -101,7 +101,19 @@ def test_a_full_device_names_only_options_that_the_command_has(called, command, 
     code, err = called(app, command)
     assert code == 2
     assert err.endswith(f"evalkit {command}: the machine failed (No space left on device); free disk, memory, "
-                        f"/dev/shm or open files, and {remedy}")  # fmt: skip
+                        f"/dev/shm, open files or processes, and {remedy}")  # fmt: skip
+
+
+def test_a_system_that_starts_no_thread_has_failed_and_other_errors_of_a_run_are_not_hidden(called):
+    """Python says it by a RuntimeError without a number."""
+
+    def app(what):
+        raise RuntimeError(what)
+
+    code, err = called(lambda: app("can't start new thread"), "list")
+    assert (code, err.partition(";")[0]) == (2, "evalkit: evalkit list: the machine failed (can't start new thread)")
+    with pytest.raises(RuntimeError, match="another"):
+        run(lambda: app("another"))
 
 
 def test_an_error_of_the_system_without_a_path_is_not_hidden():

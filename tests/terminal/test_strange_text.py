@@ -66,7 +66,7 @@ def test_a_fault_of_the_machine_anywhere_is_one_line(capsys, monkeypatch):
     with pytest.raises(SystemExit) as ended:
         run(no_more_files)
     assert ended.value.code == 2
-    said = "evalkit compare: the machine failed (Too many open files); free disk, memory, /dev/shm or open files"
+    said = "evalkit compare: the machine failed (Too many open files); free disk, memory, /dev/shm, open files"
     assert said in " ".join(capsys.readouterr().err.split())
 
     def no_file():
