@@ -8,7 +8,7 @@ import sys
 import time
 from concurrent import futures
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import queues
+from multiprocessing import active_children, queues
 
 import psutil
 import pytest
@@ -229,19 +229,19 @@ def _start_no_thread(*_):
     ids=["second", "first"],
 )
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_pool_that_cannot_start_a_thread_says_so_instead_of_waiting_and_works_once_it_can(place, name, monkeypatch):
+def test_a_pool_that_cannot_start_a_thread_does_not_wait_for_ever_and_works_once_it_can(
+    place, name, monkeypatch, wait_for
+):
     """The executor of a process has two threads; it starts the second in the first, which ends where that fails.
 
     Python 3.12 and later notice it themselves.
     """
     monkeypatch.setattr(subprocesses, "_THREAD_POLL_S", 0.05)
-    before = set(psutil.Process().children(recursive=True))
+    before = set(active_children())
     with subprocesses.WorkerPool([None]) as pool:
         with monkeypatch.context() as limited:
             limited.setattr(place, name, _start_no_thread)
             with pytest.raises(BrokenProcessPool):
                 pool.run(os.getpid)
-        left = set(psutil.Process().children(recursive=True)) - before
-        psutil.wait_procs(left, timeout=10)
-        assert not any("spawn_main" in " ".join(one.cmdline()) for one in left if one.is_running())
+        assert wait_for(lambda: set(active_children()) <= before)
         assert pool.run(os.getpid) != os.getpid()
