@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import shlex
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +18,16 @@ from evalkit_datasets.parsing.unpacking import UnpackedTooMuch, bounded_unpackin
 
 FETCH_AGAIN = "record or fetch the bag again"
 
+DAMAGED_MESSAGES = "damaged messages dropped"
+"""Name of a defect in the notes of a reader."""
+
 SUFFIXES = (".bag", ".db3", ".mcap")
 
 MAX_NAMED = 10
 """Files named in a message."""
+
+MAX_DAMAGED = 0.5
+"""A bag is refused if a larger share of a topic's messages cannot be decoded: the others may be wrong as well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +75,51 @@ def find_damage(reader: Any) -> BagDamage | None:
     return unindexed_bag.find_damage(reader)
 
 
-def iter_messages(
-    reader: Any, kinds: tuple[str, ...], left_out: frozenset[str] = frozenset()
-) -> Iterator[tuple[Any, Any, int]]:
-    """Yield connection, message and time of recording of all messages of given types, without some topics."""
-    wanted = [one for one in reader.connections if one.msgtype in kinds and one.topic not in left_out]
-    if wanted:  # the reader treats an empty list as all
-        for connection, recorded_ns, raw in reader.messages(connections=wanted):
-            yield connection, reader.deserialize(raw, connection.msgtype), int(recorded_ns)
+@dataclass(eq=False)
+class MessageDamage:
+    """Messages whose bytes cannot be decoded as their type: how many of how many by topic, and where the first is."""
+
+    taken: Counter[str] = field(default_factory=Counter)
+    damaged: Counter[str] = field(default_factory=Counter)
+    first: dict[str, str] = field(default_factory=dict)
+
+    def decode(self, reader: Any, connection: Any, recorded_ns: int, raw: bytes) -> Any:
+        """Return the next message of a topic, None if it is damaged, which is counted."""
+        topic = connection.topic
+        self.taken[topic] += 1
+        try:
+            return reader.deserialize(raw, connection.msgtype)
+        except MemoryError:
+            raise
+        except Exception as error:  # noqa: BLE001 - damaged bytes can raise any exception
+            self.damaged[topic] += 1
+            seconds, rest_ns = divmod(int(recorded_ns), 10**9)
+            place = f"message {self.taken[topic]} of {topic}, recorded at {seconds}.{rest_ns:09d}"
+            self.first.setdefault(topic, f"{place}: {_brief(error)}")
+            return None
+
+    def describe_first(self) -> str:
+        """Return where the first damaged message is and why it cannot be decoded, "" if there is none."""
+        return next(iter(self.first.values()), "")
+
+    def check_share(self, path: Path) -> None:
+        """Raise BadData if most messages of a topic are damaged."""
+        for topic, count in self.damaged.items():
+            if count > MAX_DAMAGED * self.taken[topic]:
+                what = f"{count} of {self.taken[topic]} messages cannot be decoded; the first is {self.first[topic]}"
+                convert = f"rosbags-convert --src BAG --dst NEW --exclude-topic {shlex.quote(topic)}"
+                raise BadData(str(path), topic, what, f"{FETCH_AGAIN}, or copy it without this topic: {convert}")
+
+
+def iter_messages(reader: Any, connections: list[Any], damage: MessageDamage) -> Iterator[tuple[Any, Any, int]]:
+    """Yield connection, message and time of recording of the messages of connections, in order of recording.
+
+    Messages that cannot be decoded are left out; ``damage`` counts them, and all messages that were taken.
+    """
+    if connections:  # the reader treats an empty list as all
+        for connection, recorded_ns, raw in reader.messages(connections=connections):
+            if (message := damage.decode(reader, connection, recorded_ns, raw)) is not None:
+                yield connection, message, int(recorded_ns)
 
 
 def _find_bag(path: Path) -> Path:
@@ -118,8 +163,11 @@ def open_bag(path: Path) -> Iterator[Any]:
     except UnpackedTooMuch as error:
         raise BadData(str(path), "", str(error), "write it again without compression if you trust its origin") from None
     except Exception as error:  # a damaged binary file can raise any exception
-        cause = " ".join(str(error).split()) or type(error).__name__
-        raise BadData(str(path), "", f"not a readable bag ({cause[:160]})", _suggest_repair(bag)) from error
+        raise BadData(str(path), "", f"not a readable bag ({_brief(error)})", _suggest_repair(bag)) from error
+
+
+def _brief(error: Exception) -> str:
+    return " ".join(str(error).split())[:160].rstrip(".") or type(error).__name__
 
 
 def _open_reader(bag: Path) -> Any:

@@ -16,7 +16,14 @@ from evalkit.core.errors import BadData, suggest
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.io.timestamps import order_stamps
 from evalkit_datasets.parsing import sweeps
-from evalkit_datasets.parsing.bag_file import FETCH_AGAIN, BagDamage, find_damage, iter_messages, open_bag
+from evalkit_datasets.parsing.bag_file import (
+    FETCH_AGAIN,
+    BagDamage,
+    MessageDamage,
+    find_damage,
+    iter_messages,
+    open_bag,
+)
 from evalkit_datasets.parsing.buffers import PoseBuffer
 from evalkit_datasets.parsing.robots import find_foreign_topics
 from evalkit_datasets.parsing.sweeps import Sweep, SweepOptions, normalise_frame, parse_stamp_ns
@@ -52,6 +59,7 @@ class Contents:
 
     ``unstamped``: number of headers without a time. ``damaged``: number of laser messages with implausible geometry and
     of invalid transforms. ``missing``: number of laser messages that the index lists, and that are not in the bag.
+    ``messages``: messages that cannot be decoded.
     """
 
     odometry: dict[tuple[str, str, str], PoseBuffer] = field(default_factory=dict)
@@ -60,6 +68,7 @@ class Contents:
     damaged: int = 0
     missing: int = 0
     damage: BagDamage | None = None
+    messages: MessageDamage = field(default_factory=MessageDamage)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +126,17 @@ def read_bag(
         laser = _select_laser_topic(path, topics, topic, options, contents.damage)
         scans = _read_scans(reader, laser, contents, options)
         foreign = find_foreign_topics(laser, *_list_topics(topics, options), odometry)
-        for connection, message, recorded_ns in iter_messages(reader, (ODOMETRY,), foreign):
+        own = [one for one in reader.connections if one.topic not in foreign]
+        wheels = [one for one in own if one.msgtype == ODOMETRY]
+        for connection, message, recorded_ns in iter_messages(reader, wheels, contents.messages):
             add_odometry(contents, connection.topic, message, recorded_ns)
         taken = scans.stamps_ns[which]
         contents.tree.near_ns = int(taken[0]) if len(taken) else 0
         contents.tree.odometry_parents = frozenset({ODOMETRY_FRAME, *(parent for _, parent, _ in contents.odometry)})
-        for connection, message, _ in iter_messages(reader, TRANSFORMS, foreign):
+        transforms = [one for one in own if one.msgtype in TRANSFORMS]
+        for connection, message, _ in iter_messages(reader, transforms, contents.messages):
             add_transforms(contents, message, connection.topic.endswith("tf_static"))
+    contents.messages.check_share(path)
     return scans, contents
 
 
@@ -141,7 +154,7 @@ def iter_sweeps(path: Path, scans: BagScans, options: SweepOptions) -> Iterator[
     ranks = np.full(int(scans.messages.max()) + 1, -1, dtype=np.int64)
     ranks[scans.messages] = np.arange(len(scans))
     with open_bag(path) as reader:
-        messages = _iter_laser_messages(reader, scans.topic, options)
+        messages = reader.messages(connections=_find_laser_connections(reader, scans.topic, options))
         for rank in ranks.tolist():
             message = next(messages, None)
             if rank >= 0:
@@ -154,8 +167,8 @@ def _reread_sweep(
     """Return the sweep of a message; raises BadData if it is not a scan with the stamp of the first reading."""
     if message is not None:
         connection, recorded_ns, raw = message
-        kind = connection.msgtype
-        sweep = sweeps.parse_sweep(reader.deserialize(raw, kind), kind, int(recorded_ns), options)
+        decoded, kind = MessageDamage().decode(reader, connection, recorded_ns, raw), connection.msgtype
+        sweep = None if decoded is None else sweeps.parse_sweep(decoded, kind, int(recorded_ns), options)
         if sweep is not None and sweep.stamp_ns == stamp_ns:
             return sweep
     raise BadData(str(path), "", "the bag has changed since it was first read", "do not modify it during a run")
@@ -165,25 +178,20 @@ def _read_scans(reader: Any, topic: str, contents: Contents, options: SweepOptio
     """Return the scans of a topic; messages that are damaged, or missing, are counted in ``contents``."""
     columns = {name: array(kind) for name, kind in COLUMNS.items()}
     names: dict[str, int] = {}
-    listed, number = sum(one.msgcount for one in _find_laser_connections(reader, topic, options)), -1
-    for number, (connection, recorded_ns, raw) in enumerate(_iter_laser_messages(reader, topic, options)):
-        message = reader.deserialize(raw, connection.msgtype)
-        sweep = read_sweep(contents, message, connection.msgtype, int(recorded_ns), options)
+    connections, taken = _find_laser_connections(reader, topic, options), contents.messages.taken
+    for connection, message, recorded_ns in iter_messages(reader, connections, contents.messages):
+        sweep = read_sweep(contents, message, connection.msgtype, recorded_ns, options)
         if sweep is not None:
             frame = names.setdefault(sweep.frame, len(names))
-            row = sweep.stamp_ns, sweep.duration_ns, number, int(sweep.is_invalid.sum()), frame
+            row = sweep.stamp_ns, sweep.duration_ns, taken[topic] - 1, int(sweep.is_invalid.sum()), frame
             for column, value in zip(columns.values(), row, strict=True):
                 column.append(value)
-    contents.missing = max(listed - number - 1, 0)
+    contents.missing = max(sum(one.msgcount for one in connections) - taken[topic], 0)
     arrays = {name: np.asarray(column) for name, column in columns.items()}
     order = order_stamps(arrays["stamps_ns"])
     in_order = not (order.backwards or order.repeated)
     kept = arrays if in_order else {name: column[order.keep] for name, column in arrays.items()}
     return BagScans(topic, **kept, names=tuple(names), backwards=order.backwards, repeated=order.repeated)
-
-
-def _iter_laser_messages(reader: Any, topic: str, options: SweepOptions) -> Iterator[tuple[Any, int, bytes]]:
-    yield from reader.messages(connections=_find_laser_connections(reader, topic, options))
 
 
 def _find_laser_connections(reader: Any, topic: str, options: SweepOptions) -> list[Any]:

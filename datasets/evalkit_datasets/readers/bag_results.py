@@ -21,6 +21,7 @@ from evalkit.io.timestamps import order_stamps
 from evalkit.io.tum import TumFile
 from evalkit.plugins.result_files import ResultReader
 from evalkit_datasets.parsing import bag_file, rosbag_parser, sweeps
+from evalkit_datasets.parsing.bag_file import DAMAGED_MESSAGES, MessageDamage, iter_messages
 from evalkit_datasets.parsing.transforms import matrix_from_quaternion, planar_pose_from_matrix
 
 POSES = {
@@ -65,12 +66,7 @@ def read_grid(path: Path, topic: str) -> tuple[OccupancyGrid, Pose]:
     """
     with bag_file.open_bag(path) as reader:
         name, _ = _select_topic(path, reader, topic, (GRID,), "map")
-        last = None
-        for _, _, raw in _messages(reader, name, (GRID,)):
-            last = raw
-        if last is None:
-            raise BadData(str(path), name, "no message", "give another topic")
-        return _parse_grid(path, name, reader.deserialize(last, GRID))
+        return _parse_grid(path, name, _read_last(path, reader, name, GRID))
 
 
 READER = ResultReader(bag_file.SUFFIXES, read_trajectory, read_grid)
@@ -103,28 +99,43 @@ class _Samples:
 
 
 def _read_poses(path: Path, reader: Any, topic: str, kind: str) -> TumFile:
-    samples, damaged = _Samples(), 0
-    for message in _pose_messages(reader, topic, kind):
+    samples, damaged, damage = _Samples(), 0, MessageDamage()
+    for message in _pose_messages(path, reader, topic, kind, damage):
         pose = POSES.get(kind, POSES["geometry_msgs/msg/PoseStamped"])(message)
         position = pose.translation if hasattr(pose, "translation") else pose.position
         rotation = pose.rotation if hasattr(pose, "rotation") else pose.orientation
         damaged += not samples.append(sweeps.parse_stamp_ns(message.header), position, rotation)
+    damage.check_share(path)
     stamps, rows, counts = samples.in_order()
     if not len(stamps):
         raise BadData(str(path), topic, f"{damaged} poses, none valid", "give another topic")
     poses = np.array([planar_pose_from_matrix(matrix_from_quaternion(row[:3], row[3:])).row for row in rows.tolist()])
-    return _file(stamps, poses, counts | {"invalid poses": damaged})
+    return _file(stamps, poses, counts | {"invalid poses": damaged, DAMAGED_MESSAGES: damage.damaged.total()})
 
 
-def _pose_messages(reader: Any, topic: str, kind: str) -> Iterator[Any]:
+def _pose_messages(path: Path, reader: Any, topic: str, kind: str, damage: MessageDamage) -> Iterator[Any]:
     """Yield the messages with a header and a pose: those of the topic, or those inside its last Path."""
-    last = None
-    for _, _, raw in _messages(reader, topic, (kind,)):
-        if kind != PATH:
-            yield reader.deserialize(raw, kind)
-        last = raw
-    if kind == PATH and last is not None:
-        yield from reader.deserialize(last, PATH).poses
+    if kind == PATH:
+        yield from _read_last(path, reader, topic, PATH).poses
+    else:
+        for _, message, _ in iter_messages(reader, _find_connections(reader, topic, kind), damage):
+            yield message
+
+
+def _read_last(path: Path, reader: Any, topic: str, kind: str) -> Any:
+    """Return the last message of a topic; raises BadData if there is none, or if it cannot be decoded."""
+    damage = MessageDamage()
+    last: tuple[Any, int, bytes] | None = None
+    for one in reader.messages(connections=_find_connections(reader, topic, kind)):
+        damage.taken[topic] += last is not None  # those before it
+        last = one
+    if last is None:
+        raise BadData(str(path), topic, "no message", "give another topic")
+    message = damage.decode(reader, *last)
+    if message is None:
+        what = f"its last message cannot be decoded: {damage.describe_first()}"
+        raise BadData(str(path), topic, what, bag_file.FETCH_AGAIN)
+    return message
 
 
 def _read_chain(path: Path, reader: Any, words: str) -> TumFile:
@@ -135,8 +146,8 @@ def _read_chain(path: Path, reader: Any, words: str) -> TumFile:
     edges = _find_chain(path, reader, *names)
     samples: dict[tuple[str, str], _Samples] = {edge: _Samples() for edge, _ in edges}
     static: set[tuple[str, str]] = set()
-    damaged = 0
-    for topic, stamped in _transforms(reader):
+    damaged, damage = 0, MessageDamage()
+    for topic, stamped in _transforms(reader, damage):
         edge = _edge(stamped)
         if edge in samples:
             if topic.endswith("tf_static"):  # a static transform replaces earlier ones, as in tf2
@@ -146,12 +157,14 @@ def _read_chain(path: Path, reader: Any, words: str) -> TumFile:
                 continue
             stamp = sweeps.parse_stamp_ns(stamped.header)
             damaged += not samples[edge].append(stamp, stamped.transform.translation, stamped.transform.rotation)
-    return _compose_chain(path, words, edges, samples, static, damaged)
+    damage.check_share(path)
+    counts = {"invalid transforms": damaged, DAMAGED_MESSAGES: damage.damaged.total()}
+    return _compose_chain(path, words, edges, samples, static, counts)
 
 
 def _compose_chain(
     path: Path, words: str, edges: list[tuple[tuple[str, str], bool]], samples: dict[tuple[str, str], _Samples],
-    static: set[tuple[str, str]], damaged: int,
+    static: set[tuple[str, str]], counts: Mapping[str, int],
 ) -> TumFile:  # fmt: skip
     rows = {edge: each.in_order() for edge, each in samples.items()}
     moving = [edge for edge in rows if edge not in static]
@@ -171,7 +184,7 @@ def _compose_chain(
         corrections += _count_jumps(rows[edge][1])
     poses = np.stack([total[:, 0, 3], total[:, 1, 3], np.arctan2(total[:, 1, 0], total[:, 0, 0])], axis=-1)
     counts = {
-        "invalid transforms": damaged,
+        **counts,
         "transforms outside the time of the others": len(stamps) - len(inside),
         "corrections above 0.1 m or 5 deg": corrections,
     }
@@ -181,12 +194,14 @@ def _compose_chain(
 def _find_chain(path: Path, reader: Any, parent: str, child: str) -> list[tuple[tuple[str, str], bool]]:
     """Return the edges from parent to child, and whether each is taken forward; breadth first."""
     neighbours: dict[str, dict[str, tuple[tuple[str, str], bool]]] = {}
-    for _, stamped in _transforms(reader):
+    damage = MessageDamage()
+    for _, stamped in _transforms(reader, damage):
         edge = _edge(stamped)
         neighbours.setdefault(edge[0], {})[edge[1]] = edge, True
         neighbours.setdefault(edge[1], {})[edge[0]] = edge, False
         if len(neighbours) > MAX_FRAMES:
             raise BadData(str(path), "tf", f"more than {MAX_FRAMES} frames", "record the bag again")
+    damage.check_share(path)
     came_by: dict[str, list[tuple[tuple[str, str], bool]]] = {parent: []}
     waiting = deque([parent])
     while waiting and child not in came_by:
@@ -256,13 +271,14 @@ def _select_topic(path: Path, reader: Any, wanted: str, kinds: tuple[str, ...], 
     return fitting[0], known[fitting[0]]
 
 
-def _messages(reader: Any, topic: str, kinds: tuple[str, ...]) -> Iterator[tuple[Any, int, bytes]]:
-    yield from reader.messages(connections=[c for c in reader.connections if c.topic == topic and c.msgtype in kinds])
+def _find_connections(reader: Any, topic: str, kind: str) -> list[Any]:
+    return [one for one in reader.connections if one.topic == topic and one.msgtype == kind]
 
 
-def _transforms(reader: Any) -> Iterator[tuple[str, Any]]:
-    """Yield every transform with its topic."""
-    for connection, message, _ in bag_file.iter_messages(reader, rosbag_parser.TRANSFORMS):
+def _transforms(reader: Any, damage: MessageDamage) -> Iterator[tuple[str, Any]]:
+    """Yield every transform with its topic; ``damage`` counts the messages that cannot be decoded."""
+    connections = [one for one in reader.connections if one.msgtype in rosbag_parser.TRANSFORMS]
+    for connection, message, _ in iter_messages(reader, connections, damage):
         for stamped in message.transforms:
             yield connection.topic, stamped
 

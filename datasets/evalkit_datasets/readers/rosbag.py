@@ -26,7 +26,7 @@ from evalkit.io.timestamps import order_stamps
 from evalkit.plugins.parameters import Parameter
 from evalkit.plugins.specs import DatasetSpec
 from evalkit_datasets.parsing import cloud_slice, rosbag_parser, truth_files
-from evalkit_datasets.parsing.bag_file import FETCH_AGAIN
+from evalkit_datasets.parsing.bag_file import DAMAGED_MESSAGES, FETCH_AGAIN
 from evalkit_datasets.parsing.buffers import PoseBuffer, sort_by_rank
 from evalkit_datasets.parsing.cloud_slice import CloudSlice
 from evalkit_datasets.parsing.columns_layout import LENGTH_UNITS
@@ -150,7 +150,7 @@ class RosBag:
             "odometry poses without a stamp, given the time of recording": sum(
                 one.unstamped for one in contents.odometry.values()
             ),
-            "damaged messages dropped": contents.damaged,
+            DAMAGED_MESSAGES: contents.damaged + contents.messages.damaged.total(),
             "laser messages that the index lists and the bag does not hold": contents.missing,
             **(contents.damage.count() if contents.damage else {}),
         }

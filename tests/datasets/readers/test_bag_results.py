@@ -111,7 +111,8 @@ class Bag:
             for topic, kind, message, stamp in self.messages:
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
-                writer.write(connections[topic], stamp, serialize(message, kind))
+                content = message if isinstance(message, bytes) else serialize(message, kind)
+                writer.write(connections[topic], stamp, content)
         return self.path
 
 
@@ -140,6 +141,21 @@ def test_a_pose_that_is_none_is_left_out_and_counted(tmp_path, row):
     bag.add("/result", "geometry_msgs/msg/PoseStamped", bag.message("PoseStamped", stamp, row), stamp)
     read = read_trajectory(f"{bag.write()}?topic=/result")
     assert (read.trajectory.stamps_ns.tolist(), read.notes) == (STAMPS, {"invalid poses": 1})
+
+
+def test_a_message_that_cannot_be_decoded_is_left_out_and_counted_unless_it_is_the_one_that_is_wanted(tmp_path):
+    bag = Bag(tmp_path, "mcap").poses("/result", "PoseStamped").path_message(STAMPS[1], POSES)
+    stamp = STAMPS[-1] + STEP
+    for topic, kind in (("/result", "geometry_msgs/msg/PoseStamped"), ("/path", "nav_msgs/msg/Path")):
+        bag.add(topic, kind, b"\0\1\0\0cut", stamp)
+    path = bag.write()
+    read = read_trajectory(f"{path}?topic=/result")
+    assert (read.trajectory.stamps_ns.tolist(), read.notes) == (STAMPS, {"damaged messages dropped": 1})
+    said = (
+        rf"{path.name}: /path: its last message cannot be decoded: message 2 of /path, recorded at {stamp // 10**9}\."
+    )
+    with pytest.raises(BadData, match=said):
+        read_trajectory(f"{path}?topic=/path")
 
 
 def test_the_last_path_holds_the_corrected_poses(tmp_path):

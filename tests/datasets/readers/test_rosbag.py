@@ -99,7 +99,10 @@ class Bag:
         return self.add(topic, "tf2_msgs/msg/TFMessage", message, max(stamp, T0))
 
     def write(self, folder, packed=""):
-        """Write the bag; returns its path. ``packed``: bz2 or lz4 for ROS 1, file, message or storage for ROS 2."""
+        """Write the bag, messages of bytes as they are; returns its path.
+
+        ``packed``: bz2 or lz4 for ROS 1, file, message or storage for ROS 2.
+        """
         if self.kind == "ros1":
             path, serialize = folder / "made.bag", self.store.serialize_ros1
             writer = rosbag1.Writer(path)
@@ -115,7 +118,8 @@ class Bag:
             for topic, kind, message, recorded in self.messages:
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
-                writer.write(connections[topic], recorded, serialize(message, kind))
+                content = message if isinstance(message, bytes) else serialize(message, kind)
+                writer.write(connections[topic], recorded, content)
         return path
 
 

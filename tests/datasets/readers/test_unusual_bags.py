@@ -624,6 +624,76 @@ def test_an_mcap_file_that_holds_fewer_messages_than_its_index_lists_tells_how_m
         RosBag(str(path))
 
 
+def damaged_drive(kind, damage, every=4):
+    """Eight scans, 16 poses and one mounting; ``damage``: of the bytes of every ``every``-th scan, pose and transform.
+
+    The odometry moves by 0.1 m per scan.
+    """
+    bag = Bag(kind).tf(T0, "base_link", "laser", x=0.5)
+    for k in range(8):
+        stamp = T0 + k * PERIOD
+        bag.scan(stamp, [1.0 + k, 2.0, 3.0]).odom(stamp, 0.1 * k).odom(stamp + PERIOD // 2, 0.1 * k + 0.05)
+        bag.tf(stamp, "map", "odom", static=False)
+    serialize = bag.store.serialize_ros1 if kind == "ros1" else bag.store.serialize_cdr
+    seen = dict.fromkeys(("/scan", "/odom", "/tf"), 0)
+    for at, (topic, name, message, stamp) in enumerate(bag.messages):
+        if topic in seen:
+            seen[topic] += 1
+            if seen[topic] % every == 0:
+                bag.messages[at] = topic, name, damage(bytes(serialize(message, name))), stamp
+    return bag
+
+
+DAMAGES = {
+    "cut": lambda content: content[:-9],
+    "longer": lambda content: content + bytes(8),
+    "empty": lambda content: b"",
+    "frame of 4 GB": lambda content: content.replace(b"\x06\0\0\0laser", b"\xff" * 4 + b"laser")
+    .replace(b"\x05\0\0\0laser", b"\xff" * 4 + b"laser").replace(b"odom", b"\xff" * 4),
+    "3 * 10^9 ranges": lambda content: content.replace(bytes.fromhex("03000000"), bytes.fromhex("00ca9ab3"))[:-1],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("damage", [*DAMAGES, "encapsulation"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_few_messages_that_cannot_be_decoded_are_left_out_and_counted(tmp_path, kind, damage):
+    if damage == "encapsulation" and kind == "ros1":
+        pytest.skip("messages of ROS 1 have none")
+    damaged = DAMAGES.get(damage, lambda content: b"\0\x07" + content[2:])
+    path = damaged_drive(kind, damaged).write(tmp_path)
+    sequence = RosBag(str(path))
+    frames = list(sequence.frames())
+    assert [frame.scan.ranges[0] for frame in frames] == [1.0, 2.0, 3.0, 5.0, 6.0, 7.0]
+    assert frames[0].base_from_sensor.x == 0.5
+    # poses 4, 8, ... are at half the period, and interpolated
+    np.testing.assert_allclose([frame.odom_from_base.x for frame in frames], [0.0, 0.1, 0.2, 0.4, 0.5, 0.6], atol=1e-6)
+    assert sequence.notes()["damaged messages dropped"] == 2 + 4 + 2
+    (finding,) = [one for one in inspect_recording(path).findings if "damaged" in one.what]
+    assert finding.level == "warning"
+    said = "8 damaged messages, dropped; the first that cannot be decoded is message 4 of /odom, recorded at "
+    assert finding.what.startswith(f"{said}1663967375.150000001: ")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_of_which_most_messages_of_a_topic_cannot_be_decoded_is_refused_with_the_place(tmp_path, kind):
+    path = damaged_drive(kind, DAMAGES["cut"], every=1).write(tmp_path)
+    said = (
+        rf"{path.name}: /scan: 8 of 8 messages cannot be decoded; the first is message 1 of /scan, recorded at "
+        r"1663967375\.000000001: .*length 3 at offset 5.; record or fetch the bag again, or copy it without this topic"
+    )
+    with pytest.raises(BadData, match=said):
+        RosBag(str(path))
+    (problem,) = [one for one in inspect_recording(path).findings if one.level == "problem"]
+    assert problem.what.startswith("no scan in it can be read: 32 damaged messages, dropped; the first that cannot")
+
+
+def test_a_mounting_that_cannot_be_decoded_is_not_taken_for_none(tmp_path):
+    bag = Bag("mcap").scan(T0, [1.0, 2.0]).tf(T0, "base_link", "laser")
+    bag.messages[1] = (*bag.messages[1][:2], b"\0\1\0\0", T0)
+    with pytest.raises(BadData, match="/tf_static: 1 of 1 messages cannot be decoded"):
+        RosBag(str(bag.write(tmp_path)))
+
+
 def test_a_bag_cut_short_before_its_first_scan_says_so(tmp_path):
     path = Bag("ros1").tf(T0, "base_link", "laser").scan(T0 + PERIOD, np.full(9_000, 1.0)).write(tmp_path)
     path.write_bytes(path.read_bytes()[:-20_000])

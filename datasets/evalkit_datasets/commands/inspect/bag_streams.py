@@ -12,6 +12,7 @@ import numpy as np
 from evalkit.core.se2 import Stamps
 from evalkit_datasets.commands.inspect.streams import LaserStream, OdometryStream, RecordingStreams, ScanSample, Topic
 from evalkit_datasets.parsing import bag_file, rosbag_parser
+from evalkit_datasets.parsing.bag_file import MessageDamage
 from evalkit_datasets.parsing.robots import find_foreign_topics
 from evalkit_datasets.parsing.rosbag_parser import ODOMETRY_FRAME, Contents
 from evalkit_datasets.parsing.sweeps import CLOUD, LASER_SCAN, MessageFields, Sweep, SweepOptions, guess_fields
@@ -63,7 +64,7 @@ def read_bag_streams(
     ``options``: how the user reads the scans; its fields are those of LaserScan messages.
     """
     taken: dict[str, _TopicContent] = {}
-    tree, tf_recorded_ns = Contents(), _RecordedTimes()
+    tree, tf_recorded_ns, lost = Contents(), _RecordedTimes(), MessageDamage()
     with bag_file.open_bag(path) as reader:
         tree.tree.near_ns, tree.tree.odometry_parents = int(reader.start_time), frozenset({ODOMETRY_FRAME})
         seconds = max((reader.end_time - reader.start_time) * 1e-9, 0.0)
@@ -76,19 +77,17 @@ def read_bag_streams(
         kinds = WANTED - {CLOUD} if has_laser else WANTED
         wanted = [one for one in reader.connections if one.msgtype in kinds or one.topic in unusual]
         wanted = [one for one in wanted if one.topic not in left_out]
-        missing = sum(one.msgcount for one in wanted)
-        for connection, recorded_ns, raw in reader.messages(connections=wanted) if wanted else ():
-            missing -= 1
-            message = reader.deserialize(raw, connection.msgtype)
+        listed = sum(one.msgcount for one in wanted)
+        for connection, message, recorded_ns in bag_file.iter_messages(reader, wanted, lost):
             if connection.msgtype in rosbag_parser.TRANSFORMS:
                 rosbag_parser.add_transforms(tree, message, connection.topic.endswith("tf_static"))
-                tf_recorded_ns.note(tree.tree, int(recorded_ns))
+                tf_recorded_ns.note(tree.tree, recorded_ns)
                 continue
             fields = options.fields if connection.msgtype == LASER_SCAN else unusual.get(connection.topic)
             own = taken.get(connection.topic)
             if own is None:
                 own = taken[connection.topic] = _TopicContent(connection.msgtype, replace(options, fields=fields))
-            _take_message(own, connection.topic, message, int(recorded_ns))
+            _take_message(own, connection.topic, message, recorded_ns)
     wheels = [
         _make_odometry_stream(own)
         for own in taken.values()
@@ -99,12 +98,17 @@ def read_bag_streams(
         "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag",
         "rosbag",
         topics,
-        [_make_laser_stream(name, own, own.first) for name, own in sorted(taken.items()) if own.first is not None],
+        [
+            _make_laser_stream(name, own, own.first, lost.damaged[name])
+            for name, own in sorted(taken.items())
+            if own.first is not None
+        ],
         [*wheels, *_find_tf_odometry(tree.tree, tf_recorded_ns)],
         tree.tree,
-        damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()),
+        damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()) + lost.damaged.total(),
+        first_damage=lost.describe_first(),
         damage=damage,
-        missing=max(missing, 0),
+        missing=max(listed - lost.taken.total(), 0),
         left_out=tuple(sorted(left_out)),
     )
 
@@ -128,8 +132,8 @@ def _find_unusual_sweeps(reader: Any) -> dict[str, MessageFields]:
     for connection in reader.connections:
         if connection.msgtype in WANTED | others or not connection.msgcount or len(found) == MAX_UNUSUAL:
             continue
-        first = next(reader.messages(connections=[connection]), None)
-        fields = None if first is None else guess_fields(reader.deserialize(first[2], connection.msgtype))
+        first = next(bag_file.iter_messages(reader, [connection], MessageDamage()), None)
+        fields = None if first is None else guess_fields(first[1])
         if fields is None:
             others.add(connection.msgtype)
         else:
@@ -155,7 +159,7 @@ def _take_message(own: _TopicContent, topic: str, message: Any, recorded_ns: int
         own.twists.extend((float(message.twist.twist.linear.x), float(message.twist.twist.angular.z)))
 
 
-def _make_laser_stream(topic: str, own: _TopicContent, first: Sweep) -> LaserStream:
+def _make_laser_stream(topic: str, own: _TopicContent, first: Sweep, lost: int) -> LaserStream:
     return LaserStream(
         topic,
         own.kind.split("/")[-1],
@@ -167,7 +171,7 @@ def _make_laser_stream(topic: str, own: _TopicContent, first: Sweep) -> LaserStr
         first.range_min_m,
         first.range_max_m,
         first.time_increment_ns,
-        own.contents.damaged,
+        own.contents.damaged + lost,
         own.contents.unstamped,
         str(own.options.fields or ""),
     )

@@ -104,8 +104,8 @@ def _check_defects(streams: RecordingStreams) -> Iterator[InspectionFinding]:
 
 
 def _describe_dropped(streams: RecordingStreams) -> str:
-    first = f"; the first is {streams.first_damage}" if streams.first_damage else ""
-    kind = "message" if streams.kind.endswith("bag") else "line"
+    kind, which = ("message", "first that cannot be decoded") if streams.kind.endswith("bag") else ("line", "first")
+    first = f"; the {which} is {streams.first_damage}" if streams.first_damage else ""
     return f"{format_count(streams.damaged, f'damaged {kind}')}, dropped{first}"
 
 

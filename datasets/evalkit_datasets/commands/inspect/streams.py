@@ -148,10 +148,10 @@ class RecordingStreams:
 
     ``poses_from``: program that computed the poses ("gmapping" or "graph"), "" if they are not corrected ones.
     ``digits``: largest number of significant digits of a scan's stamp, 0 for binary stamps. ``first_damage``: the
-    first line that was dropped, and why. ``remarks``: comments in the file. ``damage``: None for a bag with its index;
-    else its records were read up to the damage. ``missing``: number of messages that the index of a bag lists, and that
-    are not in it. ``left_out``: topics of other robots than that of the chosen lidar. ``defects``: other defects that
-    the reader handled, by name.
+    first line that was dropped, or the first message that cannot be decoded, and why. ``remarks``: comments in the
+    file. ``damage``: None for a bag with its index; else its records were read up to the damage. ``missing``: number of
+    messages that the index of a bag lists, and that are not in it. ``left_out``: topics of other robots than that of
+    the chosen lidar. ``defects``: other defects that the reader handled, by name.
     """
 
     path: Path
