@@ -190,8 +190,7 @@ def _score(store: Store, settings: RunSettings, spec: RunSpec, result: RunResult
         try:
             slot.scoring.run(score_and_save, store.folder, spec, result, settings, slot.core)
         except BrokenProcessPool:  # perhaps killed by something else
-            if not _can_start(slot.scoring):
-                raise MachineFault("scoring", "no process can be started here", MachineFault.REMEDY) from None
+            slot.scoring.check("scoring", MachineFault.REMEDY)
             slot.scoring.run(score_and_save, store.folder, spec, result, settings, slot.core)
     except StoreError:
         raise
@@ -214,15 +213,6 @@ def _score(store: Store, settings: RunSettings, spec: RunSpec, result: RunResult
 def _with_failed_scoring(result: RunResult, cause: Cause, reason: str) -> RunResult:
     ended = {"cause": result.cause, "reason": result.reason}
     return replace(result, cause=cause, reason=reason, provenance={**result.provenance, BEFORE_SCORING: ended})
-
-
-def _can_start(pool: WorkerPool) -> bool:
-    """Whether a process can run even a trivial job; if not, the cause is not the run."""
-    try:
-        pool.run(os.getpid)
-    except BrokenProcessPool:
-        return False
-    return True
 
 
 def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: RunSettings, core: int | None) -> None:

@@ -278,6 +278,13 @@ class WorkerPool:
             self._busy.discard(process)
             self._idle.put((process, core))
 
+    def check(self, where: str, remedy: str) -> None:
+        """Raise MachineFault if a process does not run even a trivial call: then it was no call that ended another."""
+        try:
+            self.run(os.getpid)
+        except BrokenProcessPool:
+            raise MachineFault(where, "no process can be started here", remedy) from None
+
 
 def start_process(core: int | None) -> Executor:
     """A pool of one spawned process on a core; None: not pinned. Raises MachineFault where none can be started."""

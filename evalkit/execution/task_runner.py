@@ -6,7 +6,7 @@ import os
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from queue import SimpleQueue
 from types import MappingProxyType
 from typing import Generic
 
-from evalkit.core.errors import EvalkitError, StoreError, plain
+from evalkit.core.errors import EvalkitError, MachineFault, StoreError, plain
 from evalkit.execution import environment, task_time_limit
 from evalkit.execution.dask_cluster import Call, Cluster, NoCluster, Slot
 from evalkit.execution.subprocesses import STOP, WorkerPool
@@ -74,7 +74,8 @@ def run_tasks(
     which runs once more unless a time limit ended it.
 
     Raises TasksFailed after all other tasks are stored, StoreError if the folder cannot be written, NoCluster if the
-    code on a worker differs from the code here.
+    code on a worker differs from the code here. Raises MachineFault where no process can be started here, after the
+    tasks that run are stored.
     """
     every = list(tasks)
     _refuse_duplicates([task.name for task in every])
@@ -85,6 +86,8 @@ def run_tasks(
         _run_on_cluster(missing, cluster, collector)
     else:
         _run_locally(missing, workers, collector)
+    if collector.faults:
+        raise collector.faults[0]
     if collector.failures:
         raise TasksFailed.from_failures(str(store.folder), collector.failures)
     return {task.name: collector.results[task.name] for task in every}
@@ -92,12 +95,13 @@ def run_tasks(
 
 @dataclass(frozen=True)
 class _Collector(Generic[R]):
-    """The results and failures so far, by task name."""
+    """The results and failures so far, by task name, and the faults of the machine, which are of no task."""
 
     store: TaskStore
     on_done: OnDone
     results: dict[str, R] = field(default_factory=dict)
     failures: dict[str, TaskFailure] = field(default_factory=dict)
+    faults: list[MachineFault] = field(default_factory=list)
 
     def load(self, tasks: Sequence[Task[R]]) -> None:
         """Load the results that are stored already."""
@@ -115,6 +119,8 @@ class _Collector(Generic[R]):
                 self.failures[task.name] = TaskFailure(*ended.args)
             except NoCluster:  # the worker has other code; the task has not failed
                 raise
+            except MachineFault as fault:
+                self.faults.append(fault)
             except Exception as error:  # noqa: BLE001 - an exception of one task must not stop the others
                 self.failures[task.name] = TaskFailure(f"{type(error).__name__}: {error}")
             else:
@@ -145,7 +151,8 @@ def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -
                 idle = environment.queue_cores(workers)
                 futures = {threads.submit(_run_on_core, idle, task, stop): task for task in tasks}
             else:
-                futures = {threads.submit(_run_in_pool, pool, task, collector.store.note(task)): task for task in tasks}
+                note = collector.store.note
+                futures = {threads.submit(_run_in_pool, pool, task, note(task), stop): task for task in tasks}
             collector.collect((futures[future], future) for future in as_completed(futures))
         except BaseException:  # an interrupt or an unwritable folder
             stop.set()
@@ -166,14 +173,25 @@ def _run_on_core(idle: SimpleQueue[int | None], task: Task[R], stop: threading.E
         idle.put(core)
 
 
-def _run_in_pool(pool: WorkerPool, task: Task[R], note: Path) -> tuple[R, float]:
-    """Run a task in a process; once more if the process died, unless its time limit ended it. Raises TaskEnded."""
-    for _ in range(2):
-        try:
-            return pool.run(_run_with_note, task, note)
-        except BrokenProcessPool:
-            if timeout := task_time_limit.take_note(note, task.limit_s):
-                raise TaskEnded(timeout, True) from None
+def _run_in_pool(pool: WorkerPool, task: Task[R], note: Path, stop: threading.Event) -> tuple[R, float]:
+    """Run a task in a process; once more if the process died, unless its time limit ended it.
+
+    Raises TaskEnded, or MachineFault where no process can be started. Then ``stop`` is set, and later tasks are not
+    run: each raises CancelledError.
+    """
+    if stop.is_set():
+        raise CancelledError
+    try:
+        for _ in range(2):
+            try:
+                return pool.run(_run_with_note, task, note)
+            except BrokenProcessPool:
+                if timeout := task_time_limit.take_note(note, task.limit_s):
+                    raise TaskEnded(timeout, True) from None
+                pool.check("tasks", f"{MachineFault.FREE} the command: finished results are stored")
+    except MachineFault:
+        stop.set()
+        raise
     raise TaskEnded("it ended its process", False)
 
 

@@ -9,7 +9,8 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,8 @@ import numpy as np
 import psutil
 import pytest
 
-from evalkit.execution import environment, task_time_limit
+from evalkit.core.errors import MachineFault
+from evalkit.execution import environment, subprocesses, task_time_limit
 from evalkit.execution.dask_cluster import Cluster, NoCluster, Slot
 from evalkit.execution.sandbox import make_sandboxed_task
 from evalkit.execution.task import make_task
@@ -158,6 +160,30 @@ def test_a_task_that_ends_its_process_is_reported_and_does_not_stop_others(squar
     with pytest.raises(TasksFailed, match="deadly failed: it ended its process"):
         run_tasks(TaskStore(tmp_path), tasks)
     assert all(TaskStore(tmp_path).load(task) for task in tasks[1:])
+
+
+def test_a_system_that_starts_no_process_is_no_failure_of_a_task_and_what_was_computed_is_kept(
+    squares, tmp_path, monkeypatch
+):
+    class Broken(ThreadPoolExecutor):
+        def submit(self, *_arguments):
+            raise BrokenProcessPool("no process")
+
+    started = []
+
+    def start_one(core):
+        started.append(core)
+        return subprocesses.ProcessPoolExecutor(1) if len(started) == 1 else Broken(1)
+
+    store = TaskStore(tmp_path)
+    numbers = [squares(f"n{n}", "square", number=n) for n in range(9)]
+    with monkeypatch.context() as limited:
+        limited.setattr(subprocesses, "start_process", start_one)
+        with pytest.raises(MachineFault, match=r"no process can be started here; free .* repeat the command: finished"):
+            run_tasks(store, [numbers[0], squares("deadly", "die"), *numbers[1:]])
+    assert len(started) == 3  # the tasks behind it were not tried
+    assert [store.load(task) is not None for task in numbers] == [True] + 8 * [False]
+    assert len(run_tasks(store, numbers)) == 9
 
 
 @pytest.mark.parametrize("how", ["sleeps", "spins", "holds"])
