@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ import psutil
 
 from evalkit.commands.validate.rules.process_state import StateWatch, libc, process_state
 from evalkit.core.se2 import Floats
+from evalkit.execution.usage import count_starts
 
 CALLS, BATCHES, INSTANCES = 10_000, 10, 200
 BUDGET_S, PROGRAM_BUDGET_S = 1.5, 3.0
@@ -239,30 +241,43 @@ def _measure_instances(
 
 
 def _noise_bytes() -> int:
-    return CHILD_NOISE_BYTES if psutil.Process().children() else NOISE_BYTES
+    return CHILD_NOISE_BYTES if _children() else NOISE_BYTES
 
 
 def _heap_bytes() -> float:
     """Bytes in use of the heaps of this process, by the heap's own count where there is one, and of its children."""
     gc.collect()
-    process = psutil.Process()
     children = 0
-    for child in process.children(recursive=True):
+    for child in _children():
         with contextlib.suppress(psutil.Error):
             children += child.memory_info().rss
     if not hasattr(libc(), "mallinfo2"):
-        return float(process.memory_info().rss + children)
+        return float(psutil.Process().memory_info().rss + children)
     count = libc().mallinfo2
     count.restype = _HeapInfo
     info = count()
     return float(info.uordblks + info.hblkhd + children)
 
 
+def _children() -> list[psutil.Process]:
+    """The programs that this process has started, with theirs.
+
+    The search inspects every process, and is made only if the system has started one since the last search.
+    """
+    found = _find_children(count_starts() or time.monotonic_ns())  # each time where this is not known
+    return [child for child in found if child.is_running()]
+
+
+@lru_cache(maxsize=1)
+def _find_children(_starts: int) -> list[psutil.Process]:
+    return psutil.Process().children(recursive=True)
+
+
 def _child_clocks() -> list[int]:
     """The clocks of the CPU time of the programs that this process has started; none where they are not known."""
     if sys.platform != "linux":
         return []
-    return [(~child.pid << 3) | 2 for child in psutil.Process().children(recursive=True)]
+    return [(~child.pid << 3) | 2 for child in _children()]
 
 
 def _times_ns(call: Callable[[], object], clocks: Sequence[int]) -> tuple[int, int]:

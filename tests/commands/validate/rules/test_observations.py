@@ -2,11 +2,14 @@
 
 import itertools
 import math
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import psutil
 import pytest
 
 from evalkit.commands.validate.rules import (
@@ -268,6 +271,30 @@ def test_the_time_of_a_call_is_also_that_of_the_program_that_it_asks(monkeypatch
     monkeypatch.setattr(endurance, "_heap_bytes", float)  # not measured here: it looks at every process of the machine
     _, taken_ns, _ = endurance._run_batches(call, 1, 1e5)
     assert taken_ns == pytest.approx(100_000 + 1000 * np.arange(endurance.BATCHES), rel=1e-12)
+
+
+def test_the_processes_of_the_system_are_inspected_only_after_one_was_started(monkeypatch):
+    searches, starts, search = [], [1000], psutil.Process.children
+
+    def children(self, **options):
+        searches.append(options)
+        return search(self, **options)
+
+    monkeypatch.setattr(psutil.Process, "children", children)
+    monkeypatch.setattr(endurance, "count_starts", lambda: starts[0])
+    endurance._find_children.cache_clear()
+    before = set(endurance._children())
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as program:
+        starts[0] += 1
+        found = [set(endurance._children()) - before for _ in range(5)]
+        program.stdin.close()
+        program.wait()
+        assert [{one.pid for one in each} for each in found] == [{program.pid}] * 5
+    assert not set(endurance._children()) - before  # it has ended
+    assert len(searches) == 2
+    starts[0] = None  # not known: it is looked each time
+    assert not {one for _ in range(3) for one in endurance._children()} - before
+    assert len(searches) == 5
 
 
 def test_the_slowest_call_is_named(monkeypatch):
