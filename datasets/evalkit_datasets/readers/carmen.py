@@ -95,7 +95,7 @@ class Carmen:
         self._layout = start_deg, step_deg
         log = Log(self._layout)
         scans = self._read_scans(log)
-        self._counts = {"damaged lines dropped": log.damaged, "rear-laser lines ignored": log.rear}
+        self._counts = {reader_common.DAMAGED_LINES: log.damaged, "rear-laser lines ignored": log.rear}
         whole = self._order(log, scans)
         self._taken = whole[reader_common.select_scans(start, every, limit)]
         if not len(self._taken):
@@ -167,7 +167,7 @@ class Carmen:
         order = order_stamps(scans.stamps_ns)
         if len(order.keep) < 0.5 * len(scans):
             return self._order_by_lines(scans)
-        self._counts |= {"scans out of order": order.backwards, "scans with a repeated stamp dropped": order.repeated}
+        self._counts |= {"scans out of order": order.backwards, reader_common.REPEATED_STAMPS: order.repeated}
         return scans[order.keep]
 
     def _order_by_lines(self, scans: _Scans) -> _Scans:

@@ -60,7 +60,7 @@ class Clouds:
         self._files, self._stamps = [files[at] for at in kept], stamps[kept]
         if not self._files:
             raise BadData(str(path), "", f"start {start} lies beyond its {len(files)} clouds", "start earlier")
-        self._counts = {"clouds with a repeated time dropped": order.repeated}
+        self._counts = {reader_common.REPEATED_STAMPS: order.repeated}
         self._poses: Floats = np.full((len(self), 3), np.nan)
         if odometry:
             poses = read_trajectory(odometry).trajectory

@@ -88,10 +88,10 @@ class Columns:
         order = order_stamps(stamps)
         keep = order.keep
         self._counts = {
-            "damaged lines dropped": damaged,
+            reader_common.DAMAGED_LINES: damaged,
             "scans with fewer or more ranges than most": self._beams.total() - max(self._beams.values()),
             "scans out of order": order.backwards,
-            "scans with a repeated stamp dropped": order.repeated,
+            reader_common.REPEATED_STAMPS: order.repeated,
         }
         which = reader_common.select_scans(start, every, limit)
         self.recorded_odometry = stamps[keep], poses[keep]  # times (N,) and poses (N, 3) before jumps are taken out

@@ -21,7 +21,9 @@ from evalkit.plugins.specs import Choice
 from evalkit_datasets.parsing import truth_files
 
 WITHOUT_ODOMETRY = "scans without odometry at their time"
-"""Name of a defect in the notes of a reader."""
+DAMAGED_LINES = "damaged lines dropped"
+REPEATED_STAMPS = "scans with a repeated stamp dropped"
+"""Names of defects in the notes of a reader."""
 
 HOLD_NS = 50_000_000
 """Up to this long outside the odometry a scan gets its nearest pose: a robot moves millimetres in that time."""

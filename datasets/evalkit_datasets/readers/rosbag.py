@@ -145,7 +145,7 @@ class RosBag:
             raise BadData(str(self._path), "", found, FETCH_AGAIN)
         return {
             "scans out of order": whole.backwards,
-            "scans with a repeated stamp dropped": whole.repeated,
+            reader_common.REPEATED_STAMPS: whole.repeated,
             "scans without a stamp, given the time of recording": contents.unstamped,
             "odometry poses without a stamp, given the time of recording": sum(
                 one.unstamped for one in contents.odometry.values()

@@ -744,6 +744,12 @@ def test_times_of_a_text_log_that_have_lost_their_digits_are_a_problem_that_a_co
     assert "scans with a repeated stamp dropped: 1" in notes
 
 
+def test_a_defect_that_a_reader_names_with_the_same_word_is_no_lost_digit():
+    streams = SimpleNamespace(defects={"scans repeated by the logger": 90}, topics=[SimpleNamespace(count=60)])
+    (found,) = findings._check_defects(streams)
+    assert (found.level, found.what) == ("note", "scans repeated by the logger: 90")
+
+
 RECORDINGS = {
     "odometry": lambda folder: log(folder, *drive()),
     "a code": lambda folder: log(folder, *drive(code=30.0)),

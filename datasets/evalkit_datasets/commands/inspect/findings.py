@@ -22,6 +22,7 @@ from evalkit_datasets.commands.inspect.odometry_findings import (
 from evalkit_datasets.commands.inspect.odometry_stats import OdometryStats
 from evalkit_datasets.commands.inspect.streams import RecordingStreams
 from evalkit_datasets.commands.inspect.turn_comparison import TurnComparison
+from evalkit_datasets.readers.reader_common import REPEATED_STAMPS
 
 AGAIN = "fetch or record it again if that is needed"
 
@@ -96,7 +97,7 @@ def _check_remarks(streams: RecordingStreams) -> Iterator[InspectionFinding]:
 def _check_defects(streams: RecordingStreams) -> Iterator[InspectionFinding]:
     """Report what a reader of another format has handled; a problem where it drops most scans for their times."""
     for name, count in streams.defects.items():
-        if "repeated" in name and count >= streams.topics[0].count:
+        if name == REPEATED_STAMPS and count >= streams.topics[0].count:
             what = f"{count} of {count + streams.topics[0].count} scans have the time of another scan, and are dropped"
             yield problem("file", what, "write times with all their digits (not 1.70000E+09), or check their column")
         else:

@@ -22,10 +22,11 @@ from evalkit_datasets.parsing import carmen_parser
 from evalkit_datasets.parsing.buffers import PoseBuffer
 from evalkit_datasets.parsing.carmen_parser import Layout, Log, Reading
 from evalkit_datasets.readers.columns import Columns
+from evalkit_datasets.readers.reader_common import DAMAGED_LINES
 
 COLUMNS, COLUMNS_KIND = "columns", "log in columns"
 MAX_FRAMES = 100_000
-OF_SCANS = ("scans", "clouds")
+OF_SCANS = "scans"
 """How the names of defects of whole scans begin; odometry and ranges are inspected themselves."""
 
 NOTHING: Mapping[str, Value] = {}
@@ -147,7 +148,7 @@ def read_sequence_streams(path: Path, reader: str, given: Mapping[str, Value] = 
     kind = COLUMNS_KIND if reader == COLUMNS else f"recording read by '{reader}'"
     notes = sequence.notes()
     defects = {name: count for name, count in notes.items() if name.startswith(OF_SCANS)}
-    damaged = notes.get("damaged lines dropped", 0)
+    damaged = notes.get(DAMAGED_LINES, 0)
     return RecordingStreams(
         path, kind, reader, [Topic("scans", "a scan each", len(stamps), rate)], [laser], wheels,
         damaged=damaged, defects=defects,
