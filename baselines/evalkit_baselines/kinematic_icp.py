@@ -152,7 +152,7 @@ class KinematicIcp:
             raise DataMissing(
                 "kinematic-icp",
                 "the recording has no wheel odometry at its first scan, and this method corrects wheel odometry",
-                "leave this method out of the comparison",
+                "begin at a scan that has it (start = N), or leave this method out of the comparison",
             )
         estimate = self._front_end.update(frame)
         if self._last is not None:

@@ -34,7 +34,7 @@ class WheelOdometry:
             raise DataMissing(
                 "wheel-odometry",
                 "the recording has no wheel odometry at its first scan",
-                "leave this method out of the comparison",
+                "begin at a scan that has it (start = N), or leave this method out of the comparison",
             )
         return OdometryEstimate(self._start_from_base)
 

@@ -98,7 +98,7 @@ def test_the_heading_is_applied_where_nothing_states_it(tmp_path):
     assert (choice.name, x, y) == ("base_from_sensor", 0.0, 0.0)
     assert math.degrees(theta) == pytest.approx(-30.0, abs=1.5)
     assert "no transform states the mounting" in choice.reason
-    assert choice.reason.endswith("; x and y are unknown, taken as 0: beside a ground truth, give base_from_sensor")
+    assert "; x and y are unknown, taken as 0; give base_from_sensor if you know it: else" in choice.reason
     assert choice.warns  # on the page, too: nothing in the recording shows them
     (warning,) = _choose_mounting(found, lidar, ReaderTrial(mounting=Pose(0.0, 0.0, math.pi / 2.0)))
     assert (warning.value, warning.warns) == (None, True)

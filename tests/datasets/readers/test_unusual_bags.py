@@ -1058,6 +1058,23 @@ def test_scans_without_odometry_are_a_warning_where_they_are_many(tmp_path, firs
     ] * said
 
 
+@pytest.mark.parametrize(("given", "start", "scans"), [({}, 3, 47), ({"every": 2}, 4, 23), ({"start": 1}, None, 49)])
+def test_the_few_scans_before_the_odometry_begins_are_left_out(tmp_path, given, start, scans):
+    """Wheel odometry alone, the baseline, cannot start there. Of every second scan, 0 and 2 are before it, 4 is not."""
+    bag = Bag("mcap").tf(T0, "base_link", "laser")
+    for at in range(50):
+        bag.scan(T0 + at * PERIOD, [2.0, 3.0, 4.0, 5.0, 6.0])
+        if at >= 3:
+            bag.odom(T0 + at * PERIOD, 0.1 * at)
+    path = bag.write(tmp_path)
+    chosen = choose_parameters("rosbag", {"path": str(path), **given})
+    assert [one.value for one in chosen if one.name == "start"] == [start] * (start is not None)
+    suggested = suggest_config(inspect_recording(path, "rosbag", given), given)
+    assert (suggested.scans, suggested.parameters.get("start")) == (scans, start or given.get("start"))
+    read = next(iter(RosBag(**suggested.parameters).frames()))
+    assert (read.odom_from_base is None) is (start is None)
+
+
 def test_an_odometry_with_another_clock_is_no_problem_beside_one_that_can_be_used(tmp_path):
     bag = Bag("mcap").tf(T0, "base_link", "laser")
     for at in range(50):

@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +23,12 @@ from evalkit_datasets.commands.inspect.lidar_stats import LidarStats
 from evalkit_datasets.commands.inspect.mended_inspection import inspect_mended, tell_mends
 from evalkit_datasets.commands.inspect.mounting_angle import MountingAngle, estimate_mounting_angle
 from evalkit_datasets.commands.inspect.odometry_findings import is_apart
-from evalkit_datasets.commands.inspect.reader_trial import ReaderTrial, find_fields, try_reader
+from evalkit_datasets.commands.inspect.reader_trial import (
+    MAX_WITHOUT_ODOMETRY,
+    ReaderTrial,
+    find_fields,
+    try_reader,
+)
 from evalkit_datasets.commands.inspect.repeated_findings import PROBLEM, repeat_body, repeat_problems, repeat_sweep
 from evalkit_datasets.commands.inspect.truth_choices import find_truth_files
 from evalkit_datasets.commands.inspect.truth_doubts import find_truth_doubts
@@ -39,8 +44,11 @@ MAPPER = "mapper."
 MIN_MOUNTING_DEG, MAX_SQUARE_DEG = 5.0, 2.0
 """A smaller heading is not applied; a heading this close to a multiple of 90 deg is taken as that."""
 
-MAX_WITHOUT_ODOMETRY = 0.1
-"""A larger share of the scans without odometry is a warning."""
+UNKNOWN_PLACE = (
+    "give base_from_sensor if you know it: else wheel odometry looks worse in turns, and a ground truth of the base "
+    "does not fit"
+)
+"""What an unknown place of the lidar on its base does to the results."""
 
 USUAL_CELL_M, LARGE_CELL_M = 0.05, 0.1
 
@@ -125,6 +133,9 @@ def _choose(recording: Inspection, given: Mapping[str, Value]) -> tuple[tuple[Ch
     values = {one.name: one.value for one in choices if one.value is not None and not one.name.startswith(MAPPER)}
     tried = try_reader(recording.streams.reader, {"path": str(recording.path), **values, **given})
     choices += _tell_scans_without_odometry(recording, tried)
+    if tried.before_odometry and "start" not in given:
+        choice, tried = _begin_with_odometry(tried, int(given.get("every", 1)))
+        choices.append(choice)
     truth = str({**values, **given}.get("ground_truth", ""))
     if truth and not tried.problem:
         choices += find_truth_doubts(recording, lidar, truth)
@@ -150,6 +161,17 @@ def _tell_scans_without_odometry(recording: Inspection, tried: ReaderTrial) -> I
     clock = ", or has another clock (give --set stamp_shift_s)" if recording.streams.reader == "rosbag" else ""
     what = f"{without} of {tried.scans} scans have no odometry at their time: it begins late or ends early{clock}"
     yield Choice("odometry", None, what, warns=True)
+
+
+def _begin_with_odometry(tried: ReaderTrial, every: int) -> tuple[Choice, ReaderTrial]:
+    """Return the choice that skips the few scans before the odometry begins, and what the reader then opens."""
+    late, without = tried.before_odometry, reader_common.WITHOUT_ODOMETRY
+    left = tried.notes[without] - late
+    notes = {name: count for name, count in {**tried.notes, without: left}.items() if count}
+    start = late * every
+    scans = "first scan" if start == 1 else f"first {start} scans"
+    why = f"start {start}: skips the {scans}, before the odometry begins: methods that need it cannot start there"
+    return Choice("start", start, why), replace(tried, scans=tried.scans - late, notes=notes)
 
 
 def best_lidar(recording: Inspection) -> tuple[LidarStats, str]:
@@ -205,7 +227,7 @@ def _choose_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTria
     if angle is None:
         if missing:
             why = f"the lidar is taken as the base: {missing}, and no straight drive shows it"
-            yield Choice("base_from_sensor", None, f"{why}; beside a ground truth, give base_from_sensor")
+            yield Choice("base_from_sensor", None, f"{why}; {UNKNOWN_PLACE}")
         return
     off_deg = math.degrees(float(wrap(math.radians(angle.heading_deg) - tried.mounting.theta)))
     if abs(off_deg) < MIN_MOUNTING_DEG and not missing:
@@ -223,7 +245,7 @@ def _choose_mounting(recording: Inspection, lidar: LidarStats, tried: ReaderTria
     )
     heading = math.radians(square if near else angle.heading_deg)
     why = f"base_from_sensor 0 0 {heading:.4f}: {missing}; the scans show a heading of {seen}"
-    where = "x and y are unknown, taken as 0: beside a ground truth, give base_from_sensor"
+    where = f"x and y are unknown, taken as 0; {UNKNOWN_PLACE}"
     value = f"0 0 {heading:.4f}"
     yield Choice("base_from_sensor", value, f"{why}{', taken as square' if near else ''}; {where}", warns=True)
 
