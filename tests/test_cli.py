@@ -762,6 +762,15 @@ def test_an_option_with_a_fixed_choice_names_what_it_takes(evalkit, words, messa
         (("drive.log", "--align-truth"), "--align-truth: needs --map"),
         (("drive.log", "--backends", "papr"), "no backend named 'papr' (did you mean 'paper'?)"),
         (("drive.log", "--backends", "paper", "--topic", "/scan"), "no parameter named 'topic'"),
+        (
+            ("drive.log", "--backends", "wheel-odometry,paper", "--set", "keyframes=20"),
+            "carmen: no parameter named 'keyframes' (a parameter of paper: set it below [[method]] of an experiment",
+        ),
+        (
+            ("drive.log", "--backends", "paper keyframes=20"),
+            "no backend named 'paper keyframes=20' (set it below [[method]] of an experiment, with the [[sequence]] "
+            "that evalkit inspect prints)",
+        ),
     ],
 )
 def test_an_invalid_comparison_is_rejected_before_the_first_run(evalkit, carmen, tmp_path, monkeypatch, words, message):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -23,10 +23,12 @@ from evalkit.config.adhoc_experiment import (
 )
 from evalkit.config.experiment import RESULTS, Experiment
 from evalkit.config.experiment_file import MAX_NUISANCE, load_experiment
+from evalkit.core.errors import UnknownName
 from evalkit.core.run_result import NO_STEPS
 from evalkit.execution.environment import describe
 from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
+from evalkit.odometry.frontend import settable_parameters
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.parameters import ALIGN_TRUTH, MAP, MAP_START, NUISANCE, Value, split_settings
 from evalkit.results import descriptions
@@ -37,6 +39,9 @@ from evalkit.terminal.options import RunOptions
 
 VERDICT_REPETITIONS = 5
 """Perturbed runs of a method on a recording that give a verdict, beside the run as it is."""
+
+PLACE_OF_PARAMETERS = "set it below [[method]] of an experiment, with the [[sequence]] that evalkit inspect prints"
+"""Where a parameter of a method is set on a recording."""
 
 RECORDING, KNOWN = "Options for a recording", "Options for a recording in a known map"
 
@@ -166,6 +171,7 @@ def compare(
         for name in settings.keys() & given.keys():
             raise typer.BadParameter(f"--{option_name(name)}: contradicts --set {name}")
         recording = open_recording(source, settings | given, reader)
+        _refuse_parameters_of_methods(recording, settings, named)
     folder = folder or RESULTS / (name_experiment(recording, keys) if recording else source.stem)
     with descriptions.only_stored_in(folder) if collect else nullcontext():
         if recording is None:
@@ -195,6 +201,21 @@ def _name_backends(text: str, everything: bool, announced: bool) -> list[str]:
     if announced:
         err.print(f"{len(chosen)} methods: {', '.join(chosen)} (--all adds {others})")
     return chosen
+
+
+def _refuse_parameters_of_methods(recording: Recording, settings: Mapping[str, str], backends: list[str]) -> None:
+    """Raise UnknownName with their place for parameters of a method behind its name, or given to the reader."""
+    registered = registry.names("backends")
+    for text in backends:
+        method, _, words = text.partition(" ")
+        if method in registered and "=" in words:
+            raise UnknownName("backend", text, registered, hint=PLACE_OF_PARAMETERS)
+    known = [parameter.name for parameter in recording.spec.parameters]
+    for name in (name for name in settings if name not in known):
+        for method in backends:
+            if any(name == parameter.name for parameter in settable_parameters(registry.find_backend(method))):
+                hint = f"a parameter of {method}: {PLACE_OF_PARAMETERS}"
+                raise UnknownName("parameter", name, known, recording.reader, hint=hint)
 
 
 def _experiment_of_recording(
