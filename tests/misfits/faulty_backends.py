@@ -183,6 +183,12 @@ class Nan(Sound):
         return match if len(source) > 1 else replace(match, target_from_source=None)
 
 
+class NanPose(Sound):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        return match if len(source) > 1 else replace(match, target_from_source=Pose(math.nan, 0.0, 0.0))
+
+
 class Matrix(Sound):
     """Returns the matrix of its library instead of a Pose."""
 
@@ -374,6 +380,12 @@ class TurnsRight(Wheels):
     def pose(self, frame):
         answer = super().pose(frame)
         return Pose(answer.x, answer.y, -answer.theta)
+
+
+class Mirrored(Wheels):
+    def pose(self, frame):
+        answer = super().pose(frame)
+        return Pose(answer.x, -answer.y, -answer.theta)
 
 
 class DegreesOdometry(Wheels):

@@ -36,12 +36,12 @@ def rules_level(
     """Level 0 from the results of all rules; ``waivers``: reasons by the name of a rule that may be broken.
 
     Where one exception ends several rules, only the first one is broken by it; the others were not judged. A broken
-    rule that may cause the others (``STATE_CAUSES``) comes first.
+    rule that may cause the others comes first: one of ``STATE_CAUSES``, else one whose answer shows a mistake.
     """
     waived = {one.rule for one in results if one.outcome == "failed" and one.rule in (waivers or {})}
     broken = [one for one in results if one.outcome == "failed" and one.rule not in waived]
-    cause = _find_state_cause(broken)
-    results, broken = (sorted(some, key=lambda one: one.rule != cause) for some in (results, broken))
+    first_rule, cause = _find_cause(broken)
+    results, broken = (sorted(some, key=lambda one: one.rule != first_rule) for some in (results, broken))
     applicable = sum(one.outcome != "not applicable" for one in results)
     causes: dict[str, list[str]] = {}
     for one in broken:
@@ -49,7 +49,7 @@ def rules_level(
     names = [first for first, *_ in causes.values()]
     summary = f"{len(causes)} of {applicable} rules broken" + (f": {', '.join(names)}" if names else "")
     if len(names) > 1 and cause:
-        summary = f"{len(causes)} of {applicable} rules broken: {cause} ({STATE_CAUSES[cause]})"
+        summary = f"{len(causes)} of {applicable} rules broken: {first_rule} ({cause})"
         summary += f", and perhaps by the same cause: {', '.join(names[1:])}"
     summary += f", {len(waived)} waived" if waived else ""
     kept = Counter(one.observed for one in results if one.outcome == "not judged")
@@ -71,10 +71,15 @@ def rules_level(
     return waive(AcceptanceLevel(0, "rules", question, tuple(checks)), waivers or {})
 
 
-def _find_state_cause(broken: Sequence[RuleResult]) -> str:
-    """Return the first of ``STATE_CAUSES`` that an answer breaks, no exception and no end of a process; "" if none."""
+def _find_cause(broken: Sequence[RuleResult]) -> tuple[str, str]:
+    """Return the rule whose breach may be the cause of others, and what it means; ("", "") if none is recognised.
+
+    It is the first of ``STATE_CAUSES`` that an answer breaks, no exception and no end of a process; else the first rule
+    with a cause.
+    """
     answered = {one.rule for one in broken if not one.raised and not one.also_breaks}
-    return next((name for name in STATE_CAUSES if name in answered), "")
+    states = ((name, STATE_CAUSES[name]) for name in STATE_CAUSES if name in answered)
+    return next(states, next(((one.rule, one.cause) for one in broken if one.cause), ("", "")))
 
 
 def waive(level: AcceptanceLevel, waivers: Mapping[str, str]) -> AcceptanceLevel:

@@ -238,6 +238,17 @@ def test_a_state_that_may_break_other_rules_comes_first():
     )
 
 
+def test_the_first_rule_whose_answer_shows_a_mistake_comes_first_but_for_a_state():
+    follows, moves, fresh = (RuleResult(name, "It holds.", "failed", "x") for name in ("follows", "moves", "fresh"))
+    radians = RuleResult("radians", "It holds.", "failed", "0.3: in degrees?", cause="in degrees?")
+    level = rules_level([follows, moves, radians, replace(radians, rule="metres", cause="in mm?")])
+    assert level.checks[0].observed == (
+        "4 of 4 rules broken: radians (in degrees?), and perhaps by the same cause: follows, moves, metres"
+    )
+    assert level.checks[1].observed == "It holds. Observed: 0.3: in degrees?"
+    assert rules_level([follows, radians, fresh]).checks[1].name == "rule fresh"
+
+
 @pytest.mark.parametrize("end", [{"raised": True}, {"also_breaks": "in-time"}, {"also_breaks": "alive"}])
 def test_a_rule_on_state_that_an_exception_or_an_end_breaks_says_nothing_of_state(end):
     ended = RuleResult("stateless", "It holds.", "failed", "no answer within 10 s", **end)

@@ -26,7 +26,7 @@ from evalkit.plugins.specs import Role, RunsIn
 class OdometryFixture:
     """A back end under test; runs each drive with a new object.
 
-    ``elsewhere``, ``runs_in``: as for a ``RegistrationFixture``.
+    ``elsewhere``, ``note_progress``, ``runs_in``: as for a ``RegistrationFixture``.
     """
 
     kept_bytes = LEAK_BYTES
@@ -44,6 +44,7 @@ class OdometryFixture:
         self.watch = StateWatch()
         self.short = drive(8)
         self.asked_s = math.inf
+        self.note_progress: Callable[..., object] = lambda *_: None
 
     def make(self) -> Odometry:
         """A new object."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -29,6 +30,7 @@ from evalkit.commands.validate.rules.scenes import (
 )
 from evalkit.core.errors import EvalkitError, format_exception
 from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
 from evalkit.odometry.corrections import read_remarks
 
 ON_TRACK_M = 0.25
@@ -82,7 +84,7 @@ def check_follows(fixture: OdometryFixture) -> str:
         others = {"the motion since the scan before": step, "odom_from_base": odom}
         for name, other in others.items():
             if other is not None and distance_m(answer, other) < distance_m(step, Pose()) / 2.0:
-                raise RuleBroken(f"{broken}: it is {name}; return start_from_base") from None
+                raise RuleBroken(str(broken), f"the answer is {name}: return start_from_base") from None
         raise
 
 
@@ -113,11 +115,12 @@ def check_metres(fixture: OdometryFixture) -> str:
     if abs(length - wanted) > max(UNIT_TOLERANCE * wanted, 0.1):
         millimetres = abs(length / 1000.0 - wanted) < UNIT_TOLERANCE * wanted
         raise RuleBroken(
-            f"{wanted:g} m was returned as {length:.4g}" + (": the answer is in millimetres?" if millimetres else "")
+            f"{wanted:g} m was returned as {length:.4g}", "the answer is in millimetres?" if millimetres else ""
         )
     if answer.x < 0.0:
         raise RuleBroken(
-            f"{wanted:g} m ahead was returned as {format_pose(answer)}: base_from_start instead of start_from_base?"
+            f"{wanted:g} m ahead was returned as {format_pose(answer)}",
+            "the answer is the inverse, base_from_start instead of start_from_base?",
         )
     return f"{wanted:g} m was returned as {length:.4f}"
 
@@ -125,7 +128,7 @@ def check_metres(fixture: OdometryFixture) -> str:
 def check_radians(fixture: OdometryFixture) -> str:
     """A left turn is returned as a positive angle in radians."""
     simulated = drive(turn_radps=0.5)
-    return check_turn(last_pose(fixture.run(simulated.frames)).theta, end_pose(simulated).theta)
+    return check_turn(last_pose(fixture.run(simulated.frames)), end_pose(simulated))
 
 
 def check_first_beam(fixture: OdometryFixture) -> str:
@@ -150,7 +153,7 @@ def check_first_beam(fixture: OdometryFixture) -> str:
     if abs(share) > BEAM_SHARE:
         raise RuleBroken(
             f"on average the answers are {share:+.2f} of a scan's duration away from its first beam "
-            "(0.5: a scan that is not deskewed; 1: the pose of its last beam)"
+            "(0.5: a scan that is not deskewed; 1: the pose of its last beam; -1: the answer to the scan before)"
         )
     return f"{share:+.2f} of a scan's duration away from its first beam"
 
@@ -271,7 +274,10 @@ def check_stamps(fixture: OdometryFixture) -> str:
             raise RuleBroken(f"with stamps from {first_ns} ns on: {format_exception(error)}") from error
         off = np.nan_to_num(answers, nan=1e9) - np.nan_to_num(fixture.first_answers, nan=1e9)
         if (largest := float(np.abs(off).max())) > STAMPS_M:
-            raise RuleBroken(f"with stamps from {first_ns} ns on, answers differ by up to {largest:.2g} m or rad")
+            raise RuleBroken(
+                f"with stamps from {first_ns} ns on, answers differ by up to {largest:.2g} m or rad",
+                "subtract stamps as 64-bit integers before you convert them: 32 bits or floats cannot hold them",
+            )
     return "the answers do not depend on the time of the first stamp"
 
 
@@ -295,12 +301,19 @@ def check_values(fixture: OdometryFixture) -> str:
             for frame in simulated.frames
         )  # fmt: skip
         try:
-            fixture.run(frames)
+            fixture.run(_note_each(fixture, frames, f"a scan of {len(rows)} beams"))
         except Exception as error:
             if not is_refusal(error):
                 raise
             refused.append(f"{len(rows)} beams: {format_exception(error)}")
     return "; ".join(refused) or "it answers scans with holes, with one beam and with 20,160 beams"
+
+
+def _note_each(fixture: OdometryFixture, frames: Iterable[Frame], step: str) -> Iterator[Frame]:
+    """Yield the frames, each with its own limit of time."""
+    for frame in frames:
+        fixture.note_progress(step)
+        yield frame
 
 
 def end_pose(simulated: SimulatedDrive) -> Pose:

@@ -11,7 +11,7 @@ import numpy as np
 
 from evalkit.commands.validate.rules.rule import RuleBroken, is_refusal
 from evalkit.commands.validate.rules.scenes import CloudPair, clear_pair, distance_m, drawn_pair, format_pose
-from evalkit.core.errors import format_exception
+from evalkit.core.errors import BackendFailed, format_exception
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
@@ -137,7 +137,8 @@ def _survives(
             match = fixture.shared.register(target, source, guess)
         except Exception as error:
             if not is_refusal(error):
-                raise RuleBroken(f"{name}: {format_exception(error)}") from error
+                instead = "" if isinstance(error, BackendFailed) else "; return the guess with converged=False"
+                raise RuleBroken(f"{name}: {format_exception(error)}{instead}") from error
             refused.append(f"{name}: {format_exception(error)}")
             continue
         try:

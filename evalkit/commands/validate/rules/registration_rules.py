@@ -47,6 +47,9 @@ FAR = Pose(5.0, -3.0, 2.0)
 UNIT_TOLERANCE = 0.2
 """Error, as a share of a true length or in radians, beyond which the unit or sign of an answer is in doubt."""
 
+MIRRORED_M = 0.25
+"""Distance from the mirror image of a true motion of 0.3 m or more up to which an answer is taken as mirrored."""
+
 
 def check_starts(fixture: RegistrationFixture) -> str:
     """It is created from its parameters and returns a Match with valid values."""
@@ -92,7 +95,7 @@ def check_metres(fixture: RegistrationFixture) -> str:
     if abs(length - wanted) > UNIT_TOLERANCE * wanted:
         hints = {1000.0: "millimetres", 100.0: "centimetres", 0.001: "kilometres", 0.01: "hundreds of metres"}
         unit = next((u for f, u in hints.items() if abs(length / f - wanted) < UNIT_TOLERANCE * wanted), "")
-        raise RuleBroken(f"{wanted:g} m was returned as {length:.4g}" + (f": the answer is in {unit}?" if unit else ""))
+        raise RuleBroken(f"{wanted:g} m was returned as {length:.4g}", f"the answer is in {unit}?" if unit else "")
     return f"{wanted:g} m was returned as {length:.4f}"
 
 
@@ -100,21 +103,24 @@ def check_radians(fixture: RegistrationFixture) -> str:
     """A left turn of 0.3 rad is returned as 0.3."""
     pair = clear_pair()
     answer = fixture.register(pair)
-    return check_turn(answer.theta, pair.truth.theta)
+    return check_turn(answer, pair.truth)
 
 
-def check_turn(turn: float, wanted: float) -> str:
-    """The observation of a turn (rad); raises RuleBroken, with a likely cause, if it is wrong."""
+def check_turn(answer: Pose, truth: Pose) -> str:
+    """The observation of the turn (rad) of an answer; raises RuleBroken, with a likely cause, if it is wrong."""
+    turn, wanted = answer.theta, truth.theta
     if abs(turn - wanted) <= UNIT_TOLERANCE:
         return f"{wanted:.3g} rad was returned as {turn:.4f}"
-    hint, degrees = "", math.degrees(wanted)
+    observed, cause, degrees = f"{wanted:.3g} rad was returned as {turn:.4f}", "", math.degrees(wanted)
     if abs(Pose(0.0, 0.0, turn - degrees).theta) < UNIT_TOLERANCE:
         turns = round((degrees - turn) / (2.0 * math.pi))
         modulo = f", that is {degrees:.4g} {'-' if turns > 0 else '+'} {abs(turns)} * 2 pi" if turns else ""
-        hint = f"{modulo}: is the angle in degrees? {wanted:.3g} rad are {degrees:.4g} degrees"
+        observed, cause = f"{observed}{modulo}", f"is the angle in degrees? {wanted:.3g} rad are {degrees:.4g} degrees"
+    elif distance_m(answer, Pose(truth.x, -truth.y, -wanted)) <= MIRRORED_M:
+        cause = "it has the wrong sign, as in a mirror: does y point to the right, or do angles turn clockwise?"
     elif abs(turn + wanted) <= UNIT_TOLERANCE:
-        hint = ": it has the wrong sign?"
-    raise RuleBroken(f"{wanted:.3g} rad was returned as {turn:.4f}{hint}")
+        observed = f"{observed}: it has the wrong sign?"  # no cause yet: that of the inverse, as of a turned angle
+    raise RuleBroken(observed, cause)
 
 
 def check_direction(fixture: RegistrationFixture) -> str:
@@ -125,13 +131,17 @@ def check_direction(fixture: RegistrationFixture) -> str:
     right = f"target_from_source is {format_pose(truth)}"
     for step in (pair.guess.inverse() @ truth, truth @ pair.guess.inverse()):
         if distance_m(answer, step) <= EXACT_M:
-            raise RuleBroken(f"{format_pose(answer)} is the correction of the guess {format_pose(pair.guess)}; {right}")
+            raise RuleBroken(
+                f"{format_pose(answer)} is the correction of the guess {format_pose(pair.guess)}; {right}",
+                "the answer is the step from the guess alone: return step * guess",
+            )
     if distance_m(answer, inverse) >= distance_m(answer, truth):
         return f"{format_pose(answer)} maps source points into the target frame"
     if math.dist(answer.row[:2], inverse.row[:2]) < math.dist(answer.row[:2], truth.row[:2]):
         is_inverse = distance_m(answer, inverse) <= EXACT_M
         near = "is source_from_target" if is_inverse else f"is nearer to source_from_target, {format_pose(inverse)}"
-        raise RuleBroken(f"{format_pose(answer)} {near}; {right}")
+        cause = "the answer is the inverse: return target_from_source" if is_inverse else ""
+        raise RuleBroken(f"{format_pose(answer)} {near}; {right}", cause)
     return f"x and y of {format_pose(answer)} are nearer to those of target_from_source, {format_pose(truth)}"
 
 
@@ -152,7 +162,7 @@ def check_equivariance(fixture: RegistrationFixture) -> str:
         first = _near(fixture.register(target), FAR @ answer, SAME_M, "the answer moved with the target")
     except RuleBroken as broken:
         if _answers(fixture, replace(pair, guess=FAR @ pair.guess)) == answer:
-            raise RuleBroken(f"{broken}: the guess changes nothing, is it used?") from None
+            raise RuleBroken(str(broken), "the guess changes nothing, is it used?") from None
         raise
     return f"{first}; {_near(fixture.register(source), answer @ FAR, SAME_M, 'the answer moved with the source')}"
 

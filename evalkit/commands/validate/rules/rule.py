@@ -28,7 +28,11 @@ RuleOutcome = Literal["passed", "failed", "not applicable", "not judged"]
 
 
 class RuleBroken(Exception):
-    """The plug-in breaks a rule; the text is the observation."""
+    """The plug-in breaks a rule; the text is the observation, and behind it a likely ``cause`` if one is recognised."""
+
+    def __init__(self, observation: str, cause: str = "") -> None:
+        super().__init__(f"{observation}: {cause}" if cause else observation)
+        self.cause = cause
 
 
 class RuleNotApplicable(Exception):
@@ -69,7 +73,8 @@ class RuleResult:
     """The result of one rule; ``observed``: the observation, or why the rule could not be checked.
 
     ``raised``: whether an exception of the plug-in ended the check, so that the rule itself was not judged.
-    ``also_breaks``: the rule about processes that the program of the plug-in broke meanwhile.
+    ``also_breaks``: the rule about processes that the program of the plug-in broke meanwhile. ``cause``: a mistake that
+    the answer shows, "" if none is recognised.
     """
 
     rule: str
@@ -78,6 +83,7 @@ class RuleResult:
     observed: str
     raised: bool = False
     also_breaks: ProcessRule | None = None
+    cause: str = ""
 
 
 @dataclass(frozen=True, repr=False)
@@ -107,7 +113,7 @@ class RuleReport:
 def check_rule(rule: Rule, fixture: object) -> RuleResult:
     """Check one rule in this process; raises NotInstalled if the plug-in turns out not to be installed."""
     outcome: RuleOutcome = "passed"
-    raised, also_breaks = False, None
+    raised, also_breaks, cause = False, None, ""
     try:
         observed = rule.check(fixture)
     except NotInstalled:
@@ -116,11 +122,12 @@ def check_rule(rule: Rule, fixture: object) -> RuleResult:
         outcome = "not judged" if isinstance(reason, RuleNotJudged) else "not applicable"
         observed = str(reason)
     except RuleBroken as observation:
-        outcome, observed, also_breaks = "failed", str(observation), _find_process_rule(observation.__cause__)
+        outcome, observed, cause = "failed", str(observation), observation.cause
+        also_breaks = _find_process_rule(observation.__cause__)
     except Exception as error:  # noqa: BLE001 - any exception of a third party's code is the observation
         outcome, observed, raised = "failed", _describe_exception(error), True
         also_breaks = _find_process_rule(error)
-    return RuleResult(rule.name, rule.sentence, outcome, observed, raised, also_breaks)
+    return RuleResult(rule.name, rule.sentence, outcome, observed, raised, also_breaks, cause)
 
 
 def check_rules_once(rules: Mapping[str, Rule], fixture: object) -> tuple[RuleResult, ...]:

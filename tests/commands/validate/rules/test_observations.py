@@ -343,15 +343,19 @@ def test_a_scan_of_many_beams_is_asked_for_also_where_one_of_a_single_beam_is_re
     truth = odometry_rules.drive(6).truth
 
     def run(frames):
-        beams = len(frames[0].scan.ranges)
-        if beams == 1:
-            raise BackendRefused("ours", "it refuses a scan of 1 beam", "send more")
-        if beams > odometry_rules.BEAMS:
-            raise BackendEnded("ours", "it was killed by signal 11", "mend it")
+        for frame in frames:
+            beams = len(frame.scan.ranges)
+            if beams == 1:
+                raise BackendRefused("ours", "it refuses a scan of 1 beam", "send more")
+            if beams > odometry_rules.BEAMS and len(steps) == 3:
+                raise BackendEnded("ours", "it was killed by signal 11", "mend it")
         return truth
 
+    driven, steps = Driven(run), []
+    driven.note_progress = steps.append
     with pytest.raises(BackendEnded, match="killed by signal 11"):
-        odometry_rules.check_values(Driven(run))
+        odometry_rules.check_values(driven)
+    assert steps == ["a scan of 1 beams", "a scan of 20160 beams", "a scan of 20160 beams"]
 
 
 def test_an_odometry_that_refuses_scans_with_holes_breaks_a_rule_that_says_so():
