@@ -1,10 +1,13 @@
 """The GitHub Action: its summary of a validation, and the options of evalkit that it uses."""
 
 import importlib.util
+import os
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
+import ruamel.yaml
 from typer.testing import CliRunner
 
 from evalkit import cli
@@ -42,6 +45,27 @@ def test_the_commands_of_the_action_have_the_options_it_uses():
         for option in options:
             assert option in told
             assert option in action
+
+
+def test_the_action_installs_the_evalkit_it_belongs_to(tmp_path):
+    """PyPI has another project of this name."""
+    action = ruamel.yaml.YAML(typ="safe").load((ACTION / "action.yml").read_text(encoding="utf-8"))
+    (install,) = (one["run"].splitlines()[-1] for one in action["runs"]["steps"] if one.get("name") == "Install")
+    pip = tmp_path / "evalkit" / "bin" / "pip"
+    pip.parent.mkdir(parents=True)
+    pip.write_text('#!/bin/sh\nfor last; do :; done\nprintf %s "$last"\n')
+    pip.chmod(0o755)
+
+    def installed(package):
+        variables = {"RUNNER_TEMP": str(tmp_path), "GITHUB_ACTION_PATH": str(ACTION), "PACKAGE": package}
+        return subprocess.run(
+            ["bash", "-c", install], env=os.environ | variables, capture_output=True, text=True, check=True
+        ).stdout
+
+    folder, extra = installed(action["inputs"]["package"]["default"]).split("[")
+    assert (Path(folder) / "pyproject.toml").samefile(ACTION.parents[2] / "pyproject.toml")
+    assert extra == "all]"
+    assert installed("./mine.whl") == "./mine.whl"
 
 
 def test_every_action_is_pinned_by_the_hash_of_its_commit():

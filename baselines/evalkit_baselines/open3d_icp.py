@@ -165,7 +165,7 @@ def open3d_missing() -> str:
     if importlib.util.find_spec("open3d") is None:
         return f"not installed: {INSTALL}"
     if (found := _read_version()) and found < OLDEST:
-        return f"open3d {found[0]}.{found[1]} cannot be limited to one thread, 0.20 can: {INSTALL} --upgrade"
+        return f"open3d {found[0]}.{found[1]} cannot be limited to one thread, 0.20 can: {INSTALL}"
     if sys.platform != "linux":
         return ""
     absent = [name for name in SYSTEM_LIBRARIES if not _can_load(name)]

@@ -1,5 +1,7 @@
 """Open3D on planar clouds: each method recovers a known motion, and none is degraded by z = 0."""
 
+import importlib.metadata
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -185,8 +187,12 @@ def test_a_version_without_a_thread_limit_is_reported_with_its_replacement(monke
     monkeypatch.setattr(open3d_icp.importlib.util, "find_spec", lambda _name: object())
     monkeypatch.setattr(open3d_icp.importlib.metadata, "version", lambda _name: "0.19.0+1e7b174")
     assert open3d_icp.open3d_missing() == (
-        "open3d 0.19 cannot be limited to one thread, 0.20 can: pip install 'evalkit[open3d]' --upgrade"
+        "open3d 0.19 cannot be limited to one thread, 0.20 can: pip install 'evalkit[open3d]'"
     )
+    # its requirement names the version; --upgrade would also replace evalkit by PyPI's project of this name
+    extra = [one for one in importlib.metadata.requires("evalkit") if re.search("extra == .open3d.", one)]
+    assert extra
+    assert all(">=0.20" in one for one in extra)
 
 
 def test_a_library_that_does_not_exist_is_not_loaded():
