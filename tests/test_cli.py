@@ -541,6 +541,17 @@ def test_runs_without_a_page_say_that_the_report_in_their_folder_is_older(evalki
     assert note in evalkit(*words)[2]
 
 
+def test_a_resumed_comparison_says_how_many_runs_were_stored_with_other_settings(evalkit, experiment, tmp_path):
+    file, folder = experiment("none", "raise"), tmp_path / "out"
+    words = ("compare", "--no-page", file, "--out", folder, "--resume")
+    evalkit(*words, "--method", "none")
+    note = "executed again: stored with other code, libraries, settings or data"
+    assert note not in evalkit(*words)[2]  # one run is finished, the other was never stored
+    file.write_text(file.read_text().replace('fault = "none"', 'fault = "none"\nat = 5'))
+    assert f"1 run is {note}" in evalkit(*words)[2]
+    assert note not in evalkit(*words)[2]
+
+
 def test_a_folder_without_a_report_is_told_how_to_get_one(evalkit, experiment, tmp_path):
     evalkit("compare", "--no-page", experiment("none"), "--out", tmp_path / "out")
     with pytest.raises(StoreError, match="repeat it with --collect in place of --no-page"):
@@ -740,7 +751,10 @@ def test_an_option_with_a_fixed_choice_names_what_it_takes(evalkit, words, messa
             ("drive.log", "--ground-truth", "other.tum"),
             "do not overlap the recording, 100",
         ),
-        (("drive.log", "--spans", "no.toml"), "carmen: parameter 'spans': no file no.toml; check the path"),
+        (
+            ("drive.log", "--spans", "no.toml"),
+            "carmen: parameter 'spans': no file no.toml; check the path, which begins at the working folder",
+        ),
         (("drive.log", "--spans", "drive.log"), "drive.log: not valid TOML ("),
         (("drive.log", "--spans", "negative.toml"), "span 1: metres: expected a positive number, got -1.0"),
         (("cut.bag",), "cut.bag: not a readable bag ("),

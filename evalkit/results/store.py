@@ -141,6 +141,14 @@ class Store:
         """Return whether a run has ended and its result is stored."""
         return (self.run_folder(key) / RESULT).is_file()
 
+    def count_outdated(self, keys: Iterable[str]) -> int:
+        """Return how many of the runs without a result have one under another digest: of other code or settings."""
+        missing = [key.rpartition("-")[0] for key in keys if not self.is_finished(key)]
+        if not missing or not (runs := self.folder / "runs").is_dir():
+            return 0
+        stored = {path.name.rpartition("-")[0] for path in runs.iterdir() if self.is_finished(path.name)}
+        return sum(name in stored for name in missing)
+
     def is_newer_than_report(self, keys: Iterable[str]) -> bool:
         """Return whether the folder holds a report, and one of these runs ended or was scored after it."""
         try:

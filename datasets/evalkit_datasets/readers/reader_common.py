@@ -153,7 +153,8 @@ def _describe_first_missing(owner: str, paths: Iterable[tuple[str, str]]) -> str
         if not path:
             return f"{owner}: parameter '{parameter}' is empty; give a path"
         if not Path(path).exists():
-            return f"{owner}: parameter '{parameter}': no file {path}; check the path"
+            begin = "" if Path(path).is_absolute() else ", which begins at the working folder"
+            return f"{owner}: parameter '{parameter}': no file {path}; check the path{begin}"
     return ""
 
 

@@ -288,6 +288,9 @@ def _scheduler(experiment: Experiment, store: Store, how: RunOptions) -> Iterato
     for line in progress.format_unavailable(experiment):
         err.print(line)
     progress.print_undescribed(err, [method.backend for method in experiment.methods])
+    if how.resume and not how.collect and (count := store.count_outdated(spec.key for spec in experiment.runs())):
+        runs = "1 run is" if count == 1 else f"{count} runs are"
+        err.print(f"{runs} executed again: stored with other code, libraries, settings or data", soft_wrap=True)
     description = describe(jobs=how.jobs)
     with (
         progress.announce_kept(err, "finished runs", " with --resume"),
