@@ -25,6 +25,9 @@ FORMATS = ("csv", "json", "latex", "markdown", "pdf", "svg", "tum", "evo", "kitt
 WITH_SCANS = {"pdf", "svg", "tum", "evo", "kitti", "mcap", "rerun"}
 """Formats with ground truth or scans, for which the sequences are opened."""
 
+ABSENT = {"evo": "no run has a ground-truth trajectory, which its errors need; --format tum writes trajectories"}
+"""Why a format has no file, where it is not that no run is complete."""
+
 
 def export(
     results: Annotated[Path, typer.Argument(help="A results folder.", show_default=False)],
@@ -88,7 +91,10 @@ def _write_format(
     try:
         with as_store_error(folder):
             create_folder(folder / name, folder)
-            return list(writers[name](selection, folder / name))
+            written = list(writers[name](selection, folder / name))
+        if not written and not all_formats:
+            err.print(f"{name}: no file: {ABSENT.get(name, 'no complete run has what it shows')}", soft_wrap=True)
+        return written
     except NotInstalled as error:
         if not all_formats:
             raise

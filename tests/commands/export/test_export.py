@@ -24,6 +24,7 @@ from typer.testing import CliRunner
 from evalkit import report
 from evalkit.cli import app
 from evalkit.commands.export import figures, latex, mcap, poses, rerun_file
+from evalkit.commands.export.command import _make_writers, _write_format
 from evalkit.commands.export.results import MetricColumn, SummaryRow, load_selection
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import DataMissing, NotInstalled, StoreError, UnknownName
@@ -179,6 +180,16 @@ def test_the_result_files_of_evo_hold_the_errors_that_evo_itself_computes(finish
         assert found.stats[name] == pytest.approx(error.get_statistic(metrics.StatisticsType[name]), abs=1e-6)
     assert found.np_arrays["timestamps"] == pytest.approx(STAMPS * 1e-9, abs=1e-6)
     assert found.info["est_name"].startswith("wheel, ")
+
+
+def test_an_export_without_a_file_says_what_it_needs(tmp_path, capsys):
+    without_truth = SimpleNamespace(runs=[SimpleNamespace(scores=SimpleNamespace(errors_m=None))])
+    writers = _make_writers("column", "")
+    assert _write_format("evo", writers, without_truth, tmp_path, all_formats=False) == []
+    said = "evo: no file: no run has a ground-truth trajectory, which its errors need; --format tum writes trajectories"
+    assert capsys.readouterr().err == f"{said}\n"
+    assert _write_format("evo", writers, without_truth, tmp_path, all_formats=True) == []
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.thorough
