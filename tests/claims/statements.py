@@ -293,6 +293,23 @@ def best_maps(facts: Facts, where: str, listed: str) -> Iterator[str]:
     yield from same("leaders", list_of(listed), leaders)
 
 
+@kind(IN_VERDICTS, r"Clearly worse in one of them: (?P<listed>.+?)\.(?= [A-Z]|$)")
+def worse_maps(facts: Facts, where: str, listed: str) -> Iterator[str]:
+    order = facts.ranked(where, facts.deciding(where) or "")
+    last = max(order.index(one) for one in facts.agreed(where) if one in order)
+    labels = {facts.metrics[name]["label"]: name for name in MEASURES if name in facts.metrics}
+    said = dict(one.removesuffix(")").split(" (", 1) for one in list_of(listed))
+
+    def is_worse(one: str, name: str) -> bool:
+        return facts.is_worse(where, name, one, facts.ranked(where, name)[0])
+
+    wanted = [one for one in order[:last] if any(is_worse(one, name) for name in labels.values())]
+    yield from same("before the last of the best", list(said), wanted)
+    yield from (
+        f"{one} is not clearly worse in {label}" for one, label in said.items() if not is_worse(one, labels[label])
+    )
+
+
 @kind(IN_VERDICTS, r"Not told apart from the first: (?P<listed>.+?)\.(?= [A-Z]|$)")
 def not_told_apart(facts: Facts, where: str, listed: str) -> Iterator[str]:
     tied, near = facts.led(where)

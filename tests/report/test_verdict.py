@@ -433,7 +433,8 @@ def test_one_list_of_the_best_maps(record, build):
     maps = {"a": (0.10, 0.02, 0.04, 0.03), "c": (0.1004, 0.02, 0.04, 0.03), "b": (0.1002, 0.02, 0.04, 0.06)}
     comparison = _maps(record, build, **maps)
     assert verdict(comparison).leaders == ("a", "c")
-    assert "Not clearly worse in any map metric: a and c." in _verdict_text(comparison)
+    said = "Not clearly worse in any map metric: a and c. Clearly worse in one of them: b (S2M residual)."
+    assert said in _verdict_text(comparison)
     assert "lso tied" not in _verdict_text(comparison)
 
 

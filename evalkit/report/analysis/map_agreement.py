@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from evalkit.report.analysis.pairwise import is_clearly_worse
 from evalkit.report.analysis.ranking import Ranking, rank_scores
@@ -26,6 +26,7 @@ true error with a correlation of at least 0.9 in every world tested (`validated.
 class MapAgreement:
     """``best``: method by metric. ``agreed``: methods best or tied in every metric. ``missing``: metrics without value.
 
+    ``worse``: of each other method with values, the label of the first metric in which it is clearly worse.
     ``decides``: whether the sequence is decided by maps alone, without ground truth.
     """
 
@@ -33,6 +34,7 @@ class MapAgreement:
     agreed: tuple[str, ...]
     missing: tuple[str, ...]
     decides: bool
+    worse: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def disagrees(self) -> bool:
@@ -45,6 +47,7 @@ def compute_map_agreement(
 ) -> MapAgreement:
     """Compute the agreement over one sequence; the baseline takes part, because its map is comparable."""
     best: dict[str, str] = {}
+    worse: dict[str, str] = {}
     agreed, missing = tuple(methods), []
     for name in MEASURES:
         ranking = rankings.get(name)
@@ -53,9 +56,12 @@ def compute_map_agreement(
             missing.append(ranking.metric.label if ranking else name)
             continue
         best[name] = ranked[0].method
+        for one in ranked:
+            if is_clearly_worse(ranking.metric, one, ranked[0]):
+                worse.setdefault(one.method, ranking.metric.label)
         tied = [one.method for one in ranked if not is_clearly_worse(ranking.metric, one, ranked[0])]
         agreed = tuple(label for label in agreed if label in tied)
-    return MapAgreement(best, () if missing else agreed, tuple(missing), decided_by_maps(deciding))
+    return MapAgreement(best, () if missing else agreed, tuple(missing), decided_by_maps(deciding), worse)
 
 
 def decided_by_maps(ranking: Ranking | None) -> bool:

@@ -72,8 +72,17 @@ def describe_outcome(sequence: SequenceAnalysis, ranking: Ranking, outcome: Verd
     if outcome == "winner":
         return f"{sentence} The other map metrics agree." if decided_by_maps(ranking) else sentence
     if outcome == "tied" and decided_by_maps(ranking):
-        return f"{sentence} Not clearly worse in any map metric: {join_words(find_leaders(sequence, ranking))}."
+        return f"{sentence} {_describe_best_maps(sequence.map_agreement, ranking)}"
     return f"{sentence}{_describe_others_tied(ranking)}" if outcome == "tied" else sentence
+
+
+def _describe_best_maps(agreement: MapAgreement, ranking: Ranking) -> str:
+    """Return which methods have the best maps, and why not those with a better value than one of them."""
+    order = [score.method for score in ranking.ranked]
+    last = max((order.index(method) for method in agreement.agreed if method in order), default=0)
+    others = [f"{one} ({agreement.worse[one]})" for one in order[:last] if one in agreement.worse]
+    sentence = f"Not clearly worse in any map metric: {join_words(agreement.agreed)}."
+    return f"{sentence} Clearly worse in one of them: {join_words(others)}." if others else sentence
 
 
 def _describe_leaders(ranking: Ranking, outcome: VerdictOutcome, recorded: bool) -> str:
