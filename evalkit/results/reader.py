@@ -37,7 +37,7 @@ RESULTS_NAME, RESULTS_VERSION = "evalkit-results", 4
 _KEY = re.compile(r"(?!\.)[\w.=+-]{1,200}")
 """The name of a run's folder."""
 
-AGAIN = "repeat the comparison with --resume, which keeps the finished runs"
+AGAIN = "repeat the comparison with --resume, which keeps finished runs of the same code and data"
 REMEDY = f"name a folder that `evalkit compare` has written, or {AGAIN}"
 
 RunName = tuple[str, str, int | None]

@@ -144,10 +144,8 @@ def _judge_error(
         return "unchanged", SAME
     before, after = median(old.values), median(new.values)
     limit = limits.error * (ONE_RUN if len(old.values) == 1 else 1.0)
-    points = MARGIN_POINTS if is_share_in_map(metric) else 0.0
-    if abs(after - before) <= max(limit * abs(before), noise_floor(metric, count_relations(old, new)), points):
-        floor = f"{points:g} percentage point" if points else "the accuracy of the ground truth"
-        return "within the limit", f"at most {100 * limit:g} %, or less than {floor}"
+    if within := _find_limit(metric, before, after, limit, count_relations(old, new)):
+        return "within the limit", within
     if new.perturbed and 1 < len(new.values) < FEW_RUNS:
         return "no difference shown", f"{len(new.values)} perturbed runs, {FEW_RUNS} give a verdict"
     if difference is not None and not difference.interval.excludes(0.0):
@@ -158,6 +156,16 @@ def _judge_error(
     worse = metric.sign * (after - before) > 0.0
     noise = "beyond the noise" if difference is not None else "of one run, whose noise is not known"
     return ("regression" if worse else "improvement"), f"more than {100 * limit:g} %, {noise}"
+
+
+def _find_limit(metric: Metric, before: float, after: float, limit: float, relations: int) -> str:
+    """Return which limit the change of a value does not exceed, "" if it exceeds all. ``limit``: share of the value."""
+    change = abs(after - before)
+    if change <= limit * abs(before):
+        return f"at most {100 * limit:g} %"
+    if is_share_in_map(metric) and change <= MARGIN_POINTS:
+        return f"at most {MARGIN_POINTS:g} percentage point"
+    return "at most what errors of the ground truth make" if change <= noise_floor(metric, relations) else ""
 
 
 def _judge_time(

@@ -69,6 +69,8 @@ def test_equal_numbers_are_no_change():
 def test_an_error_must_change_by_more_than_the_limit_and_the_noise(new, said):
     found = _between(_seeds([0.02, 0.02, 0.02]), _seeds(new))
     assert (_verdict(found), found.regressions) == (said, int(said == "regression"))
+    reason = next(one.reason for one in found.changes if one.metric == ATE)
+    assert reason == "at most 5 %" or said != "within the limit"  # no other limit holds for it
 
 
 @pytest.mark.parametrize(("runs", "percent"), [(3, 99), (6, 97)])
