@@ -87,6 +87,16 @@ def test_labels_cover_neither_points_nor_each_other():
     )
 
 
+def test_a_label_that_fits_on_no_side_begins_or_ends_at_its_point_and_leaves_what_is_free():
+    """At the left edge a long name fits neither to the left nor in the middle; to the right there is another point."""
+    points = [(10.0, 50.0, "near the left edge"), (60.0, 50.0, "b")]
+    assert place_labels(points[:1], (200.0, 100.0), 6.0, 9.0) == {"near the left edge": (19.0, 54.0, "start")}
+    at = place_labels(points, (200.0, 100.0), 6.0, 9.0)["near the left edge"]
+    assert at == (7.0, 41.0, "start")
+    above = (0.0, 0.0, 200.0, 45.0)
+    assert place_labels(points, (200.0, 100.0), 6.0, 9.0, [above])["near the left edge"] == (7.0, 67.0, "start")
+
+
 def test_the_front_is_what_no_other_beats_in_both():
     points = [("a", 1.0, 5.0), ("b", 1.2, 2.0), ("c", 3.0, 0.5), ("d", 2.0, 3.0), ("e", 3.0, 0.5)]
     drawn = [_Point(name, error, cpu, "") for name, error, cpu in points]

@@ -20,6 +20,9 @@ SCATTER = (360.0, 296.0)
 PLOT = (34.0, 8.0, 350.0, 252.0)
 """Size of the scatter plot, and left, top, right and bottom of its frame."""
 
+LETTER, TICK_LETTER, LETTER_HEIGHT = 6.2, 5.6, 9.0
+"""Mean width of a letter of a name and of a tick, and the height of both."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Point:
@@ -56,13 +59,16 @@ def draw_scatter(analysis: Analysis, strokes: Strokes) -> Markup | None:
     front = _find_front(points)
     steps = " ".join(f"{place[one.method][0]:.1f},{place[one.method][1]:.1f}" for one in front)
     parts.append(element("polyline", points=steps, class_="front"))
+    free = []
     if period is not None and near:
         at = left + (right - left) * x.share(limit)
         parts.append(element("line", x1=at, x2=at, y1=top, y2=bottom, class_="limit"))
         words = f"a scan every {format_milliseconds(period)}"
         parts.append(element("text", words, x=at - 4, y=bottom - 6, text_anchor="end", class_="tick"))
+        free.append((at - 4 - TICK_LETTER * len(words), bottom - 6 - LETTER_HEIGHT, at, bottom))
     names = {one.method: f"{one.method} ({one.shared})" if one.shared else one.method for one in points}
-    labels = place_labels([(*place[one.method], names[one.method]) for one in points], (right, bottom), 6.2, 9.0)
+    wanted = [(*place[one.method], names[one.method]) for one in points]
+    labels = place_labels(wanted, (right, bottom), LETTER, LETTER_HEIGHT, free)
     for one in reversed(points):  # the best on top
         kind = f"series{' led' if one.method in analysis.answer.ahead else ''}"
         own = _draw_point(one, place[one.method], names[one.method], labels.get(names[one.method]), common)

@@ -85,21 +85,27 @@ def polyline(points: Floats, **attributes: object) -> Markup:
 
 
 def place_labels(
-    points: Sequence[tuple[float, float, str]], size: tuple[float, float], letter: float, height: float
+    points: Sequence[tuple[float, float, str]],
+    size: tuple[float, float],
+    letter: float,
+    height: float,
+    free: Sequence[tuple[float, float, float, float]] = (),
 ) -> dict[str, tuple[float, float, str]]:
     """Return position and anchor of each label that fits beside its point without covering a point or a label.
 
     ``points``: x, y and text, the most important first. ``size`` of the drawing; ``letter``: mean width of a letter.
+    ``free``: left, top, right and bottom of places that stay free.
     """
-    taken = [(x - 5.0, y - 5.0, x + 5.0, y + 5.0) for x, y, _ in points]
+    taken = [*free, *((x - 5.0, y - 5.0, x + 5.0, y + 5.0) for x, y, _ in points)]
     placed: dict[str, tuple[float, float, str]] = {}
     for x, y, text in points:
         wide = letter * len(text)
         beside = [(x - 9.0 - wide, y + 4.0, "end"), (x + 9.0, y + 4.0, "start"),
                   (x - wide / 2.0, y + 8.0 + height, "middle"), (x - wide / 2.0, y - 9.0, "middle")]  # fmt: skip
+        bases = [y - 9.0, y + 8.0 + height]
         if not placed:  # the most important one may be further away, its colour shows its point
-            for base in (y - 9.0, y - 9.0 - height, y + 8.0 + height, y + 8.0 + 2.0 * height):
-                beside += [(x + 3.0 - wide, base, "end"), (x - 3.0, base, "start")]
+            bases += [y - 9.0 - height, y + 8.0 + 2.0 * height]
+        beside += [place for base in bases for place in ((x + 3.0 - wide, base, "end"), (x - 3.0, base, "start"))]
         for left, base, anchor in beside:
             box = (left, base - height, left + wide, base + 3.0)
             inside = box[0] >= 0.0 and box[2] <= size[0] and box[1] >= 0.0 and box[3] <= size[1]
