@@ -51,6 +51,9 @@ COUNT_S = 0.5
 where the system has started no process since the last one.
 """
 
+_THREAD_POLL_S = 1.0
+"""Interval between two looks at the thread of an executor that has not answered."""
+
 TAIL_BYTES = 4096
 """Length of the end of the output that is searched for the last line."""
 
@@ -318,10 +321,6 @@ def _wait(executor: Executor, future: Future[R]) -> R:
 def _kill_processes(executor: Executor) -> None:
     for process in tuple((getattr(executor, "_processes", None) or {}).values()):
         process.kill()
-
-
-_THREAD_POLL_S = 1.0
-"""Interval between two looks at the thread of an executor that has not answered."""
 
 
 class _Process(SpawnProcess):

@@ -174,7 +174,7 @@ def _run_on_core(idle: SimpleQueue[int | None], task: Task[R], stop: threading.E
 
 
 def _run_in_pool(pool: WorkerPool, task: Task[R], note: Path, stop: threading.Event) -> tuple[R, float]:
-    """Run a task in a process; once more if the process died, unless its time limit ended it.
+    """Run a task in a process.
 
     Raises TaskEnded, or MachineFault where no process can be started. Then ``stop`` is set, and later tasks are not
     run: each raises CancelledError.
@@ -182,16 +182,21 @@ def _run_in_pool(pool: WorkerPool, task: Task[R], note: Path, stop: threading.Ev
     if stop.is_set():
         raise CancelledError
     try:
-        for _ in range(2):
-            try:
-                return pool.run(_run_with_note, task, note)
-            except BrokenProcessPool:
-                if timeout := task_time_limit.take_note(note, task.limit_s):
-                    raise TaskEnded(timeout, True) from None
-                pool.check("tasks", f"{MachineFault.FREE} the command: finished results are stored")
+        return _run_twice(pool, task, note)
     except MachineFault:
         stop.set()
         raise
+
+
+def _run_twice(pool: WorkerPool, task: Task[R], note: Path) -> tuple[R, float]:
+    """Run a task in a process; once more if the process died, unless its time limit ended it."""
+    for _ in range(2):
+        try:
+            return pool.run(_run_with_note, task, note)
+        except BrokenProcessPool:
+            if timeout := task_time_limit.take_note(note, task.limit_s):
+                raise TaskEnded(timeout, True) from None
+            pool.check("tasks", f"{MachineFault.FREE} the command: finished results are stored")
     raise TaskEnded("it ended its process", False)
 
 

@@ -153,21 +153,27 @@ def iter_sweeps(path: Path, scans: BagScans, options: SweepOptions) -> Iterator[
         return
     ranks = np.full(int(scans.messages.max()) + 1, -1, dtype=np.int64)
     ranks[scans.messages] = np.arange(len(scans))
+    damage = MessageDamage()
     with open_bag(path) as reader:
         messages = reader.messages(connections=_find_laser_connections(reader, scans.topic, options))
         for rank in ranks.tolist():
             message = next(messages, None)
             if rank >= 0:
-                yield rank, _reread_sweep(reader, message, int(scans.stamps_ns[rank]), path, options)
+                yield rank, _reread_sweep(reader, message, int(scans.stamps_ns[rank]), path, options, damage)
 
 
 def _reread_sweep(
-    reader: Any, message: tuple[Any, int, bytes] | None, stamp_ns: int, path: Path, options: SweepOptions
+    reader: Any,
+    message: tuple[Any, int, bytes] | None,
+    stamp_ns: int,
+    path: Path,
+    options: SweepOptions,
+    damage: MessageDamage,
 ) -> Sweep:
     """Return the sweep of a message; raises BadData if it is not a scan with the stamp of the first reading."""
     if message is not None:
         connection, recorded_ns, raw = message
-        decoded, kind = MessageDamage().decode(reader, connection, recorded_ns, raw), connection.msgtype
+        decoded, kind = damage.decode(reader, connection, recorded_ns, raw), connection.msgtype
         sweep = None if decoded is None else sweeps.parse_sweep(decoded, kind, int(recorded_ns), options)
         if sweep is not None and sweep.stamp_ns == stamp_ns:
             return sweep

@@ -157,7 +157,6 @@ def _read_chain(path: Path, reader: Any, words: str) -> TumFile:
                 continue
             stamp = sweeps.parse_stamp_ns(stamped.header)
             damaged += not samples[edge].append(stamp, stamped.transform.translation, stamped.transform.rotation)
-    damage.check_share(path)
     counts = {"invalid transforms": damaged, DAMAGED_MESSAGES: damage.damaged.total()}
     return _compose_chain(path, words, edges, samples, static, counts)
 

@@ -56,10 +56,11 @@ def compute_map_agreement(
             missing.append(ranking.metric.label if ranking else name)
             continue
         best[name] = ranked[0].method
-        for one in ranked:
-            if is_clearly_worse(ranking.metric, one, ranked[0]):
-                worse.setdefault(one.method, ranking.metric.label)
-        tied = [one.method for one in ranked if not is_clearly_worse(ranking.metric, one, ranked[0])]
+        beaten = {
+            one.method: ranking.metric.label for one in ranked if is_clearly_worse(ranking.metric, one, ranked[0])
+        }
+        worse = beaten | worse  # the first metric counts
+        tied = {one.method for one in ranked} - beaten.keys()
         agreed = tuple(label for label in agreed if label in tied)
     return MapAgreement(best, () if missing else agreed, tuple(missing), decided_by_maps(deciding), worse)
 

@@ -55,6 +55,10 @@ def _verdict(found, metric=ATE):
     return {change.metric: change.verdict for change in found.changes}[metric]
 
 
+def _reason(found, metric=ATE):
+    return {change.metric: change.reason for change in found.changes}[metric]
+
+
 def test_equal_numbers_are_no_change():
     found = _between(_seeds([0.02, 0.03]), _seeds([0.02, 0.03]))
     assert [change.verdict for change in found.changes] == ["unchanged", "unchanged"]
@@ -69,8 +73,7 @@ def test_equal_numbers_are_no_change():
 def test_an_error_must_change_by_more_than_the_limit_and_the_noise(new, said):
     found = _between(_seeds([0.02, 0.02, 0.02]), _seeds(new))
     assert (_verdict(found), found.regressions) == (said, int(said == "regression"))
-    reason = next(one.reason for one in found.changes if one.metric == ATE)
-    assert reason == "at most 5 %" or said != "within the limit"  # no other limit holds for it
+    assert (_reason(found) == "at most 5 %") is (said == "within the limit")
 
 
 @pytest.mark.parametrize(("runs", "percent"), [(3, 99), (6, 97)])
@@ -158,7 +161,9 @@ def test_wrong_positions_in_a_known_map_must_change_by_a_percentage_point(after,
         own = _seeds([0.02] * 3).items()
         return {name: replace(run, scores={**run.scores, wrong: percent}) for name, run in own}
 
-    assert _verdict(_between(runs(0.2), runs(after)), wrong) == said
+    found = _between(runs(0.2), runs(after))
+    assert _verdict(found, wrong) == said
+    assert (_reason(found, wrong) == "at most 1 percentage point") is (said == "within the limit")
 
 
 def test_a_single_run_is_compared_scan_by_scan():
@@ -515,4 +520,6 @@ def test_a_mean_over_relations_must_change_by_more_than_their_number_can_measure
         }
         for which, value in (("old", 0.04), ("new", new_m))
     )
-    assert _verdict(_between(old, new), name) == said
+    found = _between(old, new)
+    assert _verdict(found, name) == said
+    assert (_reason(found, name) == "at most what errors of the ground truth make") is (said == "within the limit")
