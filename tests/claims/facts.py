@@ -158,7 +158,8 @@ class Facts:
         shift = math.log(2.0) / error if error else math.inf
         alpha = 1.0 - self.confidence(len(seeds), self.find(sequence, metric)[one].perturbed)
         limit = stats.t.ppf(1.0 - 0.5 * alpha, freedom)
-        return bool(shift > 1e6 or stats.nct.sf(limit, freedom, shift) + stats.nct.cdf(-limit, freedom, shift) >= 0.8)
+        # the other tail is that of the opposite shift: SciPy's nct.cdf is not a number that far out
+        return bool(shift > 1e6 or stats.nct.sf(limit, freedom, shift) + stats.nct.sf(limit, freedom, -shift) >= 0.8)
 
     @staticmethod
     def confidence(pairs: int, perturbed: bool) -> float:
